@@ -1,0 +1,19 @@
+"""Dispatcher-State/Flag/Operation: commands in, decisions out, operations performed in between."""
+
+from pcmrs.dispatcher.dispatcher import Dispatcher
+from pcmrs.dispatcher.procedure import Procedure
+from pcmrs.dispatcher.recorder import Recorder
+from pcmrs.dispatcher.registry import NoArguments, Registry
+from pcmrs.dispatcher.run import ProcedureData, Run
+from pcmrs.dispatcher.workflow import Workflow
+
+__all__ = [
+    "Dispatcher",
+    "NoArguments",
+    "Procedure",
+    "ProcedureData",
+    "Recorder",
+    "Registry",
+    "Run",
+    "Workflow",
+]

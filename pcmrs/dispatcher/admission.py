@@ -1,0 +1,80 @@
+"""What can be said of a command before any state is looked at."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+
+from pcmrs.clock import Clock
+from pcmrs.dispatcher.workflow import Workflow
+from pcmrs.errors import RefusalError
+from pcmrs.fsm import OperationSpec
+from pcmrs.messages import Command
+
+EVENT_SOURCES = ("device:", "detector:", "timer:", "operation:")
+
+
+def find_operation(workflow: Workflow[Any, Any], command: Command) -> OperationSpec:
+    """The operation a command names.
+
+    Raises:
+        RefusalError: There is no such branch or operation, or users may not ask for it.
+    """
+    branch = workflow.blueprint.branches.get(command.branch)
+    if branch is None:
+        known = list(workflow.blueprint.branches)
+        text = f"There is no branch {command.branch!r}; the branches are {', '.join(known)}."
+        raise RefusalError("unknown_branch", text, branch=command.branch, known=known)
+    spec = branch.operations.get(command.operation)
+    if spec is None:
+        known = list(branch.operations)
+        text = f"{command.branch} has no operation {command.operation!r}; it has {', '.join(known)}."
+        raise RefusalError("unknown_operation", text, operation=command.operation, known=known)
+    if spec.iio:
+        text = f"{command.branch}.{command.operation} is called by a child branch only, never from outside."
+        raise RefusalError("internal_operation", text, operation=command.operation)
+    if spec.event and not command.source.startswith(EVENT_SOURCES):
+        text = f"{command.branch}.{command.operation} is called by a device, detector or timer only."
+        raise RefusalError("event_operation", text, operation=command.operation, source=command.source)
+    return spec
+
+
+def read_payload(workflow: Workflow[Any, Any], command: Command, spec: OperationSpec) -> msgspec.Struct:
+    """The command's arguments as the operation's payload type.
+
+    Raises:
+        RefusalError: They do not fit the type, or a number is not finite.
+    """
+    kind = workflow.registry.payloads[spec.payload]
+    what = f"{command.branch}.{command.operation}"
+    try:
+        payload: msgspec.Struct = msgspec.convert(command.arguments, kind)
+    except msgspec.ValidationError as error:
+        raise RefusalError("bad_arguments", f"{what}: {error}.", arguments=list(command.arguments)) from error
+    for path, value in _numbers(command.arguments, ""):
+        if not math.isfinite(value):
+            text = f"{what}: {path[1:]} is {value}; every number must be finite."
+            raise RefusalError("bad_arguments", text, argument=path[1:], value=str(value))
+    return payload
+
+
+def check_fresh(clock: Clock, command: Command) -> None:
+    """Raises `RefusalError` for a command that arrives later than its sender wanted."""
+    if command.sent is None or command.ttl is None:
+        return
+    age = clock.wall() - command.sent
+    if age > command.ttl:
+        text = f"The command is {age:.3f} s old; its sender set a limit of {command.ttl:.3f} s. Send it anew."
+        raise RefusalError("expired", text, age=age, limit=command.ttl)
+
+
+def _numbers(value: Any, path: str) -> list[tuple[str, float]]:
+    if isinstance(value, float):
+        return [(path, value)]
+    if isinstance(value, dict):
+        return [found for key, item in value.items() for found in _numbers(item, f"{path}.{key}")]
+    if isinstance(value, list | tuple):
+        return [found for index, item in enumerate(value) for found in _numbers(item, f"{path}.{index}")]
+    return []

@@ -1,0 +1,75 @@
+"""A command on its way through the dispatcher, and when two of them are in each other's way."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from typing import Any
+
+from pcmrs.fsm import Blueprint, Closure, Denial, OperationSpec
+from pcmrs.messages import Command, Reason, Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Locks:
+    """Branches an operation may change, and branches that must not change under it."""
+
+    writes: frozenset[str]
+    reads: frozenset[str]
+
+    def conflicts(self, other: Locks) -> bool:
+        """Whether the two cannot be held together."""
+        return bool(self.writes & (other.writes | other.reads) or self.reads & other.writes)
+
+
+@dataclass(eq=False)
+class Attempt:
+    """One accepted-for-consideration command until its verdict.
+
+    Attributes:
+        begun: Its task has begun, so that cancelling it reaches its steps.
+        ending: Its steps have ended and it is being committed: too late to stop.
+        stopped: Why it was stopped by Stop or a danger event.
+    """
+
+    command: Command
+    spec: OperationSpec
+    payload: Any
+    verdict: asyncio.Future[Verdict]
+    locks: Locks
+    task: asyncio.Task[None] | None = None
+    progress: float = 0.0
+    begun: bool = False
+    ending: bool = False
+    stopped: Reason | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves the robot."""
+        return self.spec.motion != "none"
+
+    @property
+    def name(self) -> str:
+        """Branch and operation, as users write it."""
+        return f"{self.command.branch}.{self.command.operation}"
+
+    def stop(self, reason: Reason) -> None:
+        """Cancels its steps; harmless once they have ended."""
+        if self.ending or self.stopped is not None:
+            return
+        self.stopped = reason
+        if self.begun and self.task is not None:
+            self.task.cancel()
+
+
+def locks_for(blueprint: Blueprint, command: Command, answer: Closure | Denial) -> Locks:
+    """Locks of an allowed command; of a denied one, the branches that might change the answer."""
+    if isinstance(answer, Closure):
+        return Locks(answer.writes, answer.reads)
+    examined = {command.branch}
+    parent = blueprint.branches[command.branch].parent
+    while parent is not None:
+        examined.add(parent.branch)
+        parent = blueprint.branches[parent.branch].parent
+    spec = blueprint.branches[command.branch].operations[command.operation]
+    return Locks(frozenset(examined), frozenset(spec.requires) - examined)

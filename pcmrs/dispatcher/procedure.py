@@ -1,0 +1,91 @@
+"""Where a procedure stands: active states, flags, data and the latch; changed by commits only."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Generic
+
+import msgspec
+
+from pcmrs.dispatcher.run import C, D
+from pcmrs.dispatcher.workflow import Workflow
+from pcmrs.errors import BlueprintError
+from pcmrs.fsm import Change, Closure, Denial, StateSet, close, flags_of
+from pcmrs.messages import BlueprintTag, Running, Snapshot
+
+
+class Procedure(Generic[C, D]):
+    """The joint state of one running workflow.
+
+    Attributes:
+        data: What the procedure has gathered.
+        latched: Stop has been pressed and not been acknowledged: nothing moves.
+        sequence: Number of the newest commit.
+    """
+
+    def __init__(self, workflow: Workflow[C, D]) -> None:
+        self.blueprint = workflow.blueprint
+        self.data = workflow.initial
+        self.latched = False
+        self.sequence = 0
+        self._reserved = 0
+        self._settle = workflow.settle
+        self._states = StateSet(workflow.blueprint)
+        self._flags = flags_of(workflow.blueprint, self._states.joint())
+
+    def joint(self) -> dict[str, str]:
+        """The joint state: branch to state."""
+        return self._states.joint()
+
+    def allowed(self, branch: str, state: str) -> list[str]:
+        """Operations that users may ask for in a state of a branch."""
+        return self._states.objects[branch][state].allowed()
+
+    def ask(self, branch: str, operation: str) -> Closure | Denial:
+        """Asks the active state object, then works out the closure of what it allows."""
+        answer = self._states.active(branch).ask(operation)
+        if isinstance(answer, Denial):
+            return answer
+        return close(self.blueprint, self._states.joint(), branch, operation)
+
+    def reserve(self) -> int:
+        """The sequence number of the next commit; commits happen in the order of reservation."""
+        self._reserved += 1
+        return self._reserved
+
+    def commit(self, sequence: int, change: Change | None, changes: Mapping[str, Any], *, unlatch: bool) -> None:
+        """Moves all branches of `change` and the data together; without one, keeps both.
+
+        Raises:
+            BlueprintError: States or flags are not what they were left as: memory is not to be trusted.
+        """
+        if self._flags != flags_of(self.blueprint, self.joint()):
+            raise BlueprintError("The flags do not mirror the states any more.")
+        if change is not None:
+            targets = {branch: change.states[branch] for branch in {effect.branch for effect in change.effects}}
+            data = msgspec.structs.replace(self.data, **changes) if changes else self.data
+            data = self._settle(data, self.joint() | targets, change.effects)
+            self._states.transition(targets)
+            self.data = data
+            self._flags = flags_of(self.blueprint, self.joint())
+        self.latched = self.latched and not unlatch
+        self.sequence = max(self.sequence, sequence)
+
+    def latch(self) -> None:
+        """Forbids motion until an operation that unlatches is committed."""
+        self.latched = True
+        self.sequence = self.reserve()
+
+    def snapshot(self, running: list[Running]) -> Snapshot:
+        """What the world is shown."""
+        blueprint = self.blueprint
+        return Snapshot(
+            sequence=self.sequence,
+            branches=self.joint(),
+            flags=dict(self._flags),
+            running=running,
+            latched=self.latched,
+            blueprint=BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash),
+            plan=self.data.plan_id,
+            registration=self.data.registration_id,
+        )

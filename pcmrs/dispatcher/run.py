@@ -1,0 +1,74 @@
+"""One operation being performed, as its checks and steps see it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+
+import msgspec
+
+from pcmrs.clock import Clock
+from pcmrs.messages import Command
+
+
+class ProcedureData(msgspec.Struct, frozen=True, kw_only=True):
+    """What a procedure has gathered so far; workflows add their own fields. Immutable.
+
+    Attributes:
+        plan_id: Id of the accepted tool plan.
+        registration_id: Id of the accepted registration.
+    """
+
+    plan_id: str | None = None
+    registration_id: str | None = None
+
+
+C = TypeVar("C")
+D = TypeVar("D", bound=ProcedureData)
+
+
+@dataclass
+class Run(Generic[C, D]):
+    """Handed to every check and step of one operation.
+
+    Attributes:
+        command: What was asked.
+        payload: Its arguments as the registered type.
+        states: The joint state it started in; its own branches cannot change under it.
+        cell: The devices and frames of the cell.
+        clock: The cell's clock.
+        outcome: Declared outcome to end with; a last step of an operation with outcomes sets it.
+        result: What the verdict reports.
+        prepared: What a check has worked out for a step, such as a trajectory.
+    """
+
+    command: Command
+    payload: Any
+    states: dict[str, str]
+    cell: C
+    clock: Clock
+    _data: D
+    _show_progress: Callable[[float], None]
+    outcome: str | None = None
+    result: dict[str, Any] = field(default_factory=dict)
+    prepared: Any = None
+    changes: dict[str, Any] = field(default_factory=dict)
+    posts: list[tuple[str, str, dict[str, Any]]] = field(default_factory=list)
+
+    @property
+    def data(self) -> D:
+        """The procedure's data with the changes of this run."""
+        return msgspec.structs.replace(self._data, **self.changes) if self.changes else self._data
+
+    def keep(self, **changes: Any) -> None:
+        """Changes fields of the procedure's data; they are committed with the states, or not at all."""
+        self.changes.update(changes)
+
+    def post(self, branch: str, operation: str, **arguments: Any) -> None:
+        """Submits a command once this operation is committed, without waiting for it."""
+        self.posts.append((branch, operation, arguments))
+
+    def progress(self, fraction: float) -> None:
+        """Shows how far the operation is, from 0 to 1."""
+        self._show_progress(fraction)

@@ -1,0 +1,110 @@
+"""The error tree: every refusal says what, which value, which limit and what to do."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+
+class PcmrsError(Exception):
+    """Base of every error that PCMRS raises on purpose.
+
+    Attributes:
+        code: Stable snake_case name that programs may match on.
+        text: One readable sentence or two: what, which value, which limit, what to do.
+        fields: The values named in the text, as data.
+    """
+
+    code: ClassVar[str] = "error"
+
+    def __init__(self, text: str, **fields: Any) -> None:
+        super().__init__(text)
+        self.text = text
+        self.fields = fields
+
+
+class ConfigurationError(PcmrsError):
+    """A configuration value is missing, unknown or out of range."""
+
+    code = "bad_configuration"
+
+
+class BlueprintError(PcmrsError):
+    """A workflow blueprint cannot be read or breaks a rule."""
+
+    code = "unsound_blueprint"
+
+
+class RefusalError(PcmrsError):
+    """A check or a step says no; the dispatcher turns it into a verdict, never a traceback.
+
+    Args:
+        refusal_code: The reason's code in the verdict, such as ``residual_too_large``.
+        text: What, which value, which limit, what to do.
+        **fields: The values named in the text.
+    """
+
+    code = "refused"
+
+    def __init__(self, refusal_code: str, text: str, **fields: Any) -> None:
+        super().__init__(text, **fields)
+        self.refusal_code = refusal_code
+
+
+class UnknownOutcomeError(PcmrsError):
+    """Nobody can say whether the action happened: the device is silent or gone. Never retried."""
+
+    code = "outcome_unknown"
+
+
+class DeviceError(PcmrsError):
+    """A device answered with a failure."""
+
+    code = "device_failed"
+
+
+class BusError(PcmrsError):
+    """The bus cannot be opened or used."""
+
+    code = "bus_unavailable"
+
+
+class PayloadError(PcmrsError):
+    """Bytes on an edge of the system do not hold what their key or command promises."""
+
+    code = "malformed"
+
+
+class JournalError(PcmrsError):
+    """The journal cannot be written or read; nothing may be acknowledged any more."""
+
+    code = "journal_unavailable"
+
+
+class ReentrancyError(PcmrsError):
+    """An operation awaited its own dispatcher, which would wait for itself for ever."""
+
+    code = "reentrant"
+
+
+class GeometryError(PcmrsError):
+    """Numbers that are no pose, no rotation, or too degenerate to compute with."""
+
+    code = "bad_geometry"
+
+
+class MissingTransformError(GeometryError):
+    """No chain of known transforms joins two frames."""
+
+    code = "missing_transform"
+
+
+class DegeneratePointsError(GeometryError):
+    """Points that do not fix a rigid transform: too few, coincident or on one line."""
+
+    code = "degenerate_points"
+
+
+class UnreachableError(GeometryError):
+    """No joint posture within the limits reaches the pose."""
+
+    code = "unreachable"

@@ -1,0 +1,179 @@
+"""A workflow as data: branches, states and operations, as a blueprint file declares them."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Literal
+
+import msgspec
+
+Motion = Literal["none", "approach", "retreat"]
+Requirement = dict[str, list[str]]
+
+START_OUTCOME = "done"
+"""Name of the only outcome of an operation that declares none."""
+
+
+class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of all parts of a blueprint; unknown keys are refused when it is read."""
+
+
+class OutcomeSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One declared way an operation ends.
+
+    Attributes:
+        to: Target state.
+        requires: Branch to states; where these do not hold the outcome cannot be taken.
+    """
+
+    to: str
+    requires: Requirement = {}
+
+
+class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={"from_": "from"}):
+    """One operation of a branch (SO); changing (SCO) or maintaining (SMO) by its `from` and target.
+
+    Attributes:
+        from_: States it is valid in; ``["*"]`` for all.
+        to: Target state; an operation has either this or `outcomes`.
+        outcomes: Declared endings with their own targets, chosen by its last step.
+        payload: Registered name of its arguments' type.
+        checks: Registered names of pure checks; a refusal there is a rejection.
+        steps: Registered names of steps, in order; a refusal there is a failure.
+        timeout_s: Deadline for all steps together, in s of the cell's clock.
+        requires: Branch to states that must hold while it runs.
+        refusal: Code of the rejection when `requires` does not hold.
+        roles: Who may ask for it; empty for everybody who may send commands.
+        motion: Whether it moves the robot, and which way.
+        rio: It is the branch's re-initiation operation (RIO).
+        iio: It is called by a child branch only (IIO).
+        event: It is called by a device, detector or timer only.
+        signals: It signals the parent also when the state is kept.
+        unlatches: It releases the latch that Stop has set.
+        sets: Child branch to state that it sets without calling an operation there.
+        on_failure: Where the branch goes when a step refuses, raises or is stopped; absent: stays.
+        on_unknown: Where the branch goes when nobody knows how it ended; absent: stays.
+    """
+
+    from_: list[str]
+    to: str | None = None
+    outcomes: dict[str, OutcomeSpec] = {}
+    payload: str = "none"
+    checks: list[str] = []
+    steps: list[str] = []
+    timeout_s: float = 5.0
+    requires: Requirement = {}
+    refusal: str = "requirement_not_met"
+    roles: list[str] = []
+    motion: Motion = "none"
+    rio: bool = False
+    iio: bool = False
+    event: bool = False
+    signals: bool = False
+    unlatches: bool = False
+    sets: dict[str, str] = {}
+    on_failure: str | None = None
+    on_unknown: str | None = None
+
+    @property
+    def endings(self) -> dict[str, OutcomeSpec]:
+        """All declared outcomes; one named `START_OUTCOME` where only `to` is given."""
+        if self.outcomes:
+            return self.outcomes
+        return {START_OUTCOME: OutcomeSpec(to=self.to or "")}
+
+    def targets(self) -> set[str]:
+        """Every state it can lead to, by success, failure or doubt."""
+        doubtful = {state for state in (self.on_failure, self.on_unknown) if state is not None}
+        return {ending.to for ending in self.endings.values()} | doubtful
+
+
+class ParentSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The state of a level N branch that this level N+1 branch refines.
+
+    Attributes:
+        branch: The parent.
+        start: Parent state at which this branch starts (Rule 3).
+        compatible: For each state here, the parent states it fits.
+    """
+
+    branch: str
+    start: str
+    compatible: dict[str, list[str]]
+
+
+class RevocationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={"from_": "from"}):
+    """A change in one of the branches `by` takes this branch from `from` to `to` in the same commit."""
+
+    by: list[str]
+    from_: list[str]
+    to: str
+
+
+class BranchSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One State Branch (SB).
+
+    Attributes:
+        level: 1 for a root workflow, N+1 for a branch that refines a state of level N.
+        states: Name to meaning; the first is the start.
+        flags: Names of the digits of the states, mirrored for display.
+        emits: For each state, the parent's operation called on a change to it (Rule 2).
+    """
+
+    level: int
+    title: str = ""
+    states: dict[str, str]
+    operations: dict[str, OperationSpec]
+    flags: list[str] = []
+    parent: ParentSpec | None = None
+    emits: dict[str, str] = {}
+    revocations: list[RevocationSpec] = []
+
+    @property
+    def start(self) -> str:
+        """The starting state."""
+        return next(iter(self.states))
+
+    @property
+    def rio(self) -> str | None:
+        """Name of the re-initiation operation, if there is one."""
+        return next((name for name, operation in self.operations.items() if operation.rio), None)
+
+    def valid_in(self, operation: str, state: str) -> bool:
+        """Whether the operation may be performed in the state."""
+        valid = self.operations[operation].from_
+        return state in valid or valid == ["*"]
+
+
+class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
+    """A whole workflow.
+
+    Attributes:
+        id: Name of the workflow.
+        version: Its version, which journals and snapshots carry.
+        hash: SHA-256 of the file it was read from, hexadecimal; filled when it is read.
+    """
+
+    id: str
+    version: str
+    title: str = ""
+    branches: dict[str, BranchSpec]
+    hash: str = ""
+
+    def initial(self) -> dict[str, str]:
+        """The joint state at start: every branch in its starting state."""
+        return {name: branch.start for name, branch in self.branches.items()}
+
+    @cached_property
+    def children(self) -> dict[str, dict[str, ParentSpec]]:
+        """For each branch, the branches that refine one of its states and how they fit it."""
+        found: dict[str, dict[str, ParentSpec]] = {name: {} for name in self.branches}
+        for name, branch in self.branches.items():
+            if branch.parent is not None:
+                found[branch.parent.branch][name] = branch.parent
+        return found
+
+    @cached_property
+    def revokers(self) -> frozenset[str]:
+        """Branches whose change revokes a state of another: a plan change, while something moves."""
+        return frozenset(by for branch in self.branches.values() for rule in branch.revocations for by in rule.by)

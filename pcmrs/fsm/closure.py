@@ -1,0 +1,205 @@
+"""The closure of a command: everything it would change, worked out before anything is done.
+
+A command's closure is its operation with each of its outcomes, the parents' operations it calls
+(Rule 2), the children it re-initiates (Rule 3, or because they no longer fit), the states it sets and
+the states it revokes. If any part of it is not allowed, the command is not allowed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from pcmrs.fsm.blueprint import Blueprint, OperationSpec, ParentSpec, Requirement
+
+MAX_EFFECTS = 64
+"""Longest cascade at run time; the loader has proved that none reaches it."""
+
+EffectKind = Literal["operation", "signal", "reinit", "set", "revoke"]
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """One branch that a commit touches, and how: `source` and `target` may be equal."""
+
+    kind: EffectKind
+    branch: str
+    operation: str
+    source: str
+    target: str
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One way a command can end: the joint state after it, and the effects in order."""
+
+    states: Mapping[str, str]
+    effects: tuple[Effect, ...]
+
+    @property
+    def moved(self) -> frozenset[str]:
+        """Branches whose state or data it changes; a signal that finds its target reached changes nothing."""
+        return frozenset(e.branch for e in self.effects if e.kind != "signal" or e.source != e.target)
+
+
+@dataclass(frozen=True, slots=True)
+class Denial:
+    """Why a command is not allowed; a value, not an exception."""
+
+    code: str
+    text: str
+    fields: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """Everything an allowed command may change.
+
+    Attributes:
+        outcomes: The outcomes that can be taken now.
+        failure: What is committed when a step refuses, raises or is stopped, if anything.
+        unknown: What is committed when nobody knows how it ended, if anything.
+        writes: Branches to lock for writing.
+        reads: Branches to lock for reading.
+    """
+
+    outcomes: Mapping[str, Change]
+    failure: Change | None
+    unknown: Change | None
+    writes: frozenset[str]
+    reads: frozenset[str]
+
+
+class _DeniedError(Exception):
+    """Carries a denial out of a cascade; never leaves this module."""
+
+    def __init__(self, denial: Denial) -> None:
+        super().__init__(denial.text)
+        self.denial = denial
+
+
+def close(blueprint: Blueprint, states: Mapping[str, str], branch: str, operation: str) -> Closure | Denial:
+    """Works out the closure of an operation that is valid in its branch's own state.
+
+    Args:
+        blueprint: The workflow.
+        states: The present joint state: branch to state.
+        branch: The branch asked.
+        operation: An operation that the branch's active state allows.
+
+    Returns:
+        The closure, or why some part of it is not allowed.
+    """
+    spec = blueprint.branches[branch].operations[operation]
+    denial = unmet(states, spec.requires, spec.refusal, f"{branch}.{operation}")
+    if denial is not None:
+        return denial
+    outcomes: dict[str, Change] = {}
+    try:
+        for name, ending in spec.endings.items():
+            if unmet(states, ending.requires, "", "") is None:
+                outcomes[name] = _change(blueprint, states, branch, operation, ending.to)
+        failure = _change(blueprint, states, branch, operation, spec.on_failure) if spec.on_failure else None
+        unknown = _change(blueprint, states, branch, operation, spec.on_unknown) if spec.on_unknown else None
+    except _DeniedError as raised:
+        return raised.denial
+    if not outcomes:
+        return Denial("no_outcome", f"{branch}.{operation} cannot end in any declared way in this situation.")
+    possible = [*outcomes.values(), *(change for change in (failure, unknown) if change is not None)]
+    writes = frozenset({branch}).union(*(change.moved for change in possible))
+    return Closure(outcomes, failure, unknown, writes, _examined(blueprint, branch, spec) - writes)
+
+
+def unmet(states: Mapping[str, str], requires: Requirement, code: str, what: str) -> Denial | None:
+    """The first requirement on other branches that does not hold, as a denial."""
+    for branch, wanted in requires.items():
+        if states[branch] not in wanted:
+            text = f"{what} needs {branch} in {' or '.join(wanted)}; it is in {states[branch]}."
+            return Denial(code, text, {"branch": branch, "state": states[branch], "needed": wanted})
+    return None
+
+
+def _examined(blueprint: Blueprint, branch: str, spec: OperationSpec) -> frozenset[str]:
+    """Branches whose state decides on the operation: requirements and parents."""
+    examined = set(spec.requires).union(*(ending.requires for ending in spec.endings.values()))
+    parent = blueprint.branches[branch].parent
+    while parent is not None:
+        examined.add(parent.branch)
+        parent = blueprint.branches[parent.branch].parent
+    return frozenset(examined)
+
+
+def _change(blueprint: Blueprint, states: Mapping[str, str], branch: str, operation: str, target: str) -> Change:
+    cascade = _Cascade(blueprint, dict(states))
+    cascade.perform("operation", branch, operation, target)
+    return Change(cascade.states, tuple(cascade.effects))
+
+
+class _Cascade:
+    """Applies one outcome to a copy of the joint state and follows what it triggers."""
+
+    def __init__(self, blueprint: Blueprint, states: dict[str, str]) -> None:
+        self.blueprint = blueprint
+        self.states = states
+        self.effects: list[Effect] = []
+
+    def perform(self, kind: EffectKind, branch: str, operation: str, target: str) -> None:
+        """Moves `branch` to `target`; then sets, signals, re-initiates and revokes what follows from it."""
+        source = self._move(kind, branch, operation, target)
+        spec = self.blueprint.branches[branch].operations.get(operation)
+        if spec is not None and kind == "operation":
+            for child, state in spec.sets.items():
+                self._move("set", child, operation, state)
+        if kind != "reinit" and (source != target or (spec is not None and spec.signals)):
+            self._signal_parent(branch, target)
+        direct = kind != "signal"
+        self._fit_children(branch, source, target, direct=direct)
+        if source != target or direct:
+            self._revoke(branch)
+
+    def _move(self, kind: EffectKind, branch: str, operation: str, target: str) -> str:
+        if len(self.effects) >= MAX_EFFECTS:
+            raise _DeniedError(Denial("cascade_too_long", f"{operation} triggers over {MAX_EFFECTS} effects."))
+        source = self.states[branch]
+        self.states[branch] = target
+        self.effects.append(Effect(kind, branch, operation, source, target))
+        return source
+
+    def _signal_parent(self, branch: str, target: str) -> None:
+        """Rule 2: a change at level N+1 calls an operation at level N (IIO)."""
+        spec = self.blueprint.branches[branch]
+        if spec.parent is None:
+            return
+        parent, operation = spec.parent.branch, spec.emits[target]
+        parent_spec, state = self.blueprint.branches[parent], self.states[spec.parent.branch]
+        if not parent_spec.valid_in(operation, state):
+            text = f"{branch} going to {target} would call {parent}.{operation}, which {parent} {state} does not allow."
+            fields = {"branch": parent, "state": state, "operation": operation}
+            raise _DeniedError(Denial("parent_refuses", text, fields))
+        for ending in parent_spec.operations[operation].endings.values():
+            self.perform("signal", parent, operation, ending.to)
+
+    def _fit_children(self, branch: str, source: str, target: str, *, direct: bool) -> None:
+        """Rule 3 for a direct change into a child's starting state, and children that no longer fit."""
+        for child, parent in self.blueprint.children[branch].items():
+            rule_3 = direct and source != target and target == parent.start
+            fits = target in parent.compatible[self.states[child]]
+            if (rule_3 and not self._set_by_this_command(child)) or not fits:
+                self._reinitiate(child, parent, target)
+
+    def _reinitiate(self, child: str, parent: ParentSpec, parent_state: str) -> None:
+        spec = self.blueprint.branches[child]
+        if parent_state not in parent.compatible[spec.start]:
+            text = f"{child} fits {parent.branch} {parent_state} neither as it is nor re-initiated."
+            raise _DeniedError(Denial("incompatible_child", text, {"branch": child, "parent_state": parent_state}))
+        self.perform("reinit", child, spec.rio or "", spec.start)
+
+    def _set_by_this_command(self, child: str) -> bool:
+        return any(effect.kind == "set" and effect.branch == child for effect in self.effects)
+
+    def _revoke(self, changed: str) -> None:
+        for branch, spec in self.blueprint.branches.items():
+            for rule in spec.revocations:
+                if changed in rule.by and self.states[branch] in rule.from_:
+                    self.perform("revoke", branch, "", rule.to)

@@ -1,0 +1,154 @@
+"""The one table of string commands: what each takes and what it means."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import Any
+
+Value = int | float | str
+Arguments = Callable[[tuple[Value, ...]], dict[str, Any]]
+
+APPROACHES = frozenset({"approach", "confirm", "nudge"})
+
+
+class Kind(Enum):
+    """What one token of a payload holds."""
+
+    COUNT = auto()  # 1 to 3 decimal digits
+    NUMBER = auto()  # finite decimal number
+    PATH = auto()  # everything up to the terminator
+
+
+class Action(Enum):
+    """What the gateway does with a command."""
+
+    SUBMIT = auto()
+    ANNOUNCE_LANDMARKS = auto()
+    ADD_LANDMARK = auto()
+    PLAN_LANDMARKS = auto()
+    OPEN_POSE = auto()
+    PLAN_POSE = auto()
+    STOP = auto()
+    READ_JOINTS = auto()
+    READ_FLANGE = auto()
+    KEEP_JOINTS = auto()
+    START_POSES = auto()
+    STOP_POSES = auto()
+    START_TIP = auto()
+    STOP_TIP = auto()
+    SAVE_PLACEMENT = auto()
+    LOG_POSES = auto()
+    REFUSE = auto()
+
+
+class Second(Enum):
+    """The second datagram that clients expect after the acknowledgement."""
+
+    RESIDUAL = auto()  # one number, mm
+    VALUES = auto()  # numbers, each followed by a separator
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One operation of the workflow; skipped unless its branch is in one of `only_in`, if that is given."""
+
+    branch: str
+    operation: str
+    only_in: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Spec:
+    """One command.
+
+    Attributes:
+        name: Exactly 16 characters.
+        branch: The branch that a verdict about it names.
+        steps: Operations submitted in order; the first that is not accepted ends the command.
+        arguments: The operations' arguments from the payload's values.
+    """
+
+    name: str
+    branch: str
+    action: Action = Action.SUBMIT
+    payload: tuple[Kind, ...] = ()
+    steps: tuple[Step, ...] = ()
+    arguments: Arguments = lambda _: {}
+    second: Second | None = None
+
+    @property
+    def approaches(self) -> bool:
+        """Whether it may move the tool towards the plan; such a command waits for an accepted plan."""
+        return any(step.branch == "placement" and step.operation in APPROACHES for step in self.steps)
+
+
+def _submit(
+    name: str,
+    *operations: str | Step,
+    payload: tuple[Kind, ...] = (),
+    arguments: Arguments = lambda _: {},
+    second: Second | None = None,
+) -> Spec:
+    steps = tuple(item if isinstance(item, Step) else Step(*item.split(".")) for item in operations)
+    return Spec(name, steps[-1].branch, payload=payload, steps=steps, arguments=arguments, second=second)
+
+
+def _index(values: tuple[Value, ...]) -> dict[str, Any]:
+    return {"index": values[0]}
+
+
+_XYZ = (Kind.NUMBER,) * 3
+_INDEX = (Kind.COUNT,)
+_BACK_OFF_UNLESS_RETRACTED = Step("placement", "back_off", only_in=("unknown", "standoff", "placed", "held"))
+_REOPEN_IF_ALL_DIGITIZED = Step("digitization", "redigitize_one", only_in=("1",))
+
+_SPECS = (
+    Spec("img_fid_numxxxxx", "registration", Action.ANNOUNCE_LANDMARKS, _INDEX),
+    Spec("img_fid_pntxxxxx", "registration", Action.ADD_LANDMARK, (Kind.COUNT, *_XYZ)),
+    Spec("img_fid_lastrecv", "registration", Action.PLAN_LANDMARKS),
+    _submit("start_autodigitz", "digitization.digitize_all"),
+    _submit(
+        "img_dig_digitize", _REOPEN_IF_ALL_DIGITIZED, "digitization.digitize_one", payload=_INDEX, arguments=_index
+    ),
+    _submit("img_dig_prevxxxx", "digitization.reuse_previous"),
+    _submit("img_dig_prevhilg", "digitization.reuse_previous_except", payload=_INDEX, arguments=_index),
+    _submit("start_registrati", "registration.register", second=Second.RESIDUAL),
+    _submit("start_useprevreg", "registration.use_previous", second=Second.RESIDUAL),
+    Spec("target_rotxxxxxx", "toolplan", Action.OPEN_POSE, (Kind.NUMBER,) * 4),
+    Spec("target_tslxxxxxx", "toolplan", Action.PLAN_POSE, _XYZ),
+    Spec("icp_digitizexxxx", "registration", Action.REFUSE),
+    Spec("icp_clear_prevxx", "registration", Action.REFUSE),
+    Spec("icp_clear_allxxx", "registration", Action.REFUSE),
+    Spec("icp_registerxxxx", "registration", Action.REFUSE, (Kind.PATH,)),
+    Spec("tre_startcalcuxx", "gateway", Action.START_TIP),
+    Spec("tre_stopcalcuxxx", "gateway", Action.STOP_TIP),
+    Spec("get_jnt_angsxxxx", "robot", Action.READ_JOINTS, second=Second.VALUES),
+    Spec("get_eff_posexxxx", "robot", Action.READ_FLANGE, second=Second.VALUES),
+    Spec("get_jnt_setinitx", "robot", Action.KEEP_JOINTS, second=Second.VALUES),
+    _submit("execute_motionxx", "placement.approach"),
+    _submit("execute_confirmx", "placement.confirm"),
+    _submit(
+        "end_session_back",
+        _BACK_OFF_UNLESS_RETRACTED,
+        "placement.to_initial",
+        "registration.reinit",
+        "toolplan.reinit",
+    ),
+    _submit("execute_backinit", "placement.to_initial"),
+    _submit("execute_bkoffset", "placement.back_off"),
+    _submit("execute_homexxxx", "placement.home"),
+    _submit("adjust_tranxxxxx", "placement.nudge", payload=_XYZ, arguments=lambda v: {"translation": list(v)}),
+    _submit("adjust_oriexxxxx", "placement.nudge", payload=_XYZ, arguments=lambda v: {"rotation_zyx": list(v)}),
+    _submit("session_reinitxx", "registration.reinit", "toolplan.reinit"),
+    Spec("stop_now_xxxxxxx", "robot", Action.STOP),
+    _submit("rob_conn_onxxxxx", "robot.connect"),
+    _submit("rob_conn_offxxxx", "robot.disconnect"),
+    Spec("start_visualizex", "gateway", Action.START_POSES),
+    Spec("stop_visualizexx", "gateway", Action.STOP_POSES),
+    Spec("save_planandreal", "gateway", Action.SAVE_PLACEMENT),
+    Spec("save_continupose", "gateway", Action.LOG_POSES),
+)
+
+COMMANDS = {spec.name: spec for spec in _SPECS}

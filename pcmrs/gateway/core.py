@@ -1,0 +1,48 @@
+"""What the gateway needs of the daemon."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from pcmrs.messages import Command, Snapshot, Verdict
+
+if TYPE_CHECKING:
+    # Only for annotations: a planner shares this package's grammar and must not load NumPy for it.
+    from pcmrs.spatial import Floats, Transform
+
+
+class Core(Protocol):
+    """The daemon behind the gateway. Lengths in m, angles in rad; the reads return at once."""
+
+    async def submit(self, command: Command) -> Verdict:
+        """Decides and performs one command; a rejection is a verdict, not an exception."""
+
+    async def stop(self, source: str) -> None:
+        """Stops everything and latches."""
+
+    def snapshot(self) -> Snapshot:
+        """The state of all branches."""
+
+    def joints(self) -> list[float] | None:
+        """Newest measured joints, rad; None while the robot is not connected."""
+
+    def remember_initial_joints(self) -> list[float] | None:
+        """Keeps the present joints as the initial ones and returns them; None when there are none."""
+
+    def flange_pose(self) -> Transform | None:
+        """``robot_base_from_flange`` of the measured joints."""
+
+    def tool_in_image(self) -> Transform | None:
+        """``image_from_coil`` as the tracker measured it; None unless fresh and registered."""
+
+    def target_in_image(self) -> Transform | None:
+        """``image_from_coil`` of the accepted plan."""
+
+    def tip_in_image(self) -> Floats | None:
+        """Tip of the pointer in the image, m, (3,); None unless fresh and registered."""
+
+    def registration(self) -> Transform | None:
+        """``body_ref_from_image`` of the accepted registration."""
+
+    def tracked(self) -> dict[str, Transform] | None:
+        """Measured ``body_from_tool``, ``tracker_from_body`` and ``tracker_from_tool`` of one frame, if fresh."""

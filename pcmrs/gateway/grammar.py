@@ -1,0 +1,146 @@
+"""The grammar of command datagrams: bytes to command and back, checked whole.
+
+A datagram is ``<16 characters>[_<token>...][_#<id>];``, printable ASCII, at most 256 bytes. Numbers are decimal
+(``-0.5``, ``1e-3``) and finite. The last token ``#<id>``, 1 to 10 digits, asks for a verdict reply; a path token
+takes everything between, so a path cannot itself end in such a token. A signature ``|<peer>|<counter>|<tag>``
+behind the terminator is recognised and refused: this gateway cannot verify it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from pcmrs.errors import PayloadError
+from pcmrs.gateway.commands import COMMANDS, Kind, Spec, Value
+
+MAX_BYTES = 256
+NAME_LENGTH = 16
+TOOL_POINTS_PREFIX = "__msg_toolpose_"
+
+_COUNT = re.compile(r"[0-9]{1,3}")
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_ID = re.compile(r"_#([0-9]{1,10})$")
+_SIGNATURE = re.compile(r"\|[^|]+\|[0-9]+\|[0-9a-fA-F]{32}")
+_PRINTABLE = re.compile(rb"[\x20-\x7e]*")
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A well-formed command: its values in the order of `spec.payload`, and the client's id if it gave one."""
+
+    spec: Spec
+    values: tuple[Value, ...] = ()
+    id: str | None = None
+
+
+def parse(datagram: bytes) -> Request:
+    """Reads one datagram.
+
+    Raises:
+        PayloadError: It breaks the grammar, names no command, or is signed.
+    """
+    body = _command_text(_text(datagram))
+    name, payload = body[:NAME_LENGTH], body[NAME_LENGTH:]
+    spec = COMMANDS.get(name)
+    if spec is None:
+        raise PayloadError(f"{name!r} is no command; the name is the first 16 characters.", name=name)
+    match = _ID.search(payload)
+    client_id = match[1] if match else None
+    tokens = _tokens(spec, payload[: match.start()] if match else payload)
+    values = tuple(_value(kind, token, spec) for kind, token in zip(spec.payload, tokens, strict=True))
+    return Request(spec, values, client_id)
+
+
+def format_command(name: str, *values: Value, client_id: str | None = None) -> bytes:
+    """The datagram of a command; `parse` returns exactly these values.
+
+    Raises:
+        PayloadError: The result would break the grammar.
+    """
+    tokens = [_token(value) for value in values]
+    if client_id is not None:
+        tokens.append(f"#{client_id}")
+    try:
+        datagram = ("_".join([name, *tokens]) + ";").encode("ascii")
+    except UnicodeEncodeError:
+        raise PayloadError(f"{name} {values!r} holds a character that is not ASCII.", name=name) from None
+    parse(datagram)
+    return datagram
+
+
+def parse_tool_points(datagram: bytes) -> tuple[float, ...] | None:
+    """The two points (x1, y1, z1, x2, y2, z2), mm, of a tool-pose message; None when it is no such message.
+
+    Raises:
+        PayloadError: It starts like one but does not hold six numbers.
+    """
+    if not datagram.startswith(TOOL_POINTS_PREFIX.encode()):
+        return None
+    tokens = _text(datagram)[len(TOOL_POINTS_PREFIX) :].split("_")
+    if len(tokens) != 6:
+        raise PayloadError(f"{TOOL_POINTS_PREFIX} takes 6 numbers, got {len(tokens)}.", count=len(tokens))
+    return tuple(_number(token, TOOL_POINTS_PREFIX) for token in tokens)
+
+
+def _text(datagram: bytes) -> str:
+    if len(datagram) > MAX_BYTES:
+        raise PayloadError(
+            f"The datagram has {len(datagram)} bytes, the limit is {MAX_BYTES}.", size=len(datagram), limit=MAX_BYTES
+        )
+    if not _PRINTABLE.fullmatch(datagram):
+        raise PayloadError(f"The datagram {datagram[:40]!r} holds bytes that are not printable ASCII.")
+    return datagram.decode("ascii")
+
+
+def _command_text(text: str) -> str:
+    """Everything before the terminator."""
+    body, terminator, rest = text.partition(";")
+    if not terminator:
+        raise PayloadError(f"{text[:40]!r} has no terminator; end every command with ';'.")
+    if _SIGNATURE.fullmatch(rest):
+        raise PayloadError("The command is signed, and signatures are not supported; send it unsigned from loopback.")
+    if rest:
+        raise PayloadError(f"{rest[:40]!r} follows the terminator; send one command per datagram.", rest=rest)
+    return body
+
+
+def _tokens(spec: Spec, payload: str) -> list[str]:
+    if spec.payload == (Kind.PATH,):
+        tokens = [payload[1:]] if payload.startswith("_") and len(payload) > 1 else []
+    elif payload and not payload.startswith("_"):
+        raise PayloadError(f"{spec.name} is followed by {payload[:40]!r}; tokens start with '_'.", name=spec.name)
+    else:
+        tokens = payload.split("_")[1:]
+    if len(tokens) != len(spec.payload):
+        raise PayloadError(
+            f"{spec.name} takes {len(spec.payload)} tokens, got {len(tokens)}.",
+            name=spec.name,
+            expected=len(spec.payload),
+            got=len(tokens),
+        )
+    return tokens
+
+
+def _value(kind: Kind, token: str, spec: Spec) -> Value:
+    if kind is Kind.PATH:
+        return token
+    if kind is Kind.NUMBER:
+        return _number(token, spec.name)
+    if not _COUNT.fullmatch(token):
+        raise PayloadError(f"{spec.name} takes an index of 1 to 3 digits, got {token[:40]!r}.", token=token)
+    return int(token)
+
+
+def _number(token: str, name: str) -> float:
+    number = float(token) if _NUMBER.fullmatch(token) else math.nan
+    if not math.isfinite(number):
+        raise PayloadError(f"{name} takes finite decimal numbers, got {token[:40]!r}.", name=name, token=token)
+    return number
+
+
+def _token(value: Value) -> str:
+    if isinstance(value, int):
+        return f"{value:02d}"
+    return repr(value) if isinstance(value, float) else value

@@ -1,0 +1,69 @@
+"""What became of a command, and the texts that tell it to clients.
+
+Verdict reply: ``<id>_accepted_<branch>_<state>[_<number>...];`` or ``<id>_rejected_<branch>_<state>_<reason>;`` or the
+same with ``failed``. ``_`` inside a branch or state is written ``-``; the reason is everything behind the fourth
+separator and may itself hold ``_``. An outcome nobody knows is ``failed`` with the reason ``outcome_unknown``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from pcmrs.errors import UnknownOutcomeError
+from pcmrs.gateway.commands import Second
+from pcmrs.messages import Verdict
+
+NO_DATA = "no_data_returned;"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a command ended.
+
+    Attributes:
+        reason: Code of the refusal; None when accepted.
+        numbers: The results, in the units of the wire.
+    """
+
+    decision: Literal["accepted", "rejected", "failed"]
+    branch: str
+    state: str
+    reason: str | None = None
+    numbers: tuple[float, ...] = ()
+
+    def reply(self, client_id: str) -> str:
+        """The verdict reply to the command `client_id`."""
+        head = [client_id, self.decision, self.branch.replace("_", "-"), self.state.replace("_", "-")]
+        tail = [self.reason] if self.reason else [f"{number:.6g}" for number in self.numbers]
+        return "_".join([*head, *tail]) + ";"
+
+    def second(self, kind: Second) -> str:
+        """The second datagram for clients that know no verdict replies: numbers only when accepted."""
+        if self.decision != "accepted" or not self.numbers:
+            return NO_DATA
+        if kind is Second.RESIDUAL:
+            return f"{self.numbers[0]:.6f}"
+        return "".join(f"{number:.6f}_" for number in self.numbers)
+
+
+def of_verdict(verdict: Verdict) -> Outcome:
+    """The outcome that a dispatcher's verdict tells."""
+    if verdict.decision == "accepted":
+        return Outcome("accepted", verdict.branch, verdict.state, numbers=_numbers(verdict.result or {}))
+    if verdict.decision == "unknown":
+        return Outcome("failed", verdict.branch, verdict.state, UnknownOutcomeError.code)
+    code = verdict.reason.code if verdict.reason else verdict.decision
+    return Outcome(verdict.decision, verdict.branch, verdict.state, code)
+
+
+def _numbers(result: dict[str, Any]) -> tuple[float, ...]:
+    """Residual in mm; or the measured pose (m, ``xyzw``, image) with its errors in mm and degrees."""
+    if "residual" in result:
+        return (result["residual"] * 1e3,)
+    if "measured" in result:
+        measured = result["measured"]
+        errors = (result["translation_error"] * 1e3, math.degrees(result["rotation_error"]))
+        return (*measured["position"], *measured["quat_xyzw"], *errors)
+    return ()

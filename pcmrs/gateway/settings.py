@@ -1,0 +1,83 @@
+"""Configuration of the links."""
+
+from __future__ import annotations
+
+import ipaddress
+
+import msgspec
+
+from pcmrs.errors import ConfigurationError
+
+
+class LinkConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The UDP ports of one link; None where the link has no such direction.
+
+    Attributes:
+        port: Commands arrive here; 0 takes any free port.
+        reply_port: Acknowledgements and second datagrams go to this port of the sender's host.
+        stream_port: Streams go to this port of the client's host.
+    """
+
+    port: int | None = None
+    reply_port: int | None = None
+    stream_port: int | None = None
+
+
+class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All links of the gateway.
+
+    Attributes:
+        host: Address that all links are bound to. One other than loopback refuses unsigned commands.
+        client_host: Where the streams for planner and visualization go.
+        mixed_reality_host: Where the mixed reality stream goes.
+        tcp_port: Port of the TCP link; 0 takes any free port, None has no TCP link.
+        stream_rate_hz: Rate of the pose streams.
+        unsigned_peers: Loopback addresses whose unsigned commands are accepted.
+
+    Raises:
+        ConfigurationError: `unsigned_peers` holds an address that is not loopback, or the rate is not positive.
+    """
+
+    host: str = "127.0.0.1"
+    client_host: str = "127.0.0.1"
+    mixed_reality_host: str = "127.0.0.1"
+    planner: LinkConfig = LinkConfig(port=8057, reply_port=8059, stream_port=8083)
+    robot: LinkConfig = LinkConfig(port=8072, reply_port=8063)
+    visualization: LinkConfig = LinkConfig(port=8077, reply_port=8069, stream_port=8079)
+    mixed_reality: LinkConfig = LinkConfig(reply_port=28051, stream_port=8051)
+    mep: LinkConfig = LinkConfig(port=8085)
+    tcp_port: int | None = 8058
+    stream_rate_hz: float = 100.0
+    unsigned_peers: tuple[str, ...] = ("127.0.0.1", "::1")
+
+    def __post_init__(self) -> None:
+        for peer in self.unsigned_peers:
+            if not is_loopback(peer):
+                raise ConfigurationError(
+                    f"unsigned_peers holds {peer!r}; unsigned commands are accepted from loopback addresses only, "
+                    "such as 127.0.0.1. Remove it.",
+                    peer=peer,
+                )
+        if not self.stream_rate_hz > 0.0:
+            raise ConfigurationError(
+                f"stream_rate_hz is {self.stream_rate_hz:g}; it must be greater than 0, 60 or more for visualization.",
+                stream_rate_hz=self.stream_rate_hz,
+            )
+
+    def links(self) -> dict[str, LinkConfig]:
+        """The UDP links by name."""
+        return {
+            "planner": self.planner,
+            "robot": self.robot,
+            "visualization": self.visualization,
+            "mixed_reality": self.mixed_reality,
+            "mep": self.mep,
+        }
+
+
+def is_loopback(host: str) -> bool:
+    """Whether `host` is an IP address of this machine's loopback."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,51 @@
+"""How fast the arm may move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from pcmrs.errors import ConfigurationError
+
+JOINTS = 7
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Greatest speeds, accelerations and jerks of the joints and of the tool.
+
+    Attributes:
+        joint_velocity: rad/s, one per joint.
+        joint_acceleration: rad/s^2, one per joint.
+        joint_jerk: rad/s^3, one per joint.
+        linear_velocity: m/s.
+        linear_acceleration: m/s^2.
+        linear_jerk: m/s^3.
+        angular_velocity: rad/s.
+        angular_acceleration: rad/s^2.
+
+    Raises:
+        ConfigurationError: A limit is not positive and finite, or not given for each of the seven joints.
+    """
+
+    joint_velocity: tuple[float, ...]
+    joint_acceleration: tuple[float, ...]
+    joint_jerk: tuple[float, ...]
+    linear_velocity: float
+    linear_acceleration: float
+    linear_jerk: float
+    angular_velocity: float
+    angular_acceleration: float
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            values = np.asarray(getattr(self, field.name), dtype=float)
+            shape = (JOINTS,) if field.name.startswith("joint_") else ()
+            if values.shape != shape or not np.all(np.isfinite(values) & (values > 0.0)):
+                count = f"{JOINTS} positive numbers" if shape else "one positive number"
+                raise ConfigurationError(
+                    f"The motion limit {field.name} is {values.tolist()}, must be {count}.",
+                    limit=field.name,
+                    value=values.tolist(),
+                )

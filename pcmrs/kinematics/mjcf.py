@@ -1,0 +1,60 @@
+"""An arm's facts as MuJoCo's MJCF; a scene attaches it or merges it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from pcmrs.kinematics.arms import ArmFacts, JointFacts
+
+LINK_RADIUS = 0.06  # m; wrist links are slimmer, but the shape serves display and coarse contact only
+
+
+def mjcf(facts: ArmFacts, *, damping: float = 0.5, armature: float = 0.1, frictionloss: float = 0.3) -> str:
+    """The arm as an MJCF document: a chain of bodies, torque motors and a site named ``flange``.
+
+    Bodies are ``base`` and ``link_<number>``; joints and their motors have the names of the facts; a motor's
+    control is the joint torque in N m. Links are capsules that touch the scene but not each other.
+
+    Args:
+        facts: The arm.
+        damping: Viscous friction of every joint, N m s/rad.
+        armature: Inertia of every joint's rotor behind its gear, kg m^2.
+        frictionloss: Dry friction of every joint, N m.
+    """
+    root = Element("mujoco", model=facts.name)
+    SubElement(root, "compiler", angle="radian", autolimits="true")
+    body = SubElement(SubElement(root, "worldbody"), "body", name="base")
+    offsets = [joint.xyz for joint in facts.joints] + [facts.flange_xyz]
+    _add_capsule(body, offsets[0])
+    actuators = SubElement(root, "actuator")
+    friction = {"damping": repr(damping), "armature": repr(armature), "frictionloss": repr(frictionloss)}
+    for number, joint in enumerate(facts.joints, start=1):
+        body = _add_link(body, f"link_{number}", joint, friction)
+        _add_capsule(body, offsets[number])
+        SubElement(
+            actuators, "motor", name=joint.name, joint=joint.name, ctrlrange=_text((-joint.effort, joint.effort))
+        )
+    SubElement(body, "site", name="flange", pos=_text(facts.flange_xyz))
+    indent(root)
+    return tostring(root, encoding="unicode")
+
+
+def _add_link(parent: Element, name: str, joint: JointFacts, friction: dict[str, str]) -> Element:
+    quat = joint.parent_from_joint.quat_wxyz.tolist()
+    body = SubElement(parent, "body", name=name, pos=_text(joint.xyz), quat=_text(quat))
+    inertia = {"mass": repr(joint.mass), "pos": _text(joint.com), "fullinertia": _text(joint.inertia)}
+    SubElement(body, "inertial", inertia)
+    limits = _text((joint.lower, joint.upper))
+    SubElement(body, "joint", {"name": joint.name, "axis": "0 0 1", "range": limits, **friction})
+    return body
+
+
+def _add_capsule(body: Element, end: Sequence[float]) -> None:
+    """A capsule from the body's origin to the next joint; it collides with others, not with its like."""
+    shape = {"type": "capsule", "size": repr(LINK_RADIUS), "fromto": _text((0.0, 0.0, 0.0, *end))}
+    SubElement(body, "geom", {**shape, "contype": "1", "conaffinity": "0"})
+
+
+def _text(values: Iterable[float]) -> str:
+    return " ".join(repr(value) for value in values)

@@ -1,0 +1,215 @@
+"""The typed messages that cross the bus or the journal.
+
+SI units; quaternions are ``quat_wxyz`` inside. Stamps are seconds of the sender's monotonic clock, so
+that an age is (sent - captured) at the sender plus (now - received) at the receiver.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+Decision = Literal["accepted", "rejected", "failed", "unknown"]
+
+
+class Message(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Base of all messages: immutable, by keyword, defaults left out on the wire."""
+
+
+class Command(Message, frozen=True, kw_only=True):
+    """A request that one operation of one branch be performed.
+
+    Attributes:
+        id: Unique per source; a repeat returns the recorded verdict and runs nothing.
+        source: Who asks, such as ``udp:planner:127.0.0.1`` or ``bus:local``.
+        sent: Unix seconds at which it was sent, if the sender said so.
+        ttl: Seconds after `sent` beyond which it is refused as expired.
+        parent: Id of the command whose step submitted this one.
+    """
+
+    id: str
+    branch: str
+    operation: str
+    source: str
+    arguments: dict[str, Any] = {}
+    sent: float | None = None
+    ttl: float | None = None
+    parent: str | None = None
+
+
+class Reason(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Why not: a stable code, a sentence, and the values in it."""
+
+    code: str
+    text: str
+    fields: dict[str, Any] = {}
+
+
+class Verdict(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """What the dispatcher decided, and for operations how they ended.
+
+    Attributes:
+        state: State of the branch after the decision.
+        allowed: Operations of the branch that are valid in `state`.
+        result: What the operation reports, such as ``residual`` in m.
+        sequence: Number of the snapshot that shows the decision.
+    """
+
+    id: str
+    branch: str
+    operation: str
+    decision: Decision
+    state: str
+    sequence: int
+    reason: Reason | None = None
+    allowed: list[str] = []
+    result: dict[str, Any] | None = None
+
+
+class Running(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """An operation in progress; `progress` grows from 0 to 1."""
+
+    branch: str
+    operation: str
+    id: str
+    progress: float = 0.0
+
+
+class BlueprintTag(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Which workflow a decision was made under; `hash` is the SHA-256 of the blueprint file."""
+
+    id: str
+    version: str
+    hash: str
+
+
+class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The joint state of all branches after one commit.
+
+    Attributes:
+        plan: Id of the accepted tool plan, if any.
+        registration: Id of the accepted registration, if any.
+    """
+
+    sequence: int
+    branches: dict[str, str]
+    flags: dict[str, bool]
+    running: list[Running]
+    latched: bool
+    blueprint: BlueprintTag
+    plan: str | None = None
+    registration: str | None = None
+
+
+class BodyPose(Message, frozen=True, kw_only=True):
+    """One tracked body in one tracker frame, as the tracker measured it.
+
+    Attributes:
+        frame_number: Grows by one per tracker frame; a frozen number is a frozen tracker.
+        captured: Sender's monotonic time of the exposure.
+        sent: Sender's monotonic time of publication.
+        valid: False when the tracker does not see the body; then `reason` says why.
+        position: `tracker_from_body` translation, m.
+        quat_wxyz: `tracker_from_body` rotation, unit quaternion.
+        error: The tracker's own fit error, m.
+    """
+
+    body: str
+    frame_number: int
+    captured: float
+    sent: float
+    valid: bool
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    quat_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    error: float = 0.0
+    reason: str | None = None
+
+
+class JointState(Message, frozen=True, kw_only=True):
+    """Measured joints: positions in rad, velocities in rad/s, torques in N m, base to flange."""
+
+    captured: float
+    sent: float
+    positions: list[float]
+    velocities: list[float]
+    torques: list[float]
+    moving: bool = False
+
+
+class JointTrajectory(Message, frozen=True, kw_only=True):
+    """Joint positions (rad) at a fixed `period` (s), starting with the present posture."""
+
+    period: float
+    positions: list[list[float]]
+
+
+MotionOutcome = Literal["done", "stopped"]
+
+
+class MotionResult(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """How a motion ended, and the joints (rad) measured then."""
+
+    outcome: MotionOutcome
+    positions: list[float]
+    reason: str | None = None
+
+
+class LandmarkPrompt(Message, frozen=True, kw_only=True):
+    """Asks the person with the pointer to touch one landmark.
+
+    Attributes:
+        index: From 0, in the order of the plan.
+        position_in_image: Where the plan has it, m: what the person sees on the screen.
+    """
+
+    index: int
+    name: str
+    position_in_image: tuple[float, float, float]
+
+
+class DeviceRequest(Message, frozen=True, kw_only=True):
+    """A call to a device node: `method` of its protocol with `arguments`."""
+
+    method: str
+    arguments: dict[str, Any] = {}
+
+
+class DeviceReply(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """A device node's answer: a result, or the reason of the failure."""
+
+    result: Any = None
+    failure: Reason | None = None
+
+
+class DeviceEvent(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Something a device reports by itself; `danger` events take the lane of Stop."""
+
+    device: str
+    code: str
+    text: str
+    danger: bool = False
+    fields: dict[str, Any] = {}
+
+
+class DeviceHealth(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Whether a device node and its device are well."""
+
+    device: str
+    connected: bool
+    text: str = ""
+
+
+class PoseMessage(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """A pose as data: translation in m and unit ``quat_wxyz``."""
+
+    position: tuple[float, float, float]
+    quat_wxyz: tuple[float, float, float, float]
+
+
+class SceneTruth(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Ground truth of a simulated scene: for reports and tests, never for control."""
+
+    tracker_from_coil: PoseMessage
+    tracker_from_body_ref: PoseMessage
+    body_ref_from_image: PoseMessage

@@ -1,0 +1,208 @@
+"""Rigid transforms: a rotation and a translation that map points of one frame into another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self, overload
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from pcmrs.errors import GeometryError
+
+Floats = npt.NDArray[np.float64]
+
+ORTHONORMAL_TOLERANCE = 1e-6
+UNIT_QUATERNION_TOLERANCE = 1e-3  # quaternions arrive as text with few decimals; they are normalized then
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Transform:
+    """A rigid transform, named ``a_from_b``: ``p_a = a_from_b @ p_b``.
+
+    Its arrays are copies and cannot be written to.
+
+    Attributes:
+        rotation: Right-handed orthonormal matrix, (3, 3).
+        translation: Origin of frame b in frame a, m, (3,).
+
+    Raises:
+        GeometryError: A number is not finite, a shape is wrong, or the matrix is no rotation.
+    """
+
+    rotation: Floats
+    translation: Floats
+
+    def __post_init__(self) -> None:
+        rotation = _array(self.rotation, (3, 3), "rotation matrix")
+        _check_rotation(rotation)
+        _fill(self, rotation, _array(self.translation, (3,), "translation"))
+
+    @classmethod
+    def identity(cls) -> Self:
+        """Frames that coincide."""
+        return cls(np.eye(3), np.zeros(3))
+
+    @classmethod
+    def from_quat_wxyz(cls, position: npt.ArrayLike, quat: npt.ArrayLike) -> Self:
+        """From a translation (3,) in m and a unit quaternion w x y z.
+
+        Raises:
+            GeometryError: The length of the quaternion is not 1 within `UNIT_QUATERNION_TOLERANCE`.
+        """
+        return cls.from_quat_xyzw(position, np.roll(_array(quat, (4,), "quaternion"), -1))
+
+    @classmethod
+    def from_quat_xyzw(cls, position: npt.ArrayLike, quat: npt.ArrayLike) -> Self:
+        """From a translation (3,) in m and a unit quaternion x y z w.
+
+        Raises:
+            GeometryError: The length of the quaternion is not 1 within `UNIT_QUATERNION_TOLERANCE`.
+        """
+        quat = _array(quat, (4,), "quaternion")
+        norm = float(np.linalg.norm(quat))
+        if abs(norm - 1.0) > UNIT_QUATERNION_TOLERANCE:
+            raise GeometryError(
+                f"The quaternion has length {norm:.6g}, not 1 within {UNIT_QUATERNION_TOLERANCE:g}; "
+                "send a unit quaternion.",
+                norm=norm,
+                tolerance=UNIT_QUATERNION_TOLERANCE,
+            )
+        return cls(Rotation.from_quat(quat).as_matrix(), _array(position, (3,), "translation"))
+
+    @classmethod
+    def from_matrix(cls, matrix: npt.ArrayLike) -> Self:
+        """From a homogeneous matrix (4, 4), translation in m.
+
+        Raises:
+            GeometryError: The last row is not 0 0 0 1, or the upper part is no rotation.
+        """
+        matrix = _array(matrix, (4, 4), "homogeneous matrix")
+        if not np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0), rtol=0.0, atol=ORTHONORMAL_TOLERANCE):
+            raise GeometryError(
+                f"The last row of a rigid transform is 0 0 0 1, not {matrix[3].tolist()}; send a rigid transform.",
+                row=matrix[3].tolist(),
+            )
+        return cls(matrix[:3, :3], matrix[:3, 3])
+
+    @classmethod
+    def from_rotvec(cls, position: npt.ArrayLike, rotvec: npt.ArrayLike) -> Self:
+        """From a translation (3,) in m and a rotation vector (3,): axis times angle in rad."""
+        rotvec = _array(rotvec, (3,), "rotation vector")
+        return cls(Rotation.from_rotvec(rotvec).as_matrix(), _array(position, (3,), "translation"))
+
+    @overload
+    def __matmul__(self, other: Transform) -> Transform: ...
+
+    @overload
+    def __matmul__(self, other: npt.ArrayLike) -> Floats: ...
+
+    def __matmul__(self, other: Transform | npt.ArrayLike) -> Transform | Floats:
+        if isinstance(other, Transform):
+            return _trusted(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
+        points = np.asarray(other, dtype=float)
+        if points.ndim not in (1, 2) or points.shape[-1] != 3:
+            raise GeometryError(f"Points have shape (3,) or (N, 3), not {points.shape}.", shape=points.shape)
+        moved: Floats = points @ self.rotation.T + self.translation
+        return moved
+
+    def inverse(self) -> Transform:
+        """``b_from_a`` of ``a_from_b``."""
+        return _trusted(self.rotation.T, -self.rotation.T @ self.translation)
+
+    @property
+    def matrix(self) -> Floats:
+        """Homogeneous matrix, (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.rotation
+        matrix[:3, 3] = self.translation
+        return matrix
+
+    @property
+    def quat_wxyz(self) -> Floats:
+        """Unit quaternion w x y z with w >= 0, (4,)."""
+        return np.roll(self.quat_xyzw, 1)
+
+    @property
+    def quat_xyzw(self) -> Floats:
+        """Unit quaternion x y z w with w >= 0, (4,)."""
+        return np.asarray(Rotation.from_matrix(self.rotation).as_quat(canonical=True))
+
+    @property
+    def rotvec(self) -> Floats:
+        """Rotation vector: axis times angle in [0, pi] rad, (3,)."""
+        return np.asarray(Rotation.from_matrix(self.rotation).as_rotvec())
+
+
+def rotation_angle(a: Transform, b: Transform) -> float:
+    """Angle in [0, pi] rad that turns the rotation of `a` into that of `b`.
+
+    With ``|R - R^T| = 2 sqrt(2) sin(angle)`` (Frobenius norm) and ``trace R = 1 + 2 cos(angle)``; an arc cosine
+    alone would lose half of the digits of small angles.
+    """
+    relative = a.rotation.T @ b.rotation
+    sine = np.linalg.norm(relative - relative.T) / np.sqrt(8.0)
+    return float(np.arctan2(sine, (np.trace(relative) - 1.0) / 2.0))
+
+
+def distance(a: Transform, b: Transform) -> float:
+    """Distance between the origins of two poses of one frame, m."""
+    return float(np.linalg.norm(a.translation - b.translation))
+
+
+def mean_transform(transforms: Sequence[Transform]) -> Transform:
+    """Mean translation and chordal mean rotation (Hartley et al., Rotation Averaging, IJCV 2013).
+
+    Raises:
+        GeometryError: There are no transforms.
+    """
+    if not transforms:
+        raise GeometryError("The mean of no transforms does not exist; give at least one.")
+    rotations = Rotation.from_matrix(np.array([transform.rotation for transform in transforms]))
+    translations = np.array([transform.translation for transform in transforms])
+    return Transform(rotations.mean().as_matrix(), translations.mean(axis=0))
+
+
+def _trusted(rotation: Floats, translation: Floats) -> Transform:
+    """A transform from parts known to be valid: composition is on every control path."""
+    transform = object.__new__(Transform)
+    _fill(transform, rotation, translation)
+    return transform
+
+
+def _fill(transform: Transform, rotation: Floats, translation: Floats) -> None:
+    rotation.flags.writeable = translation.flags.writeable = False
+    object.__setattr__(transform, "rotation", rotation)
+    object.__setattr__(transform, "translation", translation)
+
+
+def _array(values: npt.ArrayLike, shape: tuple[int, ...], what: str) -> Floats:
+    """A copy of `values`.
+
+    Raises:
+        GeometryError: They are no numbers, not finite, or have another shape.
+    """
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise GeometryError(f"The {what} must hold numbers in shape {shape}, got {values!r}.", shape=shape) from None
+    if array.shape != shape:
+        raise GeometryError(f"The {what} has shape {array.shape}, must be {shape}.", shape=array.shape, expected=shape)
+    if not np.isfinite(array).all():
+        raise GeometryError(f"The {what} {array.tolist()} holds a number that is not finite.", values=array.tolist())
+    return array
+
+
+def _check_rotation(rotation: Floats) -> None:
+    deviation = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    determinant = float(np.linalg.det(rotation))
+    if deviation > ORTHONORMAL_TOLERANCE or determinant < 0.0:
+        raise GeometryError(
+            f"The matrix is no rotation: R R^T differs from I by {deviation:.3g} (limit {ORTHONORMAL_TOLERANCE:g}), "
+            f"determinant {determinant:.3g} (must be +1); orthonormalize it or check its handedness.",
+            deviation=deviation,
+            determinant=determinant,
+            tolerance=ORTHONORMAL_TOLERANCE,
+        )

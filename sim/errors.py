@@ -1,0 +1,61 @@
+"""Seeded error models of the tracker: a bias that depends on the place, and jitter."""
+
+from __future__ import annotations
+
+from math import radians
+
+import numpy as np
+
+from pcmrs.spatial import Floats, Transform
+from sim.settings import TrackerSettings
+
+WAVES = 12
+SHORTEST_WAVE = 0.3  # m; the bias hardly changes over the size of a marker body
+LONGEST_WAVE = 1.5  # m
+
+
+class BiasField:
+    """A smooth random vector function of place: a sum of plane waves with random directions.
+
+    Args:
+        magnitude: Root mean square of the vector's length over all places.
+        rng: Where the waves come from.
+    """
+
+    def __init__(self, magnitude: float, rng: np.random.Generator) -> None:
+        directions = rng.normal(size=(WAVES, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        self._wave_vectors = directions * (2 * np.pi / rng.uniform(SHORTEST_WAVE, LONGEST_WAVE, (WAVES, 1)))
+        self._phases = rng.uniform(0.0, 2 * np.pi, WAVES)
+        amplitudes = rng.normal(size=(WAVES, 3))
+        # The mean square of a cosine is 1/2, and waves of different wave vectors are uncorrelated.
+        self._amplitudes = amplitudes * (magnitude / np.sqrt(np.sum(amplitudes**2) / 2))
+
+    def at(self, place: Floats) -> Floats:
+        """The vector at `place`, m, (3,)."""
+        value: Floats = np.cos(self._wave_vectors @ place + self._phases) @ self._amplitudes
+        return value
+
+
+class TrackerErrors:
+    """What the tracker adds to a true pose.
+
+    Args:
+        settings: Magnitudes of the errors.
+        rng: Where they come from.
+    """
+
+    def __init__(self, settings: TrackerSettings, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._translation_bias = BiasField(settings.bias_mm * 1e-3, rng)
+        self._rotation_bias = BiasField(radians(settings.bias_deg), rng)
+        self._translation_jitter = settings.jitter_mm * 1e-3
+        self._rotation_jitter = radians(settings.jitter_deg)
+
+    def measure(self, tracker_from_body: Transform) -> Transform:
+        """One measurement of a true pose: bias of its place plus fresh jitter, in the tracker's axes."""
+        place = tracker_from_body.translation
+        translation = self._translation_bias.at(place) + self._rng.normal(0.0, self._translation_jitter, 3)
+        rotation = self._rotation_bias.at(place) + self._rng.normal(0.0, self._rotation_jitter, 3)
+        turned = Transform.from_rotvec((0.0, 0.0, 0.0), rotation).rotation @ tracker_from_body.rotation
+        return Transform(turned, place + translation)

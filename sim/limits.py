@@ -1,0 +1,90 @@
+"""What the arm's controller refuses to follow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pcmrs.errors import DeviceError
+from pcmrs.kinematics.arms import ArmFacts
+from pcmrs.messages import JointTrajectory
+from pcmrs.spatial import Floats
+
+START_TOLERANCE = 0.02
+"""Greatest distance of a trajectory's start from the present set posture, rad in any joint."""
+ROUNDING = 1e-6  # relative to a limit, so that a planner may use all of it
+
+
+def check_trajectory(trajectory: JointTrajectory, posture: Floats, facts: ArmFacts) -> None:
+    """Checks form, start, position limits and data-sheet velocities.
+
+    Args:
+        trajectory: What is asked for.
+        posture: Present set posture, rad, (7,).
+        facts: The arm and its limits.
+
+    Raises:
+        DeviceError: The trajectory must not be followed.
+    """
+    positions = _positions(trajectory, len(facts.joints))
+    _check_start(positions[0], posture)
+    _check_range(positions, facts)
+    _check_speed(np.diff(positions, axis=0) / trajectory.period, facts)
+
+
+def _positions(trajectory: JointTrajectory, joints: int) -> Floats:
+    if not 0.0 < trajectory.period < np.inf or len(trajectory.positions) < 2:
+        raise DeviceError(
+            f"A trajectory needs a positive period and at least 2 postures, not {trajectory.period} s and "
+            f"{len(trajectory.positions)}; send the present posture and the goal at least.",
+            period=trajectory.period,
+            postures=len(trajectory.positions),
+        )
+    if any(len(posture) != joints for posture in trajectory.positions):
+        raise DeviceError(f"Every posture of a trajectory must have {joints} joints; send all of them.", joints=joints)
+    positions = np.array(trajectory.positions, dtype=float)
+    if not np.isfinite(positions).all():
+        raise DeviceError("The trajectory holds a number that is not finite; nothing was moved.")
+    return positions
+
+
+def _check_start(start: Floats, posture: Floats) -> None:
+    joint = int(np.abs(start - posture).argmax())
+    distance = float(abs(start[joint] - posture[joint]))
+    if distance > START_TOLERANCE:
+        raise DeviceError(
+            f"The trajectory starts {distance:.3f} rad from the present posture in joint {joint + 1}, limit "
+            f"{START_TOLERANCE} rad; plan it again from the present joints.",
+            joint=joint + 1,
+            distance=distance,
+            limit=START_TOLERANCE,
+        )
+
+
+def _check_range(positions: Floats, facts: ArmFacts) -> None:
+    lower = np.array([joint.lower for joint in facts.joints])
+    upper = np.array([joint.upper for joint in facts.joints])
+    excess = np.maximum(lower - positions, positions - upper).max(axis=0)
+    joint = int(excess.argmax())
+    if excess[joint] > ROUNDING:
+        raise DeviceError(
+            f"The trajectory leaves the range [{lower[joint]:.4f}, {upper[joint]:.4f}] rad of joint {joint + 1} by "
+            f"{excess[joint]:.4f} rad; plan within the limits.",
+            joint=joint + 1,
+            excess=float(excess[joint]),
+            lower=float(lower[joint]),
+            upper=float(upper[joint]),
+        )
+
+
+def _check_speed(velocities: Floats, facts: ArmFacts) -> None:
+    limits = np.array([joint.velocity for joint in facts.joints])
+    fastest = np.abs(velocities).max(axis=0)
+    joint = int((fastest / limits).argmax())
+    if fastest[joint] > limits[joint] * (1 + ROUNDING):
+        raise DeviceError(
+            f"The trajectory moves joint {joint + 1} at {fastest[joint]:.3f} rad/s, limit {limits[joint]:.3f} rad/s; "
+            "plan it slower.",
+            joint=joint + 1,
+            velocity=float(fastest[joint]),
+            limit=float(limits[joint]),
+        )

@@ -1,0 +1,68 @@
+"""What the controller follows: a joint trajectory sampled at 1 kHz with its velocities and accelerations."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from pcmrs.messages import JointTrajectory
+from pcmrs.spatial import Floats
+from sim.plant import STEP
+
+
+class Reference:
+    """A moving set point that stays at its last sample for ever.
+
+    Args:
+        samples: Position rad, velocity rad/s and acceleration rad/s^2 of 7 joints at every `STEP`, (N, 3, 7).
+    """
+
+    def __init__(self, samples: Floats) -> None:
+        self._samples = samples
+        self._last = len(samples) - 1
+        self._index = 0
+
+    @classmethod
+    def standing(cls, posture: Floats) -> Self:
+        """A set point that does not move, posture (7,) in rad."""
+        return cls(np.stack((posture, np.zeros(7), np.zeros(7)))[None])
+
+    @classmethod
+    def along(cls, trajectory: JointTrajectory, present: Self) -> Self:
+        """Follows a trajectory from the present set point: a cubic spline, clamped to end at rest.
+
+        A trajectory starts near the present set point, not exactly on it; the difference fades out linearly.
+        """
+        positions = np.array(trajectory.positions)
+        positions += np.linspace(present.position - positions[0], np.zeros(7), len(positions))
+        times = np.arange(len(positions)) * trajectory.period
+        spline = CubicSpline(times, positions, bc_type=((1, present.velocity), (1, np.zeros(7))))
+        grid = np.linspace(0.0, times[-1], 1 + int(np.ceil(times[-1] / STEP)))
+        samples = np.stack([spline(grid, order) for order in range(3)], axis=1)
+        samples[-1, 2] = 0.0  # it stays there
+        return cls(samples)
+
+    def advance(self) -> Floats:
+        """The next sample, (3, 7)."""
+        self._index = min(self._index + 1, self._last)
+        sample: Floats = self._samples[self._index]
+        return sample
+
+    @property
+    def ended(self) -> bool:
+        """Whether the last sample has been reached."""
+        return self._index == self._last
+
+    @property
+    def position(self) -> Floats:
+        """The present set posture, rad, (7,)."""
+        position: Floats = self._samples[self._index, 0]
+        return position
+
+    @property
+    def velocity(self) -> Floats:
+        """Its velocity, rad/s, (7,)."""
+        velocity: Floats = self._samples[self._index, 1]
+        return velocity

@@ -1,0 +1,144 @@
+"""Everything that is configurable about the simulated cell: its errors, stated, and its geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import msgspec
+
+from pcmrs.errors import ConfigurationError
+from pcmrs.spatial import Transform
+
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+Triple = tuple[float, float, float]
+
+
+class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``a_from_b`` in configuration: translation in m and unit quaternion."""
+
+    position: Triple = (0.0, 0.0, 0.0)
+    quat_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+    @property
+    def transform(self) -> Transform:
+        """The same as a `Transform`."""
+        return Transform.from_quat_wxyz(self.position, self.quat_wxyz)
+
+
+class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The optical tracker's errors and timing.
+
+    Attributes:
+        rate_hz: Frames per second of cell time.
+        latency: Age of a pose when it is published, s.
+        jitter_mm: Standard deviation of the translation per axis and frame.
+        jitter_deg: Standard deviation of the rotation vector per axis and frame.
+        bias_mm: Root mean square magnitude of the translation bias, fixed per seed and place.
+        bias_deg: Root mean square magnitude of the rotation bias, fixed per seed and place.
+    """
+
+    rate_hz: Positive = 60.0
+    latency: NotNegative = 0.030
+    jitter_mm: NotNegative = 0.03
+    jitter_deg: NotNegative = 0.02
+    bias_mm: NotNegative = 0.10
+    bias_deg: NotNegative = 0.03
+
+
+class DigitizationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The person with the pointer. The two deviations combine to 1.86 mm per axis.
+
+    Attributes:
+        planning_bias_mm: Standard deviation per axis by which a planned landmark differs from the anatomical
+            point that the person touches; fixed per seed and landmark.
+        noise_mm: Standard deviation per axis of each touch anew.
+        reach_time: From the prompt until the tip rests on the landmark, s.
+        rest_time: From then until the person says so, s; longer than the tracker's latency.
+    """
+
+    planning_bias_mm: NotNegative = 1.6
+    noise_mm: NotNegative = 0.95
+    reach_time: NotNegative = 0.8
+    rest_time: NotNegative = 0.2
+
+
+class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The arm's imperfections and its controller.
+
+    Attributes:
+        home: Posture at the start, rad, base to flange.
+        friction: Coulomb friction of each joint, N m.
+        damping: Viscous friction of each joint, N m s/rad.
+        armature: Rotor inertia of each joint seen at its output, kg m^2; known to the controller.
+        inertia_error: Relative error of the controller's masses and inertias: link by link +this or -this.
+        stiffness: Of the joint impedance, base to flange, N m/rad.
+        integral_rate: Rate at which the integral action removes a constant error, 1/s.
+        brake_acceleration: Of every joint when held, rad/s^2.
+        brake_jerk: Of every joint when held, rad/s^3.
+        state_rate_hz: Published joint states per second of cell time.
+    """
+
+    home: tuple[float, float, float, float, float, float, float] = (0.0, -0.35, 0.0, -1.75, 0.0, 1.2, 0.0)
+    friction: NotNegative = 0.5
+    damping: NotNegative = 0.5
+    armature: NotNegative = 0.1
+    inertia_error: Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)] = 0.05
+    stiffness: tuple[Positive, Positive, Positive, Positive, Positive, Positive, Positive] = (
+        4000.0,
+        4000.0,
+        3000.0,
+        3000.0,
+        2000.0,
+        2000.0,
+        1500.0,
+    )
+    integral_rate: NotNegative = 8.0
+    brake_acceleration: Positive = 10.0
+    brake_jerk: Positive = 200.0
+    state_rate_hz: Positive = 100.0
+
+
+class GeometrySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where things truly stand. The robot base is the world frame.
+
+    Attributes:
+        world_from_tracker: The camera; it looks along its -z, as optical trackers do.
+        world_from_body_ref: The marker body on the patient's forehead.
+        body_ref_from_image: The image in that marker body: the registration that nobody knows.
+        flange_from_coil: The coil on the flange; its +z points away from the head, back along the arm.
+        pointer_from_tip: The tip in the pointer's marker body.
+    """
+
+    world_from_tracker: Pose = Pose()
+    world_from_body_ref: Pose = Pose()
+    body_ref_from_image: Pose = Pose()
+    flange_from_coil: Pose = Pose((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
+    pointer_from_tip: Pose = Pose((0.0, 0.0, -0.15))
+
+
+class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The table ``sim`` of the configuration.
+
+    Attributes:
+        seed: All simulated errors are drawn from it; `Scene.reseed` replaces it.
+    """
+
+    seed: Annotated[int, msgspec.Meta(ge=0)] = 1
+    tracker: TrackerSettings = TrackerSettings()
+    digitization: DigitizationSettings = DigitizationSettings()
+    arm: ArmSettings = ArmSettings()
+    geometry: GeometrySettings = GeometrySettings()
+
+
+def read_settings(settings: Mapping[str, Any]) -> SimSettings:
+    """The simulation's own table of the whole configuration; absent means all defaults.
+
+    Raises:
+        ConfigurationError: A key is unknown, or a value has the wrong type or is out of range.
+    """
+    try:
+        return msgspec.convert(settings.get("sim", {}), SimSettings)
+    except msgspec.ValidationError as error:
+        raise ConfigurationError(f"The table [sim] of the configuration is wrong: {error}.") from None
