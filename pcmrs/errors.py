@@ -74,6 +74,12 @@ class PayloadError(PcmrsError):
     code = "malformed"
 
 
+class CommandRefusedError(PcmrsError):
+    """The daemon did not accept a planner's command; the field ``verdict`` says why."""
+
+    code = "command_refused"
+
+
 class JournalError(PcmrsError):
     """The journal cannot be written or read; nothing may be acknowledged any more."""
 

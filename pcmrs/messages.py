@@ -192,6 +192,12 @@ class DeviceEvent(Message, frozen=True, kw_only=True, omit_defaults=False):
     fields: dict[str, Any] = {}
 
 
+class Beat(Message, frozen=True, kw_only=True):
+    """A heartbeat; `number` grows by one each time."""
+
+    number: int
+
+
 class DeviceHealth(Message, frozen=True, kw_only=True, omit_defaults=False):
     """Whether a device node and its device are well."""
 

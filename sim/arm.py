@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from pcmrs.kinematics.arms import ArmFacts
+from pcmrs.kinematics.trajectory import MotionLimits, brake
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
 from sim.limits import check_trajectory
@@ -18,6 +19,7 @@ from sim.settings import ArmSettings
 DAMPING_RATIO = 0.7
 REST_ERROR = 5e-5  # rad; about 0.03 mm at the flange
 REST_SPEED = 1e-3  # rad/s
+SETTLING_STEPS = 2000  # at the start, until the integral action holds the arm against what the model gets wrong
 
 
 class Arm:
@@ -40,32 +42,33 @@ class Arm:
     ) -> None:
         self._plant = plant_model(facts, settings, flange_from_coil)
         self._nominal = nominal_model(facts, settings, flange_from_coil, rng)
-        self._state = mujoco.MjData(self._plant)
-        self._thought = mujoco.MjData(self._nominal)
-        self._state.qpos[:] = settings.home
+        self._data = mujoco.MjData(self._plant)
+        self._nominal_data = mujoco.MjData(self._nominal)
+        self._data.qpos[:] = settings.home
         self._stiffness = np.array(settings.stiffness)
         self._damping = 2 * DAMPING_RATIO * np.sqrt(self._stiffness * _joint_inertias(self._nominal, settings.home))
         self._integral_gain = self._stiffness * settings.integral_rate * STEP
         self._integral = np.zeros(7)
         self._error = np.zeros(7)
         self._facts = facts
-        self._settings = settings
+        self._brake_limits = _brake_limits(facts, settings)
         self.reference = Reference.standing(np.array(settings.home))
+        self.step(SETTLING_STEPS)
 
     def step(self, steps: int) -> None:
         """Advances control and physics by `steps` steps of `STEP` seconds."""
-        state, thought = self._state, self._thought
-        position, velocity, torque = state.qpos, state.qvel, state.ctrl
+        data, nominal = self._data, self._nominal_data
+        position, velocity, torque = data.qpos, data.qvel, data.ctrl
         error, integral = self._error, self._integral
         for _ in range(steps):
-            thought.qpos[:], thought.qvel[:], thought.qacc[:] = wanted = self.reference.advance()
-            mujoco.mj_inverse(self._nominal, thought)
+            nominal.qpos[:], nominal.qvel[:], nominal.qacc[:] = wanted = self.reference.advance()
+            mujoco.mj_inverse(self._nominal, nominal)
             np.subtract(wanted[0], position, out=error)
             integral += self._integral_gain * error
             torque[:] = (
-                thought.qfrc_inverse + integral + self._stiffness * error + self._damping * (wanted[1] - velocity)
+                nominal.qfrc_inverse + integral + self._stiffness * error + self._damping * (wanted[1] - velocity)
             )
-            mujoco.mj_step(self._plant, state)
+            mujoco.mj_step(self._plant, data)
 
     def follow(self, trajectory: JointTrajectory) -> None:
         """Takes a new reference.
@@ -78,7 +81,9 @@ class Arm:
 
     def hold(self) -> None:
         """Brakes from the present reference as fast as the settings allow."""
-        self.reference = self.reference.brake()
+        present = self.reference
+        stop = brake(present.position.tolist(), present.velocity.tolist(), self._brake_limits)
+        self.reference = Reference.along(stop, present)
 
     @property
     def at_rest(self) -> bool:
@@ -86,23 +91,38 @@ class Arm:
         return (
             self.reference.ended
             and bool(np.abs(self._error).max() < REST_ERROR)
-            and bool(np.abs(self._state.qvel).max() < REST_SPEED)
+            and bool(np.abs(self._data.qvel).max() < REST_SPEED)
         )
 
     @property
     def positions(self) -> Floats:
         """Measured joint positions, rad, (7,)."""
-        return np.array(self._state.qpos)
+        return np.array(self._data.qpos)
 
     @property
     def velocities(self) -> Floats:
         """Measured joint velocities, rad/s, (7,)."""
-        return np.array(self._state.qvel)
+        return np.array(self._data.qvel)
 
     @property
     def torques(self) -> Floats:
         """Commanded joint torques, N m, (7,)."""
-        return np.array(self._state.ctrl)
+        return np.array(self._data.ctrl)
+
+
+def _brake_limits(facts: ArmFacts, settings: ArmSettings) -> MotionLimits:
+    joints = len(facts.joints)
+    return MotionLimits(
+        joint_velocity=tuple(joint.velocity for joint in facts.joints),
+        joint_acceleration=(settings.brake_acceleration,) * joints,
+        joint_jerk=(settings.brake_jerk,) * joints,
+        # Braking has no path in space, so nothing reads the limits of the tool.
+        linear_velocity=1.0,
+        linear_acceleration=1.0,
+        linear_jerk=1.0,
+        angular_velocity=1.0,
+        angular_acceleration=1.0,
+    )
 
 
 def _joint_inertias(model: Any, posture: tuple[float, ...]) -> Floats:

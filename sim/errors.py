@@ -1,4 +1,4 @@
-"""Seeded error models of the tracker: a bias that depends on the place, and jitter."""
+"""Seeded error models: of the tracker, and of the person who touches landmarks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from math import radians
 import numpy as np
 
 from pcmrs.spatial import Floats, Transform
-from sim.settings import TrackerSettings
+from sim.settings import DigitizationSettings, TrackerSettings
 
 WAVES = 12
 SHORTEST_WAVE = 0.3  # m; the bias hardly changes over the size of a marker body
@@ -59,3 +59,32 @@ class TrackerErrors:
         rotation = self._rotation_bias.at(place) + self._rng.normal(0.0, self._rotation_jitter, 3)
         turned = Transform.from_rotvec((0.0, 0.0, 0.0), rotation).rotation @ tracker_from_body.rotation
         return Transform(turned, place + translation)
+
+    def fit_error(self) -> float:
+        """What the tracker itself thinks of one measurement, m: the scatter of its markers, without the bias."""
+        return float(np.linalg.norm(self._rng.normal(0.0, self._translation_jitter, 3)))
+
+
+class TouchErrors:
+    """Where a touch lands beside the planned landmark: a bias fixed per landmark, and noise of each touch.
+
+    Every landmark has a generator of its own, so that its errors depend on the seed and on how often it was touched,
+    and on nothing else.
+
+    Args:
+        settings: Deviations per axis.
+        seed: Where they come from.
+    """
+
+    def __init__(self, settings: DigitizationSettings, seed: int) -> None:
+        self._settings = settings
+        self._seed = seed
+        self._landmarks: dict[int, tuple[np.random.Generator, Floats]] = {}
+
+    def next(self, index: int) -> Floats:
+        """Touched minus planned position of landmark `index` at its next touch, in the image, m, (3,)."""
+        if index not in self._landmarks:
+            rng = np.random.default_rng((self._seed, index))
+            self._landmarks[index] = rng, rng.normal(0.0, self._settings.planning_bias_mm * 1e-3, 3)
+        rng, bias = self._landmarks[index]
+        return bias + rng.normal(0.0, self._settings.noise_mm * 1e-3, 3)

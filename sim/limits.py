@@ -32,10 +32,10 @@ def check_trajectory(trajectory: JointTrajectory, posture: Floats, facts: ArmFac
 
 
 def _positions(trajectory: JointTrajectory, joints: int) -> Floats:
-    if not 0.0 < trajectory.period < np.inf or len(trajectory.positions) < 2:
+    if not 0.0 < trajectory.period < np.inf or not trajectory.positions:
         raise DeviceError(
-            f"A trajectory needs a positive period and at least 2 postures, not {trajectory.period} s and "
-            f"{len(trajectory.positions)}; send the present posture and the goal at least.",
+            f"A trajectory needs a positive period and at least the present posture, not {trajectory.period} s and "
+            f"{len(trajectory.positions)} postures; plan it again.",
             period=trajectory.period,
             postures=len(trajectory.positions),
         )
@@ -78,7 +78,7 @@ def _check_range(positions: Floats, facts: ArmFacts) -> None:
 
 def _check_speed(velocities: Floats, facts: ArmFacts) -> None:
     limits = np.array([joint.velocity for joint in facts.joints])
-    fastest = np.abs(velocities).max(axis=0)
+    fastest = np.abs(velocities).max(axis=0, initial=0.0)
     joint = int((fastest / limits).argmax())
     if fastest[joint] > limits[joint] * (1 + ROUNDING):
         raise DeviceError(

@@ -46,8 +46,10 @@ def coil_pose(tilt_deg: float, azimuth_deg: float) -> Transform:
 
 
 def make_plan() -> dict[str, Any]:
-    """The plan as plain data, image coordinates in m: ``landmarks`` with ``name`` and ``position``, ``poses`` with
-    ``position`` and ``quat_xyzw``.
+    """The plan as plain data, in image coordinates and m.
+
+    Returns:
+        ``landmarks``, each with ``name`` and ``position``; ``poses``, each with ``position`` and ``quat_xyzw``.
     """
     poses = [coil_pose(tilt, azimuth) for tilt, azimuth in SITES_DEG]
     return {

@@ -27,9 +27,7 @@ def plant_model(facts: ArmFacts, settings: ArmSettings, flange_from_coil: Transf
     )
 
 
-def nominal_model(
-    facts: ArmFacts, settings: ArmSettings, flange_from_coil: Transform, rng: np.random.Generator
-) -> Any:
+def nominal_model(facts: ArmFacts, settings: ArmSettings, flange_from_coil: Transform, rng: np.random.Generator) -> Any:
     """The controller's model: it knows no friction, and every link's mass and inertia is a little wrong."""
     model = _compile(mjcf(facts, damping=0.0, armature=settings.armature, frictionloss=0.0), flange_from_coil)
     factors = 1.0 + settings.inertia_error * rng.choice((-1.0, 1.0), model.nbody)
@@ -51,7 +49,5 @@ def _compile(text: str, flange_from_coil: Transform) -> Any:
         pos=flange.pos + flange_from_coil.translation,  # the flange is parallel to the last link
         quat=flange_from_coil.quat_wxyz,
     )
-    coil.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[COIL_RADIUS, COIL_HALF_THICKNESS, 0.0], mass=COIL_MASS
-    )
+    coil.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[COIL_RADIUS, COIL_HALF_THICKNESS, 0.0], mass=COIL_MASS)
     return spec.compile()

@@ -33,8 +33,11 @@ class Reference:
     def along(cls, trajectory: JointTrajectory, present: Self) -> Self:
         """Follows a trajectory from the present set point: a cubic spline, clamped to end at rest.
 
-        A trajectory starts near the present set point, not exactly on it; the difference fades out linearly.
+        A trajectory starts near the present set point, not exactly on it; the difference fades out linearly. One of
+        a single posture is no motion.
         """
+        if len(trajectory.positions) == 1:
+            return cls.standing(present.position)
         positions = np.array(trajectory.positions)
         positions += np.linspace(present.position - positions[0], np.zeros(7), len(positions))
         times = np.arange(len(positions)) * trajectory.period

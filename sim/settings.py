@@ -80,7 +80,7 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         state_rate_hz: Published joint states per second of cell time.
     """
 
-    home: tuple[float, float, float, float, float, float, float] = (0.0, -0.35, 0.0, -1.75, 0.0, 1.2, 0.0)
+    home: tuple[float, float, float, float, float, float, float] = (0.0, -0.35, 0.0, -1.57, 0.0, 1.40, -1.57)
     friction: NotNegative = 0.5
     damping: NotNegative = 0.5
     armature: NotNegative = 0.1
@@ -104,16 +104,16 @@ class GeometrySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Where things truly stand. The robot base is the world frame.
 
     Attributes:
-        world_from_tracker: The camera; it looks along its -z, as optical trackers do.
-        world_from_body_ref: The marker body on the patient's forehead.
-        body_ref_from_image: The image in that marker body: the registration that nobody knows.
+        world_from_tracker: The camera, 1.2 m from the head; it looks along its -z, as optical trackers do.
+        world_from_image: The patient's head: upright, 0.45 m in front of the base, facing away from it.
+        body_ref_from_image: The image in the marker body on the forehead: the registration that nobody knows.
         flange_from_coil: The coil on the flange; its +z points away from the head, back along the arm.
         pointer_from_tip: The tip in the pointer's marker body.
     """
 
-    world_from_tracker: Pose = Pose()
-    world_from_body_ref: Pose = Pose()
-    body_ref_from_image: Pose = Pose()
+    world_from_tracker: Pose = Pose((1.35, -0.5, 0.6), (0.744115, 0.434873, 0.255881, 0.43784))
+    world_from_image: Pose = Pose((0.462, 0.004, -0.015), (0.70710678, 0.0, 0.0, -0.70710678))
+    body_ref_from_image: Pose = Pose((-0.10, -0.01, -0.11), (0.5, 0.5, 0.5, 0.5))
     flange_from_coil: Pose = Pose((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
     pointer_from_tip: Pose = Pose((0.0, 0.0, -0.15))
 

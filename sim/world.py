@@ -7,9 +7,9 @@ import numpy as np
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import PoseMessage, SceneTruth
-from pcmrs.spatial import Floats, Transform
+from pcmrs.spatial import Transform
 from sim.arm import Arm
-from sim.errors import TrackerErrors
+from sim.errors import TouchErrors, TrackerErrors
 from sim.settings import SimSettings
 
 
@@ -24,10 +24,11 @@ class World:
         settings: Errors and geometry.
         arm: The simulated arm.
         tracker_from_body_ref: Where the patient is now.
+        body_ref_from_image: The true registration.
         body_ref_from_pointer: Where the pointer rests on the patient; None while it is on its way or away.
         hidden: Bodies that something hides from the tracker.
-        rng: All fresh noise comes from it.
         tracker_errors: What the tracker adds to the truth.
+        touch_errors: Where a person touches beside a planned landmark.
     """
 
     def __init__(self, settings: SimSettings, arm_name: str) -> None:
@@ -37,7 +38,8 @@ class World:
         self._tracker_from_world = geometry.world_from_tracker.transform.inverse()
         self._flange_from_coil = geometry.flange_from_coil.transform
         self.body_ref_from_image = geometry.body_ref_from_image.transform
-        self.tracker_from_body_ref = self._tracker_from_world @ geometry.world_from_body_ref.transform
+        world_from_body_ref = geometry.world_from_image.transform @ self.body_ref_from_image.inverse()
+        self.tracker_from_body_ref = self._tracker_from_world @ world_from_body_ref
         self.body_ref_from_pointer: Transform | None = None
         self.hidden: set[str] = set()
         self.arm = Arm(ARMS[arm_name], settings.arm, self._flange_from_coil, np.random.default_rng(settings.seed))
@@ -45,14 +47,8 @@ class World:
 
     def reseed(self, seed: int) -> None:
         """Draws the errors of tracker and landmarks anew; the arm keeps its own."""
-        self.rng = np.random.default_rng(seed)
-        self.tracker_errors = TrackerErrors(self.settings.tracker, self.rng)
-        self._seed = seed
-
-    def planning_bias(self, index: int) -> Floats:
-        """Anatomical minus planned position of a landmark in the image, m, (3,): the same at every touch."""
-        deviation = self.settings.digitization.planning_bias_mm * 1e-3
-        return np.random.default_rng((self._seed, index)).normal(0.0, deviation, 3)
+        self.tracker_errors = TrackerErrors(self.settings.tracker, np.random.default_rng(seed))
+        self.touch_errors = TouchErrors(self.settings.digitization, seed)
 
     def tracker_from_coil(self) -> Transform:
         """The true pose of the coil's marker body."""

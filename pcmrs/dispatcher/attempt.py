@@ -27,7 +27,7 @@ class Attempt:
     """One accepted-for-consideration command until its verdict.
 
     Attributes:
-        begun: Its task has begun, so that cancelling it reaches its steps.
+        begun: Its steps have begun, so that cancelling its task reaches them.
         ending: Its steps have ended and it is being committed: too late to stop.
         stopped: Why it was stopped by Stop or a danger event.
     """
@@ -55,11 +55,17 @@ class Attempt:
 
     def stop(self, reason: Reason) -> None:
         """Cancels its steps; harmless once they have ended."""
-        if self.ending or self.stopped is not None:
+        if self.stopped is not None:
             return
         self.stopped = reason
-        if self.begun and self.task is not None:
+        if self.begun and not self.ending and self.task is not None:
             self.task.cancel()
+
+    def end_steps(self) -> None:
+        """Its steps have ended: what follows is not cancelled, nor mistaken for cancelled by a timeout."""
+        self.ending = True
+        if self.task is not None and self.task.cancelling():
+            self.task.uncancel()
 
 
 def locks_for(blueprint: Blueprint, command: Command, answer: Closure | Denial) -> Locks:

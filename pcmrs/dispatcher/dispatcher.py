@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import Awaitable, Callable, Coroutine
 from contextvars import ContextVar
 from typing import Any, Generic
@@ -60,6 +61,7 @@ class Dispatcher(Generic[C, D]):
         self._memory = Memory(recorder)
         self._broken: Reason | None = None
         self._tasks: set[asyncio.Task[Any]] = set()
+        self._events = itertools.count(1)
 
     # -- what the edges of the system call -----------------------------------------------------------
 
@@ -69,6 +71,7 @@ class Dispatcher(Generic[C, D]):
             [
                 Running(branch=a.command.branch, operation=a.command.operation, id=a.command.id, progress=a.progress)
                 for a in self._lanes.running
+                if a.begun and not a.verdict.done()
             ]
         )
 
@@ -115,7 +118,7 @@ class Dispatcher(Generic[C, D]):
         for name, branch in self._workflow.blueprint.branches.items():
             operation = branch.operations.get(event.code)
             if operation is not None and operation.event and branch.valid_in(event.code, joint[name]):
-                command_id = f"{event.code}-{self.procedure.reserve()}-{self._clock.monotonic():.6f}"
+                command_id = f"{event.code}-{next(self._events)}-{self._clock.monotonic():.6f}"
                 source = f"device:{event.device}"
                 await self.submit(Command(id=command_id, branch=name, operation=event.code, source=source))
 
@@ -129,7 +132,11 @@ class Dispatcher(Generic[C, D]):
     # -- from command to attempt -----------------------------------------------------------------------
 
     def _verdict_of(self, command: Command) -> asyncio.Future[Verdict]:
-        verdict, is_new = self._memory.verdict_of(command)
+        try:
+            verdict, is_new = self._memory.verdict_of(command)
+        except JournalError as error:
+            verdict, is_new = asyncio.get_running_loop().create_future(), False
+            self._spawn(self._break_off(command, verdict, "rejected", error))
         if is_new:
             self._admit(command, verdict)
         return verdict
@@ -181,7 +188,6 @@ class Dispatcher(Generic[C, D]):
 
     async def _perform(self, attempt: Attempt) -> None:
         _performing.set(id(self))
-        attempt.begun = True
         run = self._run_of(attempt)
         try:
             refused = refusal(self._workflow.registry, attempt.spec, run)
@@ -192,12 +198,13 @@ class Dispatcher(Generic[C, D]):
                 await self._end(attempt, run, await self._steps(attempt, run))
         except Exception as error:
             log.exception("dispatcher_broken", command=attempt.command.id)
-            await self._break(error)
-            self._memory.settle(attempt.verdict, self._verdict(attempt.command, "unknown", self._broken))
+            attempt.end_steps()
+            await self._break_off(attempt.command, attempt.verdict, "unknown", error)
         finally:
             self._lanes.running.remove(attempt)
             self._start_waiting()
-        self._submit_posts(attempt.command, run)
+        if attempt.verdict.result().decision == "accepted":
+            self._submit_posts(attempt.command, run)
 
     def _run_of(self, attempt: Attempt) -> Run[C, D]:
         def show(fraction: float) -> None:
@@ -209,17 +216,20 @@ class Dispatcher(Generic[C, D]):
 
     async def _steps(self, attempt: Attempt, run: Run[C, D]) -> Ending:
         """Takes the steps, after the intent is durable where they touch the world; holds what failed to move."""
+        attempt.begun = True
         try:
             if self._touches_world(attempt):
                 self._publish(self.snapshot())
                 await asyncio.shield(self._recorder.intent(attempt.command, run.states))
+            ending = Ending("failed", reason=attempt.stopped)
             if attempt.stopped is None:
                 ending = await take_steps(self._workflow.registry, attempt.spec, run)
-            else:
-                ending = Ending("failed", reason=attempt.stopped)
         except asyncio.CancelledError:
+            cancelled = Reason(code="step_cancelled", text=f"What {attempt.name} waited for was cancelled.")
+            ending = Ending("failed", reason=attempt.stopped or cancelled)
+        attempt.end_steps()
+        if attempt.stopped is not None and ending.kind == "done":
             ending = Ending("failed", reason=attempt.stopped)
-        attempt.ending = True
         if attempt.moves and ending.kind != "done" and not await self._hold_confirmed():
             return Ending("unknown", reason=ending.reason)
         return ending
@@ -246,20 +256,24 @@ class Dispatcher(Generic[C, D]):
         accepted = decision == "accepted"
         changes = run.changes if run is not None and accepted else {}
         with_intent = attempt is not None and not self._touches_world(attempt)
-        sequence = self.procedure.sequence if decision == "rejected" else self.procedure.reserve()
+        sequence = self.procedure.sequence if decision == "rejected" else self.procedure.reserve(change)
         states = self.procedure.joint() | (dict(change.states) if change is not None else {})
         answer = self._verdict(command, decision, reason, states=states, sequence=sequence, run=run)
         try:
-            await self._recorder.decision(command, answer, states, changes, with_intent=with_intent)
+            promised = self.procedure.promised()
+            await self._recorder.decision(command, answer, promised, changes, with_intent=with_intent)
             if decision != "rejected":
-                unlatch = accepted and attempt is not None and attempt.spec.unlatches
+                # A Stop that came while this was journalled is not acknowledged by it.
+                unlatch = accepted and attempt is not None and attempt.spec.unlatches and attempt.stopped is None
                 self.procedure.commit(sequence, change, changes, unlatch=unlatch)
-        except PcmrsError as error:
-            await self._break(error)
-            undecided: Decision = "rejected" if decision == "rejected" else "unknown"
-            answer = self._verdict(command, undecided, self._broken)
+        except Exception as error:
+            await self._break_off(command, verdict, "rejected" if decision == "rejected" else "unknown", error)
+        else:
+            self._answer(verdict, answer)
+
+    def _answer(self, verdict: asyncio.Future[Verdict], answer: Verdict) -> None:
         self._memory.settle(verdict, answer)
-        if decision != "rejected":
+        if answer.decision != "rejected":
             self._publish(self.snapshot())
         self._publish(answer)
 
@@ -273,7 +287,8 @@ class Dispatcher(Generic[C, D]):
         sequence: int | None = None,
         run: Run[C, D] | None = None,
     ) -> Verdict:
-        state = (states or self.procedure.joint()).get(command.branch, "")
+        states = states or self.procedure.joint()
+        state = states.get(command.branch, "")
         return Verdict(
             id=command.id,
             branch=command.branch,
@@ -281,7 +296,7 @@ class Dispatcher(Generic[C, D]):
             decision=decision,
             state=state,
             reason=reason,
-            allowed=self.procedure.allowed(command.branch, state) if state else [],
+            allowed=self.procedure.allowed(command.branch, states) if state else [],
             result=run.result if run is not None and run.result else None,
             sequence=self.procedure.sequence if sequence is None else sequence,
         )
@@ -310,14 +325,14 @@ class Dispatcher(Generic[C, D]):
     async def _hold_confirmed(self) -> bool:
         try:
             await self._hold()
-        except PcmrsError as error:
-            log.warning("hold_not_confirmed", reason=error.text)
+        except Exception as error:
+            log.warning("hold_not_confirmed", reason=str(error))
             return False
         return True
 
     async def _record_event(self, event: DeviceEvent) -> None:
         try:
-            await self._recorder.event(event, self.procedure.joint())
+            await self._recorder.event(event, self.procedure.promised())
         except JournalError as error:
             await self._break(error)
 
@@ -328,7 +343,16 @@ class Dispatcher(Generic[C, D]):
             text = f"The dispatcher has stopped for safety: {error} Restart the daemon."
             self._broken = Reason(code=code, text=text)
             log.critical("fail_stop", reason=text)
+            for attempt in self._lanes.running:
+                attempt.stop(self._broken)
             await self._hold_confirmed()
+
+    async def _break_off(
+        self, command: Command, verdict: asyncio.Future[Verdict], decision: Decision, error: Exception
+    ) -> None:
+        """Answers a command that the dispatcher itself could not bring to its end."""
+        await self._break(error)
+        self._answer(verdict, self._verdict(command, decision, self._broken))
 
     def _spawn(self, work: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
         task = asyncio.get_running_loop().create_task(work)

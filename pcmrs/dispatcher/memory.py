@@ -20,14 +20,18 @@ class Memory:
         self._verdicts: OrderedDict[tuple[str, str], asyncio.Future[Verdict]] = OrderedDict()
 
     def verdict_of(self, command: Command) -> tuple[asyncio.Future[Verdict], bool]:
-        """The verdict of a command, done or to come, and whether the command is new."""
+        """The verdict of a command, done or to come, and whether the command is new.
+
+        Raises:
+            JournalError: Nobody can say whether the command has been decided before.
+        """
         key = (command.source, command.id)
         if key in self._verdicts:
             return self._verdicts[key], False
+        recorded = self._recorder.recall(*key)
         verdict: asyncio.Future[Verdict] = asyncio.get_running_loop().create_future()
         self._verdicts[key] = verdict
         self._forget_oldest()
-        recorded = self._recorder.recall(*key)
         if recorded is not None:
             verdict.set_result(recorded)
         return verdict, recorded is None

@@ -29,28 +29,45 @@ class Procedure(Generic[C, D]):
         self.latched = False
         self.sequence = 0
         self._reserved = 0
+        self._closures: dict[tuple[str, ...], Closure | Denial] = {}
         self._settle = workflow.settle
         self._states = StateSet(workflow.blueprint)
         self._flags = flags_of(workflow.blueprint, self._states.joint())
+        self._promised = self._states.joint()
 
     def joint(self) -> dict[str, str]:
         """The joint state: branch to state."""
         return self._states.joint()
 
-    def allowed(self, branch: str, state: str) -> list[str]:
-        """Operations that users may ask for in a state of a branch."""
-        return self._states.objects[branch][state].allowed()
+    def promised(self) -> dict[str, str]:
+        """The joint state once everything that is being journalled is committed."""
+        return dict(self._promised)
+
+    def allowed(self, branch: str, states: Mapping[str, str]) -> list[str]:
+        """Operations of a branch that users may ask for in a joint state and would not be denied."""
+        state, spec = self._states.objects[branch][states[branch]], self.blueprint.branches[branch]
+        able = (name for name in state.allowed() if not (self.latched and spec.operations[name].motion != "none"))
+        return [name for name in able if isinstance(self._close(states, branch, name), Closure)]
 
     def ask(self, branch: str, operation: str) -> Closure | Denial:
         """Asks the active state object, then works out the closure of what it allows."""
         answer = self._states.active(branch).ask(operation)
         if isinstance(answer, Denial):
             return answer
-        return close(self.blueprint, self._states.joint(), branch, operation)
+        return self._close(self._states.joint(), branch, operation)
 
-    def reserve(self) -> int:
-        """The sequence number of the next commit; commits happen in the order of reservation."""
+    def _close(self, states: Mapping[str, str], branch: str, operation: str) -> Closure | Denial:
+        """Closures are pure and a workflow has few joint states: each is worked out once."""
+        key = (*states.values(), branch, operation)
+        if key not in self._closures:
+            self._closures[key] = close(self.blueprint, states, branch, operation)
+        return self._closures[key]
+
+    def reserve(self, change: Change | None = None) -> int:
+        """Promises a commit of `change` and returns its sequence number, for the journal to write first."""
         self._reserved += 1
+        if change is not None:
+            self._promised |= change.targets
         return self._reserved
 
     def commit(self, sequence: int, change: Change | None, changes: Mapping[str, Any], *, unlatch: bool) -> None:
@@ -62,14 +79,15 @@ class Procedure(Generic[C, D]):
         if self._flags != flags_of(self.blueprint, self.joint()):
             raise BlueprintError("The flags do not mirror the states any more.")
         if change is not None:
-            targets = {branch: change.states[branch] for branch in {effect.branch for effect in change.effects}}
+            targets = change.targets
             data = msgspec.structs.replace(self.data, **changes) if changes else self.data
             data = self._settle(data, self.joint() | targets, change.effects)
             self._states.transition(targets)
             self.data = data
             self._flags = flags_of(self.blueprint, self.joint())
         self.latched = self.latched and not unlatch
-        self.sequence = max(self.sequence, sequence)
+        overtaken = sequence <= self.sequence  # by Stop, which shows the latch without waiting for the journal
+        self.sequence = self.reserve() if overtaken else sequence
 
     def latch(self) -> None:
         """Forbids motion until an operation that unlatches is committed."""

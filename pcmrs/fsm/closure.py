@@ -42,6 +42,11 @@ class Change:
         """Branches whose state or data it changes; a signal that finds its target reached changes nothing."""
         return frozenset(e.branch for e in self.effects if e.kind != "signal" or e.source != e.target)
 
+    @property
+    def targets(self) -> dict[str, str]:
+        """The state that each branch it touches is in after it."""
+        return {effect.branch: self.states[effect.branch] for effect in self.effects}
+
 
 @dataclass(frozen=True, slots=True)
 class Denial:

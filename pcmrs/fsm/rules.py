@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import keyword
+import math
 import re
 from collections.abc import Iterator
 
@@ -25,6 +26,7 @@ def check_rules(blueprint: Blueprint) -> None:
         raise BlueprintError("a workflow needs at least one branch")
     for name, branch in blueprint.branches.items():
         _check_names(name, branch)
+        _check_flags(blueprint, name, branch)
         _check_parent(blueprint, name, branch)
     for name, branch in blueprint.branches.items():
         for operation_name, operation in branch.operations.items():
@@ -49,8 +51,16 @@ def _check_names(name: str, branch: BranchSpec) -> None:
     for state in branch.states:
         if not STATE_NAME.fullmatch(state):
             raise _fault("names", name, f"{state!r} cannot be a state: use a-z, 0-9 and _", state=state)
+
+
+def _check_flags(blueprint: Blueprint, name: str, branch: BranchSpec) -> None:
+    for state in branch.states:
         if branch.flags and (len(state) != len(branch.flags) or set(state) - {"0", "1"}):
             raise _fault("flags", name, f"state {state} has not one digit for each of {branch.flags}", state=state)
+    everywhere = [flag for other in blueprint.branches.values() for flag in other.flags]
+    for flag in branch.flags:
+        if everywhere.count(flag) > 1:
+            raise _fault("flags", name, f"flag {flag} is declared twice; one would hide the other", flag=flag)
 
 
 def _check_parent(blueprint: Blueprint, name: str, branch: BranchSpec) -> None:
@@ -83,8 +93,8 @@ def _check_operation(blueprint: Blueprint, branch: str, name: str, operation: Op
 
     if (operation.to is None) == (not operation.outcomes):
         raise fault("needs either `to` or `outcomes`")
-    if operation.timeout_s <= 0:
-        raise fault(f"timeout_s is {operation.timeout_s}; it must be above 0")
+    if not 0 < operation.timeout_s < math.inf:
+        raise fault(f"timeout_s is {operation.timeout_s}; it must be above 0 and finite")
     if not operation.from_ or ("*" in operation.from_ and len(operation.from_) > 1):
         raise fault("`from` names states, or is exactly ['*']")
     if operation.iio and (operation.steps or operation.checks or operation.outcomes):

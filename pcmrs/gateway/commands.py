@@ -50,6 +50,13 @@ class Second(Enum):
     VALUES = auto()  # numbers, each followed by a separator
 
 
+class Plan(Enum):
+    """The kinds of plan that clients send."""
+
+    LANDMARKS = auto()
+    POSE = auto()
+
+
 @dataclass(frozen=True, slots=True)
 class Step:
     """One operation of the workflow; skipped unless its branch is in one of `only_in`, if that is given."""
@@ -68,6 +75,8 @@ class Spec:
         branch: The branch that a verdict about it names.
         steps: Operations submitted in order; the first that is not accepted ends the command.
         arguments: The operations' arguments from the payload's values.
+        second: The second datagram that clients without verdict replies expect.
+        settles: The kind of plan that acceptance of this command makes up for, though it is no plan itself.
     """
 
     name: str
@@ -77,6 +86,7 @@ class Spec:
     steps: tuple[Step, ...] = ()
     arguments: Arguments = lambda _: {}
     second: Second | None = None
+    settles: Plan | None = None
 
     @property
     def approaches(self) -> bool:
@@ -90,9 +100,16 @@ def _submit(
     payload: tuple[Kind, ...] = (),
     arguments: Arguments = lambda _: {},
     second: Second | None = None,
+    settles: Plan | None = None,
 ) -> Spec:
-    steps = tuple(item if isinstance(item, Step) else Step(*item.split(".")) for item in operations)
-    return Spec(name, steps[-1].branch, payload=payload, steps=steps, arguments=arguments, second=second)
+    steps = tuple(item if isinstance(item, Step) else _step(item) for item in operations)
+    branch = steps[-1].branch
+    return Spec(name, branch, payload=payload, steps=steps, arguments=arguments, second=second, settles=settles)
+
+
+def _step(name: str) -> Step:
+    branch, operation = name.split(".")
+    return Step(branch, operation)
 
 
 def _index(values: tuple[Value, ...]) -> dict[str, Any]:
@@ -115,7 +132,7 @@ _SPECS = (
     _submit("img_dig_prevxxxx", "digitization.reuse_previous"),
     _submit("img_dig_prevhilg", "digitization.reuse_previous_except", payload=_INDEX, arguments=_index),
     _submit("start_registrati", "registration.register", second=Second.RESIDUAL),
-    _submit("start_useprevreg", "registration.use_previous", second=Second.RESIDUAL),
+    _submit("start_useprevreg", "registration.use_previous", second=Second.RESIDUAL, settles=Plan.LANDMARKS),
     Spec("target_rotxxxxxx", "toolplan", Action.OPEN_POSE, (Kind.NUMBER,) * 4),
     Spec("target_tslxxxxxx", "toolplan", Action.PLAN_POSE, _XYZ),
     Spec("icp_digitizexxxx", "registration", Action.REFUSE),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pcmrs.errors import RefusalError
+from pcmrs.gateway.commands import Plan
 
 PAIR_WINDOW = 1.0
 """Seconds of the machine between rotation and translation of one pose."""
@@ -99,20 +100,25 @@ class PlanLock:
 
     def __init__(self) -> None:
         self._attempts = 0
-        self._pending: dict[str, int] = {}
+        self._pending: dict[Plan, int] = {}
 
     @property
-    def pending(self) -> list[str]:
-        """Kinds of plan whose newest attempt is not accepted."""
-        return sorted(self._pending)
+    def held(self) -> bool:
+        """Whether the newest plan of some kind is not accepted."""
+        return bool(self._pending)
 
-    def attempt(self, kind: str) -> int:
+    @property
+    def newest(self) -> int:
+        """Number of the newest attempt."""
+        return self._attempts
+
+    def attempt(self, kind: Plan) -> int:
         """Notes that a plan of `kind` began; returns its number."""
         self._attempts += 1
         self._pending[kind] = self._attempts
         return self._attempts
 
-    def accept(self, kind: str, attempt: int) -> None:
-        """Notes that `attempt` was accepted; a newer one keeps the lock."""
-        if self._pending.get(kind) == attempt:
-            del self._pending[kind]
+    def accept(self, kind: Plan, attempt: int) -> None:
+        """Notes that `kind` is settled up to `attempt`; a newer one keeps the lock."""
+        if self._pending.get(kind, attempt) <= attempt:
+            self._pending.pop(kind, None)

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.errors import UnreachableError
+from pcmrs.kinematics.joints import joint_array
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
 
@@ -51,9 +52,10 @@ def inverse(arm: ArmModel, base_from_flange: Transform, seed: npt.ArrayLike, *, 
         joint_margin: Distance to keep from every joint limit, rad.
 
     Raises:
+        GeometryError: `seed` does not hold seven finite numbers.
         UnreachableError: The pose is too far, too near, or no posture keeps the joint limits.
     """
-    near = np.asarray(seed, dtype=float)
+    near = joint_array(seed)
     lower, upper = arm.lower + joint_margin, arm.upper - joint_margin
     upper_arm, forearm, wrist = _wrist(arm, base_from_flange)
     circle = _elbow_circle(upper_arm, forearm, wrist, float(upper[3]))

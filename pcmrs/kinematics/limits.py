@@ -7,8 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from pcmrs.errors import ConfigurationError
-
-JOINTS = 7
+from pcmrs.kinematics.joints import JOINTS
 
 
 @dataclass(frozen=True)

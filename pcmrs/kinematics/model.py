@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio
 
-from pcmrs.errors import GeometryError, UnreachableError
+from pcmrs.errors import UnreachableError
 from pcmrs.kinematics.arms import ArmFacts
+from pcmrs.kinematics.joints import joint_array
 from pcmrs.kinematics.urdf import urdf
 from pcmrs.spatial import Floats, Transform
 
@@ -42,7 +43,7 @@ class ArmModel:
         Raises:
             GeometryError: `q` does not hold seven finite numbers.
         """
-        pinocchio.forwardKinematics(self._model, self._data, self._joints(q))
+        pinocchio.forwardKinematics(self._model, self._data, joint_array(q))
         pose = pinocchio.updateFramePlacement(self._model, self._data, self._flange)
         return Transform(pose.rotation, pose.translation)
 
@@ -55,7 +56,7 @@ class ArmModel:
             GeometryError: `q` does not hold seven finite numbers.
         """
         frame = pinocchio.LOCAL_WORLD_ALIGNED
-        jacobian = pinocchio.computeFrameJacobian(self._model, self._data, self._joints(q), self._flange, frame)
+        jacobian = pinocchio.computeFrameJacobian(self._model, self._data, joint_array(q), self._flange, frame)
         return np.asarray(jacobian)
 
     def check_limits(self, q: npt.ArrayLike) -> None:
@@ -65,7 +66,7 @@ class ArmModel:
             GeometryError: `q` does not hold seven finite numbers.
             UnreachableError: A joint lies outside its limits; it is named.
         """
-        values = self._joints(q)
+        values = joint_array(q)
         for joint, value in zip(self.facts.joints, values.tolist(), strict=True):
             if not joint.lower <= value <= joint.upper:
                 raise UnreachableError(
@@ -76,12 +77,3 @@ class ArmModel:
                     lower=joint.lower,
                     upper=joint.upper,
                 )
-
-    def _joints(self, q: npt.ArrayLike) -> Floats:
-        values = np.asarray(q, dtype=float)
-        if values.shape != self.lower.shape or not np.isfinite(values).all():
-            raise GeometryError(
-                f"Joint positions are {len(self.lower)} finite numbers, not {values.tolist()}.",
-                positions=values.tolist(),
-            )
-        return values

@@ -7,6 +7,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from pcmrs.errors import UnreachableError
+from pcmrs.kinematics.joints import joint_array
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
 
@@ -27,9 +28,10 @@ def track(arm: ArmModel, base_from_flange: Transform, seed: npt.ArrayLike) -> Fl
         seed: Joint positions to start from, rad, (7,).
 
     Raises:
+        GeometryError: `seed` does not hold seven finite numbers.
         UnreachableError: The steps end before the pose: at a joint limit or at the edge of the workspace.
     """
-    q: Floats = np.clip(np.asarray(seed, dtype=float), arm.lower, arm.upper)
+    q: Floats = np.clip(joint_array(seed), arm.lower, arm.upper)
     error = _error(arm, base_from_flange, q)
     for _ in range(_ITERATIONS):
         if np.linalg.norm(error) <= TOLERANCE:

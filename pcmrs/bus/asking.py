@@ -1,0 +1,72 @@
+"""One request and its reply, or the knowledge that there is none."""
+
+from __future__ import annotations
+
+import asyncio
+from concurrent.futures import Executor
+from functools import partial
+
+import zenoh
+
+from pcmrs.bus.qos import COMMANDS
+from pcmrs.bus.reasons import error_from
+from pcmrs.errors import PcmrsError, UnknownOutcomeError
+
+
+async def ask(session: zenoh.Session, pool: Executor, key: str, payload: bytes, timeout: float) -> bytes:
+    """Sends a query and returns the payload of its first reply.
+
+    Args:
+        session: Through which to ask.
+        pool: Sends the query, since a link whose queue is full blocks its sender.
+        key: Absolute key.
+        payload: The request.
+        timeout: Seconds of the machine.
+
+    Raises:
+        UnknownOutcomeError: The query ended without a reply.
+        DeviceError: The reply is an error.
+    """
+    loop = asyncio.get_running_loop()
+    answered: asyncio.Future[bytes | PcmrsError] = loop.create_future()
+
+    def settle(outcome: bytes | PcmrsError) -> None:
+        if not answered.done():
+            answered.set_result(outcome)
+
+    def on_reply(reply: zenoh.Reply) -> None:
+        loop.call_soon_threadsafe(settle, _outcome(reply))
+
+    def on_end() -> None:
+        loop.call_soon_threadsafe(settle, _silence(key, timeout))
+
+    send = partial(
+        session.get,
+        key,
+        zenoh.handlers.Callback(on_reply, on_end, indirect=False),
+        timeout=timeout,
+        payload=payload,
+        congestion_control=zenoh.CongestionControl.BLOCK,
+        priority=COMMANDS.priority,
+        express=COMMANDS.express,
+    )
+    await loop.run_in_executor(pool, send)
+    outcome = await answered
+    if isinstance(outcome, PcmrsError):
+        raise outcome
+    return outcome
+
+
+def _outcome(reply: zenoh.Reply) -> bytes | PcmrsError:
+    result = reply.result
+    payload = result.payload.to_bytes()
+    return payload if isinstance(result, zenoh.Sample) else error_from(payload)
+
+
+def _silence(key: str, timeout: float) -> UnknownOutcomeError:
+    return UnknownOutcomeError(
+        f"Nobody answered on {key} within {timeout:g} s, or the answering process ended first: "
+        "it may have happened or not. Look at the state before asking again.",
+        key=key,
+        timeout=timeout,
+    )

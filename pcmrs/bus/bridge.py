@@ -1,0 +1,89 @@
+"""From Zenoh's threads into the event loop, without one wake-up per message.
+
+Calls wait in two places: an ordered, bounded queue for what must not be lost in silence (commands,
+requests, events: a full queue rejects), and the newest call per key for streams. One drain at a time is
+scheduled in the loop; it takes ordered calls first and gives the loop a turn between slices, so that Stop
+and timers are never behind a backlog.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Final
+
+Call = Callable[[], None]
+
+CAPACITY: Final = 256
+"""Ordered calls that may wait for the loop."""
+
+_SLICE: Final = 8
+
+
+class Bridge:
+    """Runs calls from any thread in one event loop.
+
+    Args:
+        loop: Where the calls run.
+        capacity: Ordered calls that may wait.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, capacity: int = CAPACITY) -> None:
+        self._loop = loop
+        self._capacity = capacity
+        self._ordered: deque[Call] = deque()
+        self._newest: dict[str, Call] = {}
+        self._lock = threading.Lock()
+        self._scheduled = False
+        self._closed = False
+
+    def post(self, call: Call) -> bool:
+        """Queues a call; returns False, and forgets it, when the queue is full or closed."""
+        with self._lock:
+            if self._closed or len(self._ordered) >= self._capacity:
+                return False
+            self._ordered.append(call)
+            self._schedule()
+            return True
+
+    def post_newest(self, key: str, call: Call) -> None:
+        """Queues a call in place of the one of the same key that has not run yet."""
+        with self._lock:
+            if not self._closed:
+                self._newest[key] = call
+                self._schedule()
+
+    def close(self) -> None:
+        """Forgets what waits and takes nothing more."""
+        with self._lock:
+            self._closed = True
+            self._ordered.clear()
+            self._newest.clear()
+
+    def _schedule(self) -> None:
+        if not self._scheduled:
+            self._scheduled = True
+            self._loop.call_soon_threadsafe(self._drain)
+
+    def _drain(self) -> None:
+        for _ in range(_SLICE):
+            call = self._next()
+            if call is None:
+                return
+            try:
+                call()
+            except Exception as error:
+                self._loop.call_exception_handler({"message": "A bus handler failed", "exception": error})
+        self._loop.call_soon(self._drain)
+
+    def _next(self) -> Call | None:
+        with self._lock:
+            if self._ordered:
+                return self._ordered.popleft()
+            if self._newest:
+                # A dict keeps the place of a replaced value, so every key gets its turn.
+                return self._newest.pop(next(iter(self._newest)))
+            self._scheduled = False
+            return None

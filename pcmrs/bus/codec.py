@@ -1,0 +1,120 @@
+"""Messages as bytes and back: MessagePack, or JSON text where people type it.
+
+A payload whose first non-space byte is ``{`` is JSON text, an empty one is a message without fields, all
+others are MessagePack. The declared encoding is not looked at: command-line tools do not declare any.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Final, TypeVar
+
+import msgpack
+import msgspec
+
+from pcmrs.errors import PayloadError
+from pcmrs.messages import Message
+
+T = TypeVar("T")
+
+MAX_BYTES: Final = 16 * 1024 * 1024
+"""Largest payload of a message whose type does not set its own `max_bytes`."""
+
+_INTEGER_LIMIT: Final = 2**63
+
+
+class Empty(Message, frozen=True, kw_only=True):
+    """A request without fields."""
+
+
+def is_text(payload: bytes) -> bool:
+    """Whether the sender of `payload` writes JSON by hand, and wants to read JSON."""
+    stripped = payload.lstrip()
+    return not stripped or stripped.startswith(b"{")
+
+
+def pack(message: Any) -> bytes:
+    """The message as MessagePack.
+
+    Raises:
+        PayloadError: It holds a value that MessagePack or JSON has no type for.
+    """
+    return _encode(message, msgpack.packb)
+
+
+def pack_text(message: Any) -> bytes:
+    """The message as JSON text.
+
+    Raises:
+        PayloadError: It holds a value that MessagePack or JSON has no type for.
+    """
+    return _encode(message, msgspec.json.encode)
+
+
+def _encode(message: Any, encode: Callable[[Any], bytes]) -> bytes:
+    try:
+        return encode(msgspec.to_builtins(message))
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise PayloadError(
+            f"A {type(message).__name__} cannot be sent: {error}. Use numbers, text, lists and maps only."
+        ) from error
+
+
+def unpack(payload: bytes, kind: type[T]) -> T:
+    """The message of type `kind` that the bytes hold.
+
+    Raises:
+        PayloadError: Too long, neither MessagePack nor JSON, not of `kind`, or with a number that is
+            not finite or has more than 64 bits.
+    """
+    limit = getattr(kind, "max_bytes", MAX_BYTES)
+    if len(payload) > limit:
+        raise PayloadError(f"{len(payload)} bytes are too long: at most {limit}.", length=len(payload), limit=limit)
+    value = _decode(payload)
+    _require_plain(value)
+    return convert(value, kind)
+
+
+def convert(value: Any, kind: type[T]) -> T:
+    """The message of type `kind` that decoded fields hold.
+
+    Raises:
+        PayloadError: They do not fit the type.
+    """
+    try:
+        return msgspec.convert(value, kind)
+    except (msgspec.ValidationError, RecursionError) as error:
+        raise PayloadError(f"Not a {kind.__name__}: {error}.", kind=kind.__name__) from error
+
+
+def _decode(payload: bytes) -> Any:
+    try:
+        if is_text(payload):
+            return msgspec.json.decode(payload) if payload.strip() else {}
+        return msgpack.unpackb(payload)
+    except (ValueError, RecursionError, msgspec.DecodeError, msgpack.UnpackException) as error:
+        # msgpack's FormatError and StackError carry no text.
+        why = str(error) or type(error).__name__
+        raise PayloadError(f"Neither MessagePack nor JSON text: {why}.") from error
+
+
+def _require_plain(value: Any) -> None:
+    """Walks without recursion, since the depth is the sender's choice."""
+    pending = [value]
+    while pending:
+        item = pending.pop()
+        if isinstance(item, dict):
+            if not all(isinstance(key, str) for key in item):
+                raise PayloadError("A map has a key that is no text; use text for keys.")
+            pending.extend(item.values())
+        elif isinstance(item, list):
+            pending.extend(item)
+        elif isinstance(item, float):
+            if not math.isfinite(item):
+                raise PayloadError(f"{item} is not a finite number; send finite numbers only.", value=str(item))
+        elif isinstance(item, int):
+            if not -_INTEGER_LIMIT <= item < _INTEGER_LIMIT:
+                raise PayloadError("An integer has more than 64 bits; send it as text.")
+        elif not isinstance(item, str | bytes | None):
+            raise PayloadError(f"{type(item).__name__} is no type of this bus; use numbers, text, lists and maps.")

@@ -1,0 +1,77 @@
+"""The daemon's edge on the bus: commands to the dispatcher, Stop past everything."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+from pcmrs.bus.envelope import Envelope, command_from, refusal
+from pcmrs.bus.session import Bus
+from pcmrs.bus.stop import StopLane
+from pcmrs.errors import PayloadError, PcmrsError
+from pcmrs.messages import Command, Verdict
+
+_COMMANDS = "cmd/*/*/*"
+
+Submit = Callable[[Command], Awaitable[Verdict]]
+
+
+class CommandEdge:
+    """Answers queries on ``cmd/*/*/*`` with their verdicts and submits what is put there.
+
+    The verdict on a put is for whoever publishes decisions; only a put that is no command at all is
+    refused on ``state/event`` from here. Use `CommandEdge.open`.
+    """
+
+    def __init__(self, bus: Bus, submit: Submit, lane: StopLane) -> None:
+        self._bus = bus
+        self._submit = submit
+        self._lane = lane
+        self._submitted: set[asyncio.Task[Verdict]] = set()
+        bus.serve(_COMMANDS, Envelope, self._answer, refuse=refusal)
+        bus.subscribe(_COMMANDS, Envelope, self._take, refuse=self._refuse)
+
+    @classmethod
+    async def open(cls, bus: Bus, submit: Submit, stop: Callable[[str], None]) -> CommandEdge:
+        """Starts taking commands.
+
+        Args:
+            bus: The daemon's bus.
+            submit: `Dispatcher.submit`.
+            stop: Called in the event loop with the source, such as ``bus:local``; begins to stop before
+                it returns.
+
+        Raises:
+            BusError: The second session, for Stop, cannot be opened.
+        """
+        return cls(bus, submit, await StopLane.open(bus.settings, stop))
+
+    async def close(self) -> None:
+        """Gives up waiting for the verdicts on puts, and closes the lane of Stop; `bus` stays open."""
+        for task in self._submitted:
+            task.cancel()
+        await asyncio.gather(*self._submitted, return_exceptions=True)
+        await self._lane.close()
+
+    async def _answer(self, key: str, envelope: Envelope) -> Verdict:
+        try:
+            command = command_from(key, envelope)
+        except PayloadError as error:
+            return refusal(key, error)
+        return await self._submit(command)
+
+    def _take(self, key: str, envelope: Envelope) -> None:
+        try:
+            command = command_from(key, envelope)
+        except PayloadError as error:
+            self._refuse(key, error)
+        else:
+            self._spawn(command)
+
+    def _spawn(self, command: Command) -> None:
+        task = asyncio.ensure_future(self._submit(command))
+        self._submitted.add(task)
+        task.add_done_callback(self._submitted.discard)
+
+    def _refuse(self, key: str, error: PcmrsError) -> None:
+        self._bus.publish("state/event", refusal(key, error))

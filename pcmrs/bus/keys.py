@@ -1,0 +1,107 @@
+"""The keys of a cell: how they are built and taken apart, and what is found on each.
+
+A key is `pcmrs/<site>/<cell>/` and a relative key such as ``state/fsm``. Everything but the session
+itself works with relative keys.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Literal
+
+from pcmrs.errors import PayloadError
+from pcmrs.messages import Message
+
+_CHUNK = re.compile(r"[a-z0-9][a-z0-9._-]*")
+
+Use = Literal["query", "put or query", "subscribe"]
+
+
+class KeyInfo(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """One row of the key table, as seen by somebody outside the daemon.
+
+    Attributes:
+        key: Relative key; ``<name>`` stands for one chunk.
+        use: What a client does with it.
+        payload: What is sent and, after an arrow, what comes back.
+        text: What it is for.
+    """
+
+    key: str
+    use: Use
+    payload: str
+    text: str
+
+
+class KeyTable(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The answer to ``svc/keys``."""
+
+    prefix: str
+    keys: list[KeyInfo]
+
+
+def _row(key: str, use: Use, payload: str, text: str) -> KeyInfo:
+    return KeyInfo(key=key, use=use, payload=payload, text=text)
+
+
+KEYS = [
+    _row(
+        "cmd/<user>/<branch>/<operation>",
+        "put or query",
+        '{"id"?, "sent"?, "ttl"?, "arguments"?} -> Verdict',
+        "Asks for an operation. A query is answered with the verdict; that of a put appears on state/event.",
+    ),
+    _row("stop/<user>", "put or query", "anything -> Stopping", "Stops every motion and latches."),
+    _row("state/fsm", "subscribe", "Snapshot", "State of all branches after each commit; the last one is kept."),
+    _row("state/event", "subscribe", "Verdict | DeviceEvent", "Decisions and device events as they happen."),
+    _row("state/joints", "subscribe", "JointState", "Measured joints of the arm."),
+    _row("state/pose/<body>", "subscribe", "BodyPose", "Pose of a tracked body in the tracker frame."),
+    _row("svc/snapshot", "query", "nothing -> Snapshot", "The present state, for those who join late."),
+    _row("svc/keys", "query", "nothing -> KeyTable", "This table."),
+    _row("dev/<device>/cmd", "query", "DeviceRequest -> DeviceReply", "Calls a method of a device node; daemon only."),
+    _row("dev/<device>/state", "subscribe", "DeviceHealth", "Whether a device node and its device are well."),
+    _row("dev/<device>/beat", "subscribe", "heartbeat", "Beats of the daemon and of the device node."),
+    _row("alive/<component>", "subscribe", "liveliness token", "Which processes of the cell are connected."),
+]
+
+
+def check_chunk(text: str) -> str:
+    """Returns `text` if it may stand between two slashes of a key.
+
+    Raises:
+        PayloadError: It is empty, has upper case, or characters other than ``a-z 0-9 . _ -``.
+    """
+    if not _CHUNK.fullmatch(text):
+        raise PayloadError(
+            f"'{text}' cannot be a part of a key: use lower-case letters, digits, '.', '_' and '-'.",
+            chunk=text,
+        )
+    return text
+
+
+def cell_prefix(site: str, cell: str) -> str:
+    """The part that all keys of a cell share, without a slash at its end.
+
+    Raises:
+        PayloadError: A name cannot be a part of a key.
+    """
+    return f"pcmrs/{check_chunk(site)}/{check_chunk(cell)}"
+
+
+def command_key(user: str, branch: str, operation: str) -> str:
+    """The relative key on which `user` asks for an operation.
+
+    Raises:
+        PayloadError: A name cannot be a part of a key.
+    """
+    return "/".join(("cmd", *map(check_chunk, (user, branch, operation))))
+
+
+def split_command_key(key: str) -> tuple[str, str, str]:
+    """User, branch and operation of a relative key that matches ``cmd/*/*/*``.
+
+    Raises:
+        PayloadError: A part is no name, such as a wildcard.
+    """
+    user, branch, operation = map(check_chunk, key.split("/")[1:])
+    return user, branch, operation

@@ -1,0 +1,111 @@
+"""Answering requests: each in a task of its own, within the life of its query."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+from typing import Generic, TypeVar
+
+import msgspec
+import zenoh
+
+from pcmrs.bus.bridge import CAPACITY, Call
+from pcmrs.bus.codec import is_text, pack, pack_text, unpack
+from pcmrs.bus.reasons import reason_from
+from pcmrs.errors import PayloadError, PcmrsError, RefusalError
+
+T = TypeVar("T")
+
+Refuse = Callable[[str, PcmrsError], msgspec.Struct]
+"""Makes the reply to a request that never reaches its handler, from its relative key and the error."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Service(Generic[T]):
+    """One served key expression.
+
+    Attributes:
+        key: The relative key expression served.
+        prefix: What stands before relative keys.
+        kind: Type of the requests.
+        handler: Makes the reply from relative key and request.
+        refuse: Makes the reply to a malformed or excess request; None for an error reply.
+        post: Runs a call in the event loop, or returns False when too many wait.
+        tasks: Where running answers are kept.
+        pool: Sends replies, since a link whose queue is full blocks its sender.
+    """
+
+    key: str
+    prefix: str
+    kind: type[T]
+    handler: Callable[[str, T], Awaitable[msgspec.Struct]]
+    refuse: Refuse | None
+    post: Callable[[Call], bool]
+    tasks: set[asyncio.Task[None]]
+    pool: Executor
+
+    def receive(self, query: zenoh.Query) -> None:
+        """Takes a query in Zenoh's thread: on its way into the loop, or refused at once."""
+        key = self._relative(query)
+        if "*" in key:
+            self._send(query, key, PayloadError(f"{key} holds a wildcard; ask on one key.", key=key))
+        elif not self.post(partial(self._start, query, key)):
+            busy = RefusalError("busy", f"More than {CAPACITY} requests wait; ask again later.", limit=CAPACITY)
+            self._send(query, key, self._refusal(key, busy))
+
+    def _relative(self, query: zenoh.Query) -> str:
+        """A query with wildcards, such as ``svc/*``, means the served key when that has none."""
+        return str(query.key_expr).removeprefix(f"{self.prefix}/") if "*" in self.key else self.key
+
+    def _start(self, query: zenoh.Query, key: str) -> None:
+        task = asyncio.create_task(self._answer(query, key))
+        self.tasks.add(task)
+        task.add_done_callback(self.tasks.discard)
+
+    async def _answer(self, query: zenoh.Query, key: str) -> None:
+        try:
+            reply = await self._reply(payload_of(query), key)
+        except asyncio.CancelledError:
+            # Dropped without a reply: the asker learns that the outcome is unknown.
+            with query:
+                raise
+        await asyncio.get_running_loop().run_in_executor(self.pool, self._send, query, key, reply)
+
+    async def _reply(self, payload: bytes, key: str) -> msgspec.Struct | PcmrsError:
+        try:
+            message = unpack(payload, self.kind)
+        except PayloadError as error:
+            return self._refusal(key, error)
+        try:
+            return await self.handler(key, message)
+        except PcmrsError as error:
+            return error
+        except Exception as error:
+            _log.exception("The handler of %s failed", key)
+            return PcmrsError(f"{key} failed with {type(error).__name__}: {error}. See the log of its process.")
+
+    def _refusal(self, key: str, error: PcmrsError) -> msgspec.Struct | PcmrsError:
+        return error if self.refuse is None else self.refuse(key, error)
+
+    def _send(self, query: zenoh.Query, key: str, reply: msgspec.Struct | PcmrsError) -> None:
+        encode = pack_text if is_text(payload_of(query)) else pack
+        with query:
+            try:
+                if not isinstance(reply, PcmrsError):
+                    query.reply(f"{self.prefix}/{key}", encode(reply))
+                    return
+            except PayloadError as error:
+                _log.exception("The reply of %s cannot be sent", key)
+                reply = error
+            query.reply_err(encode(reason_from(reply)))
+
+
+def payload_of(received: zenoh.Query | zenoh.Sample) -> bytes:
+    """The bytes of a query or sample; none at all is an empty payload."""
+    return received.payload.to_bytes() if received.payload is not None else b""

@@ -1,0 +1,190 @@
+"""The bus of one process: publish, subscribe, serve, request, in the event loop and never blocking it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any, TypeVar
+
+import msgspec
+import zenoh
+from zenoh import Locality, ext
+
+from pcmrs.bus.asking import ask
+from pcmrs.bus.bridge import Bridge
+from pcmrs.bus.codec import pack, unpack
+from pcmrs.bus.declare import declare_publisher, declare_subscriber
+from pcmrs.bus.keys import cell_prefix
+from pcmrs.bus.qos import class_of
+from pcmrs.bus.serving import Refuse, Service, payload_of
+from pcmrs.bus.settings import BusSettings, open_session
+from pcmrs.errors import PayloadError, PcmrsError
+
+T = TypeVar("T")
+
+_log = logging.getLogger(__name__)
+
+
+class Bus:
+    """One process on the bus of a cell. Keys are relative to the cell, such as ``state/joints``.
+
+    A process does not hear itself: its own messages and requests reach other processes only.
+    Use `Bus.open`; all methods belong to the event loop that opened it.
+    """
+
+    def __init__(self, session: zenoh.Session, settings: BusSettings) -> None:
+        self.settings = settings
+        self.prefix = cell_prefix(settings.site, settings.cell)
+        self._session = session
+        self._loop = asyncio.get_running_loop()
+        self._bridge = Bridge(self._loop)
+        self._pool = ThreadPoolExecutor(4, thread_name_prefix="pcmrs-bus")
+        self._publishers: dict[str, zenoh.Publisher | ext.AdvancedPublisher] = {}
+        self._receivers: list[Any] = []
+        self._tokens: list[zenoh.LivelinessToken] = []
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @classmethod
+    async def open(cls, settings: BusSettings) -> Bus:
+        """Opens the session.
+
+        Raises:
+            BusError: The endpoint is taken (``router``) or nobody answers there (``client``).
+            PayloadError: The site's or cell's name cannot be a part of a key.
+        """
+        cell_prefix(settings.site, settings.cell)
+        session = await asyncio.get_running_loop().run_in_executor(None, open_session, settings)
+        return cls(session, settings)
+
+    def publish(self, key: str, message: Any) -> None:
+        """Sends a message to all subscribers of `key`; drops it rather than wait for the link.
+
+        Raises:
+            PayloadError: The message holds a value that cannot be sent.
+        """
+        if key not in self._publishers:
+            self._publishers[key] = declare_publisher(self._session, self._absolute(key), class_of(key))
+        self._publishers[key].put(pack(message))
+
+    def subscribe(
+        self,
+        key: str,
+        kind: type[T],
+        handler: Callable[[str, T], None],
+        refuse: Callable[[str, PcmrsError], object] | None = None,
+    ) -> None:
+        """Calls `handler(relative key, message)` for every message on the key expression `key`.
+
+        Of streams only the newest unread message per key is delivered; see `qos.DataClass`.
+
+        Args:
+            key: Relative key expression; may hold wildcards.
+            kind: Type of the messages; an empty payload is one without fields.
+            handler: Runs in the event loop and returns soon.
+            refuse: Called in place of `handler` for a malformed message; without it, that is logged.
+        """
+        data = class_of(key)
+
+        def deliver(sample: zenoh.Sample) -> None:
+            received = str(sample.key_expr).removeprefix(f"{self.prefix}/")
+            try:
+                message = unpack(payload_of(sample), kind)
+            except PayloadError as error:
+                (refuse or _log_refusal)(received, error)
+            else:
+                handler(received, message)
+
+        def receive(sample: zenoh.Sample) -> None:
+            call = partial(deliver, sample)
+            if data.newest_only:
+                self._bridge.post_newest(str(sample.key_expr), call)
+            elif not self._bridge.post(call):
+                _log.warning("Dropped a message on %s: too many wait", sample.key_expr)
+
+        self._receivers.append(declare_subscriber(self._session, self._absolute(key), data, receive))
+
+    def serve(
+        self,
+        key: str,
+        kind: type[T],
+        handler: Callable[[str, T], Awaitable[msgspec.Struct]],
+        refuse: Refuse | None = None,
+    ) -> None:
+        """Answers requests on the key expression `key`, each in a task of its own.
+
+        A request in JSON text, or without payload, is answered in JSON text. A `PcmrsError` from `handler`
+        becomes an error reply, which `request` raises at the other end.
+
+        Args:
+            key: Relative key expression; may hold wildcards.
+            kind: Type of the requests.
+            handler: Makes the reply from relative key and request.
+            refuse: Makes the reply to a request that is malformed or one too many; without it, that is an
+                error reply. It may run in any thread.
+        """
+        service = Service(
+            key=key,
+            prefix=self.prefix,
+            kind=kind,
+            handler=handler,
+            refuse=refuse,
+            post=self._bridge.post,
+            tasks=self._tasks,
+            pool=self._pool,
+        )
+        queryable = self._session.declare_queryable(
+            self._absolute(key), service.receive, allowed_origin=Locality.REMOTE
+        )
+        self._receivers.append(queryable)
+
+    async def request(self, key: str, message: Any, reply: type[T], timeout: float) -> T:
+        """Asks the process that serves `key`, and returns its reply.
+
+        Args:
+            key: Relative key.
+            message: The request.
+            reply: Type of the reply.
+            timeout: Seconds of the machine.
+
+        Raises:
+            UnknownOutcomeError: Nobody answered in time, or the answering process ended before it did.
+            DeviceError: It answered with an error; field ``reason`` holds its code.
+            PayloadError: The request cannot be sent, or the reply is no `reply`.
+        """
+        answer = await ask(self._session, self._pool, self._absolute(key), pack(message), timeout)
+        return unpack(answer, reply)
+
+    def alive(self, component: str) -> Any:
+        """Declares a liveliness token, ``alive/<component>``, that lasts as long as this session."""
+        token = self._session.liveliness().declare_token(self._absolute(f"alive/{component}"))
+        self._tokens.append(token)
+        return token
+
+    async def close(self) -> None:
+        """Ends running answers (their askers learn: unknown), then undeclares everything and closes."""
+        self._bridge.close()
+        await self._in_pool(_undeclare, self._receivers)
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._in_pool(_undeclare, [*self._tokens, *self._publishers.values()])
+        await self._in_pool(self._session.close)
+        self._pool.shutdown()
+
+    def _absolute(self, key: str) -> str:
+        return f"{self.prefix}/{key}"
+
+    async def _in_pool(self, work: Callable[..., None], *arguments: Any) -> None:
+        await self._loop.run_in_executor(self._pool, work, *arguments)
+
+
+def _undeclare(entities: list[Any]) -> None:
+    for entity in entities:
+        entity.undeclare()
+
+
+def _log_refusal(key: str, error: PcmrsError) -> None:
+    _log.warning("Ignored a message on %s: %s", key, error.text)

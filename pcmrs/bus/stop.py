@@ -1,0 +1,91 @@
+"""The lane of Stop: a Zenoh session of its own, so that no other traffic is ahead of it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import msgspec
+import zenoh
+
+from pcmrs.bus.codec import is_text, pack, pack_text
+from pcmrs.bus.keys import cell_prefix
+from pcmrs.bus.serving import payload_of
+from pcmrs.bus.settings import BusSettings, open_session
+from pcmrs.messages import Message
+
+
+class Stopping(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The answer to a query on ``stop/<user>``: the daemon has begun to stop for `source`."""
+
+    source: str
+
+
+class StopLane:
+    """Calls `stop(source)` for every put and query on ``stop/<user>``, whatever its payload.
+
+    Zenoh's thread hands the call straight to the loop, past the queue of the other messages. Use
+    `StopLane.open`.
+    """
+
+    def __init__(self, session: zenoh.Session, prefix: str, stop: Callable[[str], None]) -> None:
+        self._session: Any = session
+        self._prefix = prefix
+        self._stop = stop
+        self._loop = asyncio.get_running_loop()
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="pcmrs-stop")
+        self._receivers: tuple[Any, ...] = (
+            session.declare_queryable(f"{prefix}/stop/*", self._on_query),
+            session.declare_subscriber(f"{prefix}/stop/*", self._on_put),
+        )
+
+    @classmethod
+    async def open(cls, settings: BusSettings, stop: Callable[[str], None]) -> StopLane:
+        """Opens the lane as a client of the router that `settings` names.
+
+        Raises:
+            BusError: No router answers.
+        """
+        own = msgspec.structs.replace(settings, mode="client")
+        session = await asyncio.get_running_loop().run_in_executor(None, open_session, own)
+        return cls(session, cell_prefix(settings.site, settings.cell), stop)
+
+    async def close(self) -> None:
+        """Takes no more stops and closes the session."""
+        await self._loop.run_in_executor(self._pool, self._close)
+        self._pool.shutdown()
+
+    def _close(self) -> None:
+        for receiver in self._receivers:
+            receiver.undeclare()
+        self._session.close()
+
+    def _on_put(self, sample: zenoh.Sample) -> None:
+        self._loop.call_soon_threadsafe(self._stop, self._source(str(sample.key_expr)))
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        key = str(query.key_expr)
+        if "*" in key:
+            # Somebody looks around, nobody asks for Stop.
+            with query:
+                return
+        self._loop.call_soon_threadsafe(self._answer, query, self._source(key))
+
+    def _answer(self, query: zenoh.Query, source: str) -> None:
+        try:
+            self._stop(source)
+        except BaseException:
+            with query:
+                raise
+        self._loop.run_in_executor(self._pool, _reply, query, Stopping(source=source))
+
+    def _source(self, key: str) -> str:
+        return f"bus:{key.removeprefix(f'{self._prefix}/stop/')}"
+
+
+def _reply(query: zenoh.Query, stopping: Stopping) -> None:
+    encode = pack_text if is_text(payload_of(query)) else pack
+    with query:
+        query.reply(query.key_expr, encode(stopping))

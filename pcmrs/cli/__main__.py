@@ -1,0 +1,5 @@
+"""``python -m pcmrs.cli``."""
+
+from pcmrs.cli import main
+
+main()

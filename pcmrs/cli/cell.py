@@ -1,0 +1,155 @@
+"""Commands on a running cell: call, state, watch, keys, stop."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import click
+import msgspec
+from rich.console import Console
+from rich.table import Table
+
+from pcmrs.bus.keys import KeyTable
+from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
+from pcmrs.client import Event
+from pcmrs.errors import PayloadError
+from pcmrs.messages import DeviceEvent, Snapshot, Verdict
+
+STATUS = {"accepted": 0, "rejected": EXIT_REJECTED, "failed": EXIT_FAILED, "unknown": EXIT_FAILED}
+
+
+@click.command()
+@click.argument("operation", metavar="BRANCH.OPERATION")
+@click.argument("arguments", metavar="[JSON]", default="{}")
+@json_option
+@address_options
+@readable_errors
+def call(operation: str, arguments: str, as_json: bool, endpoint: str, site: str, cell: str) -> None:
+    """Ask for an operation and print the verdict.
+
+    Exit status: 0 accepted, 1 rejected, 2 failed or unknown, 3 no daemon.
+
+    Example: pcmrs call digitization.digitize_one '{"index": 0}'
+    """
+    verdict = run(_call(Address(endpoint, site, cell), operation, _arguments(arguments)))
+    click.echo(_json(verdict) if as_json else _line(verdict))
+    if verdict.decision != "accepted" and verdict.allowed and not as_json:
+        click.echo(f"  allowed now: {', '.join(verdict.allowed)}")
+    sys.exit(STATUS[verdict.decision])
+
+
+@click.command()
+@json_option
+@address_options
+@readable_errors
+def state(as_json: bool, endpoint: str, site: str, cell: str) -> None:
+    """Print the state of all branches, the flags and what is running."""
+    snapshot = run(_state(Address(endpoint, site, cell)))
+    if as_json:
+        click.echo(_json(snapshot))
+    else:
+        _print_snapshot(snapshot)
+
+
+@click.command()
+@json_option
+@address_options
+@readable_errors
+def watch(as_json: bool, endpoint: str, site: str, cell: str) -> None:
+    """Print states, decisions and device events as they happen, until interrupted."""
+    run(_watch(Address(endpoint, site, cell), as_json=as_json))
+
+
+@click.command()
+@json_option
+@address_options
+@readable_errors
+def keys(as_json: bool, endpoint: str, site: str, cell: str) -> None:
+    """List what can be published and subscribed, with payloads."""
+    table = run(_keys(Address(endpoint, site, cell)))
+    if as_json:
+        click.echo(_json(table))
+        return
+    shown = Table("key", "use", "payload", "what for", title=f"below {table.prefix}/", title_justify="left")
+    for row in table.keys:
+        shown.add_row(row.key, row.use, row.payload, row.text)
+    Console().print(shown)
+
+
+@click.command()
+@address_options
+@readable_errors
+def stop(endpoint: str, site: str, cell: str) -> None:
+    """Stop every motion and latch; robot.acknowledge releases the latch."""
+    run(_stop(Address(endpoint, site, cell)))
+    click.echo("stopped; release with: pcmrs call robot.acknowledge")
+
+
+async def _call(address: Address, operation: str, arguments: dict[str, Any]) -> Verdict:
+    async with address.connect() as client:
+        return await client.call(operation, arguments)
+
+
+async def _state(address: Address) -> Snapshot:
+    async with address.connect() as client:
+        return await client.state()
+
+
+async def _watch(address: Address, *, as_json: bool) -> None:
+    async with address.connect() as client:
+        async for event in client.watch():
+            click.echo(_json(event) if as_json else _line(event))
+
+
+async def _keys(address: Address) -> KeyTable:
+    async with address.connect() as client:
+        return await client.keys()
+
+
+async def _stop(address: Address) -> None:
+    async with address.connect() as client:
+        await client.stop()
+
+
+def _arguments(text: str) -> dict[str, Any]:
+    try:
+        arguments = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise PayloadError(f"The arguments are not JSON: {error}.") from None
+    if not isinstance(arguments, dict):
+        raise PayloadError('The arguments must be a JSON object, such as {"index": 0}.')
+    return arguments
+
+
+def _json(message: msgspec.Struct) -> str:
+    return msgspec.json.encode(message).decode()
+
+
+def _line(event: Event) -> str:
+    if isinstance(event, Snapshot):
+        states = " ".join(f"{branch}={state}" for branch, state in event.branches.items())
+        running = "".join(f" running {r.branch}.{r.operation} {r.progress:.0%}" for r in event.running)
+        return f"#{event.sequence} {states}{running}{' LATCHED' if event.latched else ''}"
+    if isinstance(event, DeviceEvent):
+        return f"{event.device}: {event.code}: {event.text}"
+    said = f"{event.decision}: {event.branch}.{event.operation}, {event.branch} is in {event.state or '?'}"
+    if event.reason is not None:
+        said += f": {event.reason.code}: {event.reason.text}"
+    return said + (f" {json.dumps(event.result)}" if event.result else "")
+
+
+def _print_snapshot(snapshot: Snapshot) -> None:
+    table = Table("branch", "state", title=f"{snapshot.blueprint.id} {snapshot.blueprint.version}", title_justify="left")
+    for branch, name in snapshot.branches.items():
+        table.add_row(branch, name)
+    console = Console()
+    console.print(table)
+    raised = [flag for flag, value in snapshot.flags.items() if value]
+    console.print(f"flags: {', '.join(raised) or 'none'}; sequence {snapshot.sequence}")
+    for running in snapshot.running:
+        console.print(f"running: {running.branch}.{running.operation} {running.progress:.0%}")
+    if snapshot.latched:
+        console.print("latched by Stop: release with pcmrs call robot.acknowledge")

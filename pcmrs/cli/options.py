@@ -1,0 +1,71 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from pcmrs.client import Client
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Which cell a command is about."""
+
+    endpoint: str
+    site: str
+    cell: str
+
+    @asynccontextmanager
+    async def connect(self) -> AsyncIterator[Client]:
+        """A client of the running daemon. Raises `BusError` when there is none."""
+        async with Client.connect(self.endpoint, self.site, self.cell) as client:
+            yield client
+
+
+def address_options(function: F) -> F:
+    """Adds --endpoint, --site and --cell; the command gets an `Address` from them by `address_of`."""
+    for option in (
+        click.option("--cell", default="cell1", envvar="PCMRS_CELL", show_default=True, help="Name of the cell."),
+        click.option("--site", default="lab", envvar="PCMRS_SITE", show_default=True, help="Site of the cell."),
+        click.option(
+            "--endpoint",
+            default="tcp/127.0.0.1:7447",
+            envvar="PCMRS_ENDPOINT",
+            show_default=True,
+            help="Where the daemon's bus listens.",
+        ),
+    ):
+        function = option(function)
+    return function
+
+
+def config_options(function: F) -> F:
+    """Adds --config and --set."""
+    for option in (
+        click.option(
+            "--set",
+            "overrides",
+            multiple=True,
+            metavar="KEY=VALUE",
+            help="Sets one value, such as robot.model=iiwa7; may be repeated.",
+        ),
+        click.option(
+            "--config",
+            "file",
+            type=click.Path(path_type=Path),
+            help="TOML file with what differs from the defaults.",
+        ),
+    ):
+        function = option(function)
+    return function
+
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")

@@ -1,0 +1,57 @@
+"""How every command runs: in uvloop, with errors as one readable line and an exit status."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import sys
+from collections.abc import Callable, Coroutine
+from typing import Any, NoReturn, ParamSpec, TypeVar
+
+import click
+
+from pcmrs.errors import BlueprintError, BusError, ConfigurationError, JournalError, PcmrsError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+EXIT_REJECTED = 1
+EXIT_FAILED = 2
+EXIT_NO_DAEMON = 3
+EXIT_BAD_CONFIGURATION = 4
+
+STATUS: list[tuple[type[PcmrsError], int]] = [
+    (BusError, EXIT_NO_DAEMON),
+    (ConfigurationError, EXIT_BAD_CONFIGURATION),
+    (BlueprintError, EXIT_BAD_CONFIGURATION),
+    (JournalError, EXIT_FAILED),
+]
+
+
+def run(work: Coroutine[Any, Any, T]) -> T:
+    """Runs `work` in an event loop of its own."""
+    import uvloop  # not needed by those who only ask for help
+
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        return runner.run(work)
+
+
+def readable_errors(function: Callable[P, T]) -> Callable[P, T]:
+    """A command whose errors end in a line on standard error and an exit status, never in a traceback."""
+
+    @functools.wraps(function)
+    def command(*args: P.args, **kwargs: P.kwargs) -> T:
+        try:
+            return function(*args, **kwargs)
+        except PcmrsError as error:
+            fail(error)
+        except KeyboardInterrupt:
+            sys.exit(130)
+
+    return command
+
+
+def fail(error: PcmrsError) -> NoReturn:
+    """Ends the process with the error's text and status."""
+    click.echo(f"{click.get_current_context().command_path}: {error.text}", err=True)
+    sys.exit(next((status for kind, status in STATUS if isinstance(error, kind)), EXIT_FAILED))

@@ -1,0 +1,92 @@
+"""`pcmrs-serve`: the daemon of one cell; and the device nodes that it starts."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import signal
+import sys
+from pathlib import Path
+
+import click
+import msgspec
+import structlog
+
+from pcmrs.cli.options import config_options
+from pcmrs.cli.running import readable_errors, run
+from pcmrs.errors import ConfigurationError
+
+
+@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@config_options
+@click.option("--verbose", is_flag=True, help="Log every detail.")
+@readable_errors
+def serve(file: Path | None, overrides: tuple[str, ...], verbose: bool) -> None:
+    """Run the daemon of one cell: by default robotic TMS on the simulated cell.
+
+    Ends on SIGINT and SIGTERM; a running motion is held first. Exit status: 0 ended as told,
+    2 failed, 3 the bus cannot be opened (another daemon listens there), 4 bad configuration.
+    """
+    from pcmrs.settings import read_settings
+
+    _log_to_stderr(verbose=verbose)
+    run(_serve(read_settings(file, overrides)))
+
+
+@click.command(hidden=True)
+@click.argument("driver")
+@click.argument("devices", nargs=-1, required=True)
+@config_options
+@readable_errors
+def node(driver: str, devices: tuple[str, ...], file: Path | None, overrides: tuple[str, ...]) -> None:
+    """Serve DEVICES with DRIVER for a daemon.
+
+    Without --config and --set the configuration is read from standard input, as one line of JSON, and
+    the node ends when standard input ends.
+    """
+    from pcmrs.node import serve_devices
+    from pcmrs.settings import Settings, read_settings
+
+    _log_to_stderr(verbose=False)
+    lifeline = file is None and not overrides
+    try:
+        from_daemon = msgspec.json.decode(sys.stdin.buffer.readline(), type=Settings) if lifeline else None
+    except msgspec.MsgspecError as error:
+        raise ConfigurationError(f"Standard input is no configuration: {error}.") from None
+    settings = from_daemon or read_settings(file, overrides)
+    run(serve_devices(settings, driver, devices, lifeline=lifeline))
+
+
+async def _serve(settings: "Settings") -> None:  # noqa: F821, UP037
+    from pcmrs.service import Daemon
+
+    loop, ended = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, ended.set)
+    async with Daemon(settings).running() as ready:
+        faster = f", {ready.rate:g} times as fast as real time" if ready.rate != 1.0 else ""
+        click.echo(f"pcmrs-serve: {ready.workflow}{faster}. Research software, not a medical device.")
+        click.echo(f"  bus      {ready.endpoint}, keys {ready.prefix}/** (see: pcmrs keys)")
+        for name, (host, port) in ready.links.items():
+            click.echo(f"  {name:<14} {'tcp' if name == 'tcp' else 'udp'} {host}:{port}")
+        click.echo(f"  journal  {ready.folder / 'journal.sqlite'}")
+        click.echo("ready")
+        sys.stdout.flush()
+        await ended.wait()
+        click.echo("ending: motion is held first")
+    click.echo("ended")
+
+
+def _log_to_stderr(*, verbose: bool) -> None:
+    level = logging.DEBUG if verbose else logging.INFO
+    structlog.configure(
+        wrapper_class=structlog.make_filtering_bound_logger(level),
+        processors=[
+            structlog.contextvars.merge_contextvars,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso"),
+            structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty()),
+        ],
+        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
+    )
+    logging.basicConfig(level=level, stream=sys.stderr)

@@ -1,0 +1,145 @@
+"""The asyncio client of a running cell, as the command line, the demo and tests use it.
+
+async with Client.connect() as cell:
+    verdict = await cell.call("registration.reinit")
+"""
+
+from __future__ import annotations
+
+import asyncio
+import uuid
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
+from typing import Any
+
+from pcmrs.bus import DEFAULT_ENDPOINT, Bus, BusSettings, Empty
+from pcmrs.bus.codec import convert
+from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.keys import command_key
+from pcmrs.bus.stop import Stopping
+from pcmrs.clock import SystemClock
+from pcmrs.errors import BusError, DeviceError, PayloadError, UnknownOutcomeError
+from pcmrs.messages import DeviceEvent, DeviceReply, DeviceRequest, Snapshot, Verdict
+
+Event = Snapshot | Verdict | DeviceEvent
+
+_TTL = 5.0
+"""Seconds after which a command that was held up on its way is refused, not run late."""
+
+
+class Client:
+    """A connection to the daemon of one cell. Use `Client.connect`."""
+
+    def __init__(self, bus: Bus, user: str) -> None:
+        self._bus = bus
+        self._user = user
+        self._clock = SystemClock()
+
+    @classmethod
+    @asynccontextmanager
+    async def connect(
+        cls, endpoint: str = DEFAULT_ENDPOINT, site: str = "lab", cell: str = "cell1", user: str = "local"
+    ) -> AsyncIterator[Client]:
+        """Connects for the length of the ``async with`` block.
+
+        Args:
+            endpoint: Where the daemon's bus listens.
+            site: First name of the cell.
+            cell: Second name of the cell.
+            user: Who asks; the daemon journals it as ``bus:<user>``.
+
+        Raises:
+            BusError: No daemon of this cell answers there.
+        """
+        bus = await Bus.open(BusSettings(endpoint=endpoint, site=site, cell=cell))
+        try:
+            client = cls(bus, user)
+            await client._greet()
+            yield client
+        finally:
+            await bus.close()
+
+    async def call(
+        self,
+        name: str,
+        arguments: Mapping[str, Any] | None = None,
+        *,
+        id: str | None = None,
+        timeout: float = 600.0,
+    ) -> Verdict:
+        """Asks for an operation and waits for its outcome.
+
+        Args:
+            name: ``branch.operation``.
+            arguments: Of the operation.
+            id: Of the command; give the same one again to learn the verdict of an earlier call.
+            timeout: Seconds; a daemon that ends is noticed at once, one that hangs within a second.
+
+        Raises:
+            UnknownOutcomeError: The daemon fell silent before it answered.
+            PayloadError: The name is no ``branch.operation``, or an argument cannot be sent.
+        """
+        branch, dot, operation = name.partition(".")
+        if not dot:
+            raise PayloadError(f"'{name}' is no operation: write branch.operation.", name=name)
+        envelope = Envelope(
+            id=id or uuid.uuid4().hex, sent=self._clock.wall(), ttl=_TTL, arguments=dict(arguments or {})
+        )
+        return await self._bus.request(command_key(self._user, branch, operation), envelope, Verdict, timeout)
+
+    async def state(self, timeout: float = 1.5) -> Snapshot:
+        """The present state of all branches.
+
+        Raises:
+            UnknownOutcomeError: The daemon did not answer within `timeout` (s).
+        """
+        return await self._bus.request("svc/snapshot", Empty(), Snapshot, timeout)
+
+    async def stop(self, timeout: float = 1.5) -> None:
+        """Stops every motion: told to all listeners at once, and returns when the daemon has begun.
+
+        Raises:
+            UnknownOutcomeError: The daemon did not answer within `timeout` (s).
+        """
+        key = f"stop/{self._user}"
+        self._bus.publish(key, Empty())
+        await self._bus.request(key, Empty(), Stopping, timeout)
+
+    async def watch(self) -> AsyncIterator[Event]:
+        """Yields the last snapshot, then snapshots, verdicts and device events as they come; never ends."""
+        events: asyncio.Queue[Event] = asyncio.Queue()
+        self._bus.subscribe("state/fsm", Snapshot, lambda _, snapshot: events.put_nowait(snapshot))
+        self._bus.subscribe("state/event", dict, lambda _, fields: events.put_nowait(_event(fields)))
+        while True:
+            yield await events.get()
+
+    async def request_device(
+        self, device: str, method: str, arguments: Mapping[str, Any] | None = None, timeout: float = 5.0
+    ) -> Any:
+        """Calls a method of a device node, past the daemon; for the devices of a simulation.
+
+        Raises:
+            UnknownOutcomeError: The node did not answer within `timeout` (s).
+            DeviceError: It answered with a failure; field ``reason`` holds its code.
+        """
+        request = DeviceRequest(method=method, arguments=dict(arguments or {}))
+        reply = await self._bus.request(f"dev/{device}/cmd", request, DeviceReply, timeout)
+        if reply.failure is not None:
+            raise DeviceError(reply.failure.text, reason=reply.failure.code, values=reply.failure.fields)
+        return reply.result
+
+    async def _greet(self) -> None:
+        try:
+            await self.state()
+        except UnknownOutcomeError as error:
+            settings = self._bus.settings
+            raise BusError(
+                f"The router at {settings.endpoint} has no daemon of cell {self._bus.prefix}: "
+                "check site and cell, or wait until it has started.",
+                endpoint=settings.endpoint,
+                cell=self._bus.prefix,
+            ) from error
+
+
+def _event(fields: dict[str, Any]) -> Verdict | DeviceEvent:
+    return convert(fields, Verdict) if "decision" in fields else convert(fields, DeviceEvent)

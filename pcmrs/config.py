@@ -1,0 +1,71 @@
+"""Typed configuration: defaults in code, a TOML file over them, single values over that."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from pcmrs.errors import ConfigurationError
+
+S = TypeVar("S", bound=msgspec.Struct)
+
+
+def read_config(kind: type[S], file: Path | None = None, overrides: Sequence[str] = ()) -> S:
+    """Reads a configuration.
+
+    Args:
+        kind: Type of the whole configuration; it holds the defaults.
+        file: TOML file with what differs from the defaults.
+        overrides: ``key=value`` each, such as ``robot.model=iiwa7``; the value is TOML, or plain text.
+
+    Raises:
+        ConfigurationError: The file cannot be read, or a key is unknown, or a value has the wrong type or
+            range; the text says which.
+    """
+    values = _read_file(file) if file is not None else {}
+    for override in overrides:
+        _set(values, override)
+    try:
+        return msgspec.convert(values, kind)
+    except msgspec.ValidationError as error:
+        raise ConfigurationError(f"The configuration is wrong: {error}.") from None
+
+
+def _read_file(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_text())
+    except OSError as error:
+        raise ConfigurationError(f"{file} cannot be read: {error.strerror}.", file=str(file)) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{file} is not TOML: {error}.", file=str(file)) from None
+
+
+def _set(values: dict[str, Any], override: str) -> None:
+    path, equals, text = override.partition("=")
+    if not equals or not all(path.split(".")):
+        text = f"{override!r} is not of the form key=value, such as robot.model=iiwa7."
+        raise ConfigurationError(text, override=override)
+    *tables, key = path.split(".")
+    for table in tables:
+        inner = values.setdefault(table, {})
+        if not isinstance(inner, dict):
+            raise ConfigurationError(f"{path}: {table} is a value, not a table.", override=override)
+        values = inner
+    values[key] = _value(text)
+
+
+def _value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def as_table(config: msgspec.Struct) -> Mapping[str, Any]:
+    """The configuration as plain data, as files and drivers read it."""
+    table: dict[str, Any] = msgspec.to_builtins(config)
+    return table

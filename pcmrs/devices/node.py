@@ -1,0 +1,136 @@
+"""A device node: serves devices on the bus, and stops the robot by itself when nobody else can."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from typing import Any, get_type_hints
+
+import msgspec
+import structlog
+
+from pcmrs.clock import SystemClock
+from pcmrs.devices.link import Link
+from pcmrs.devices.protocols import Pointer, Robot, RobotDriver, Scene, TrackerDriver
+from pcmrs.errors import PayloadError, PcmrsError
+from pcmrs.messages import Beat, DeviceHealth, DeviceReply, DeviceRequest, Reason
+
+log = structlog.get_logger(__name__)
+
+PROTOCOLS: dict[str, type] = {"robot": Robot, "pointer": Pointer, "scene": Scene}
+
+BEAT_PERIOD = 0.05
+"""Seconds of the machine between heartbeats."""
+
+BEAT_TIMEOUT = 0.5
+"""A robot in motion is held when no heartbeat of the daemon has come for so long, s of the machine."""
+
+
+class DeviceNode:
+    """Serves the opened devices of one driver.
+
+    Args:
+        link: The bus.
+        devices: Device name to device, as the driver has opened them.
+    """
+
+    def __init__(self, link: Link, devices: Mapping[str, Any]) -> None:
+        self._link = link
+        self._devices = devices
+        self._real = SystemClock()
+        self._last_beat = self._real.monotonic()
+        self._moving = False
+        self._holds: set[asyncio.Task[None]] = set()
+
+    async def run(self) -> None:
+        """Serves until cancelled."""
+        for name, device in self._devices.items():
+            if name in PROTOCOLS:
+                self._serve(name, device)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._beat())
+            if "tracker" in self._devices:
+                tasks.create_task(self._publish_frames(self._devices["tracker"]))
+            if "robot" in self._devices:
+                robot: RobotDriver = self._devices["robot"]
+                self._link.subscribe("dev/robot/beat", Beat, self._hear_beat)
+                tasks.create_task(self._publish_joints(robot))
+                tasks.create_task(self._watch_beat(robot))
+
+    def stop(self, source: str) -> None:
+        """Holds the robot at once, whatever the daemon does; called on the lane of Stop."""
+        if "robot" in self._devices:
+            self._hold(self._devices["robot"], f"stop by {source}")
+
+    def _serve(self, name: str, device: Any) -> None:
+        methods = {method: get_type_hints(getattr(PROTOCOLS[name], method)) for method in _methods(PROTOCOLS[name])}
+
+        async def answer(_key: str, request: DeviceRequest) -> DeviceReply:
+            try:
+                result = await _call(device, methods, request)
+            except PcmrsError as error:
+                return DeviceReply(failure=Reason(code=error.code, text=error.text, fields=error.fields))
+            return DeviceReply(result=msgspec.to_builtins(result))
+
+        self._link.serve(f"dev/{name}/cmd", DeviceRequest, answer)
+
+    async def _beat(self) -> None:
+        number = 0
+        while True:
+            number += 1
+            for name in self._devices:
+                self._link.publish(f"dev/{name}/beat", Beat(number=number))
+                if number % 20 == 1:
+                    self._link.publish(f"dev/{name}/state", DeviceHealth(device=name, connected=True))
+            await self._real.sleep(BEAT_PERIOD)
+
+    async def _publish_frames(self, tracker: TrackerDriver) -> None:
+        async for frame in tracker.frames():
+            for pose in frame:
+                self._link.publish(f"state/pose/{pose.body}", pose)
+
+    async def _publish_joints(self, robot: RobotDriver) -> None:
+        async for state in robot.states():
+            self._moving = state.moving
+            self._link.publish("state/joints", state)
+
+    def _hear_beat(self, _key: str, _beat: Beat) -> None:
+        self._last_beat = self._real.monotonic()
+
+    async def _watch_beat(self, robot: RobotDriver) -> None:
+        while True:
+            await self._real.sleep(BEAT_PERIOD)
+            silence = self._real.monotonic() - self._last_beat
+            if self._moving and silence > BEAT_TIMEOUT:
+                log.warning("held_by_node", reason="no heartbeat of the daemon", silence=round(silence, 3))
+                self._hold(robot, "no heartbeat")
+                self._last_beat = self._real.monotonic()
+
+    def _hold(self, robot: Robot, why: str) -> None:
+        async def hold() -> None:
+            try:
+                await robot.hold()
+            except PcmrsError as error:
+                log.warning("hold_failed", why=why, reason=error.text)
+
+        task = asyncio.get_running_loop().create_task(hold())
+        self._holds.add(task)
+        task.add_done_callback(self._holds.discard)
+
+
+def _methods(protocol: type) -> list[str]:
+    return [name for name, value in vars(protocol).items() if callable(value) and not name.startswith("_")]
+
+
+async def _call(device: Any, methods: dict[str, dict[str, Any]], request: DeviceRequest) -> Any:
+    hints = methods.get(request.method)
+    if hints is None:
+        raise PayloadError(f"There is no method {request.method!r}; there are {', '.join(methods)}.")
+    wanted = {name: kind for name, kind in hints.items() if name != "return"}
+    if set(request.arguments) != set(wanted):
+        raise PayloadError(f"{request.method} takes {list(wanted)}, not {list(request.arguments)}.")
+    try:
+        arguments = {name: msgspec.convert(request.arguments[name], kind) for name, kind in wanted.items()}
+    except msgspec.ValidationError as error:
+        raise PayloadError(f"{request.method}: {error}.") from error
+    return await getattr(device, request.method)(**arguments)

@@ -1,0 +1,144 @@
+"""Tracked poses as they arrive: guarded, kept for a moment, and averaged on demand."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter, deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pcmrs.clock import Clock
+from pcmrs.errors import GeometryError, RefusalError
+from pcmrs.messages import BodyPose
+from pcmrs.spatial import Transform, mean_transform
+
+HISTORY = 256
+"""Frames kept per body: over four seconds at 60 Hz."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """A valid pose: frame number, when it was captured (s of this process's clock), `tracker_from_body`."""
+
+    frame_number: int
+    captured: float
+    tracker_from_body: Transform
+
+
+class PoseFeed:
+    """The newest poses of all tracked bodies.
+
+    A pose is not taken when it is flagged invalid, is no pose, or its frame number or stamp does not
+    advance; what was dropped is counted by reason in `dropped`.
+
+    Args:
+        clock: The cell's clock.
+        max_age: Age beyond which a pose is stale, s.
+    """
+
+    def __init__(self, clock: Clock, max_age: float) -> None:
+        self.dropped: Counter[str] = Counter()
+        self._clock = clock
+        self._max_age = max_age
+        self._sightings: dict[str, deque[Sighting]] = {}
+        self._last_reason: dict[str, str] = {}
+        self._arrived = asyncio.Event()
+
+    def update(self, pose: BodyPose) -> None:
+        """Takes one pose from the tracker, or counts why not."""
+        sighting, reason = self._sighting_of(pose)
+        if sighting is None:
+            self.dropped[reason] += 1
+            self._last_reason[pose.body] = reason
+            return
+        self._last_reason.pop(pose.body, None)
+        self._sightings.setdefault(pose.body, deque(maxlen=HISTORY)).append(sighting)
+        self._arrived.set()
+
+    def newest(self, body: str) -> Transform:
+        """``tracker_from_body`` of the newest frame.
+
+        Raises:
+            RefusalError: The body has not been seen, or not lately.
+        """
+        return self._newest(body).tracker_from_body
+
+    def seen(self, body: str) -> bool:
+        """Whether there is a fresh pose of the body."""
+        try:
+            self._newest(body)
+        except RefusalError:
+            return False
+        return True
+
+    def recent(self, bodies: Sequence[str], count: int, since: float) -> dict[str, Transform]:
+        """Means over the last `count` frames captured after `since` that show all `bodies`.
+
+        Raises:
+            RefusalError: A body is not seen freshly, or the bodies are not seen together.
+        """
+        for body in bodies:
+            self._newest(body)
+        frames = self._together(bodies, since=since)[-count:]
+        if not frames:
+            text = f"{' and '.join(bodies)} have not been seen together since the arm came to rest: ask again."
+            raise RefusalError("pose_missing", text)
+        return {body: mean_transform([frame[body] for frame in frames]) for body in bodies}
+
+    async def collect(self, bodies: Sequence[str], count: int, timeout: float) -> list[dict[str, Transform]]:
+        """`count` frames captured from now on that show all `bodies`: ``tracker_from_body`` each.
+
+        Raises:
+            RefusalError: They did not come within `timeout` s: which body is not seen, and why.
+        """
+        begin = self._clock.monotonic()
+        frames: list[dict[str, Transform]] = []
+        try:
+            async with self._clock.timeout(timeout):
+                while len(frames) < count:
+                    self._arrived.clear()
+                    frames = self._together(bodies, since=begin)
+                    if len(frames) < count:
+                        await self._arrived.wait()
+        except TimeoutError:
+            text = f"{len(frames)} of {count} frames that show {' and '.join(bodies)} came within {timeout:g} s"
+            why = self._why_missing(bodies)
+            raise RefusalError("pose_missing", f"{text}{why}.", seen=len(frames), wanted=count) from None
+        return frames[:count]
+
+    def _sighting_of(self, pose: BodyPose) -> tuple[Sighting | None, str]:
+        if not pose.valid:
+            return None, pose.reason or "invalid"
+        captured = self._clock.monotonic() - max(0.0, pose.sent - pose.captured)
+        known = self._sightings.get(pose.body)
+        if known and pose.frame_number <= known[-1].frame_number:
+            return None, "frame_not_advancing"
+        if pose.sent < pose.captured:
+            return None, "stamp_reversed"
+        try:
+            return Sighting(pose.frame_number, captured, Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)), ""
+        except GeometryError:
+            return None, "no_pose"
+
+    def _newest(self, body: str) -> Sighting:
+        known = self._sightings.get(body)
+        if not known:
+            raise RefusalError("pose_missing", f"{body} has not been seen{self._why_missing([body])}.", body=body)
+        age = self._clock.monotonic() - known[-1].captured
+        if age > self._max_age:
+            text = f"The newest pose of {body} is {age:.3f} s old, the limit is {self._max_age:.3f} s"
+            text += f"{self._why_missing([body])}. Clear the line of sight."
+            raise RefusalError("pose_stale", text, body=body, age=age, limit=self._max_age)
+        return known[-1]
+
+    def _together(self, bodies: Sequence[str], since: float) -> list[dict[str, Transform]]:
+        found: dict[int, dict[str, Transform]] = {}
+        for body in bodies:
+            for sighting in self._sightings.get(body, ()):
+                if sighting.captured >= since:
+                    found.setdefault(sighting.frame_number, {})[body] = sighting.tracker_from_body
+        return [frame for _, frame in sorted(found.items()) if len(frame) == len(bodies)]
+
+    def _why_missing(self, bodies: Sequence[str]) -> str:
+        reasons = [f"{body}: {self._last_reason[body]}" for body in bodies if body in self._last_reason]
+        return f" ({', '.join(reasons)})" if reasons else ""

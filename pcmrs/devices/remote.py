@@ -1,0 +1,129 @@
+"""Devices on the other side of the bus, behind the same protocols as the devices themselves."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import msgspec
+
+from pcmrs.clock import Clock
+from pcmrs.devices.link import Link
+from pcmrs.errors import DeviceError, UnknownOutcomeError
+from pcmrs.messages import (
+    DeviceReply,
+    DeviceRequest,
+    JointState,
+    JointTrajectory,
+    LandmarkPrompt,
+    MotionResult,
+    SceneTruth,
+)
+
+T = TypeVar("T")
+
+ANSWER_TIME = 2.0
+"""A device that is not moving answers within this, s of the cell's clock."""
+
+MOTION_MARGIN = 3.0
+"""A motion may take so much longer than its trajectory, s of the cell's clock."""
+
+
+class RemoteDevice:
+    """Calls methods of one device through its node.
+
+    Args:
+        link: The bus.
+        device: Name of the device: ``robot``, ``tracker``, ``pointer`` or ``scene``.
+        clock: The cell's clock, by which calls time out.
+    """
+
+    def __init__(self, link: Link, device: str, clock: Clock) -> None:
+        self._link = link
+        self._device = device
+        self._clock = clock
+
+    async def call(self, method: str, kind: type[T], timeout: float = ANSWER_TIME, **arguments: Any) -> T:
+        """Calls a method and returns its result as `kind`.
+
+        Raises:
+            DeviceError: The device answered with a failure; field ``code`` holds its code.
+            UnknownOutcomeError: No answer came, or one that is no `kind`.
+        """
+        request = DeviceRequest(method=method, arguments=msgspec.to_builtins(arguments))
+        what = f"{self._device}.{method}"
+        try:
+            async with self._clock.timeout(timeout):
+                reply = await self._link.request(f"dev/{self._device}/cmd", request, DeviceReply, timeout)
+        except TimeoutError:
+            raise UnknownOutcomeError(f"{what} was not answered within {timeout:g} s.", method=what) from None
+        if reply.failure is not None:
+            failure = reply.failure
+            if failure.code == UnknownOutcomeError.code:
+                raise UnknownOutcomeError(failure.text, **failure.fields)
+            raise DeviceError(failure.text, **(failure.fields | {"code": failure.code}))
+        try:
+            return msgspec.convert(reply.result, kind)
+        except msgspec.ValidationError as error:
+            raise UnknownOutcomeError(f"{what} answered with something unexpected: {error}.", method=what) from error
+
+
+class RemoteRobot(RemoteDevice):
+    """A robot behind its node; see `Robot`."""
+
+    def __init__(self, link: Link, clock: Clock) -> None:
+        super().__init__(link, "robot", clock)
+
+    async def connect(self) -> JointState:
+        return await self.call("connect", JointState)
+
+    async def disconnect(self) -> None:
+        await self.call("disconnect", type(None))
+
+    async def joints(self) -> JointState:
+        return await self.call("joints", JointState)
+
+    async def follow(self, trajectory: JointTrajectory) -> MotionResult:
+        duration = trajectory.period * len(trajectory.positions)
+        return await self.call("follow", MotionResult, duration + MOTION_MARGIN, trajectory=trajectory)
+
+    async def hold(self) -> JointState:
+        return await self.call("hold", JointState)
+
+
+class RemotePointer(RemoteDevice):
+    """A pointer behind its node; see `Pointer`."""
+
+    def __init__(self, link: Link, clock: Clock, touch_timeout: float) -> None:
+        super().__init__(link, "pointer", clock)
+        self._touch_timeout = touch_timeout
+
+    async def touch(self, prompt: LandmarkPrompt) -> None:
+        await self.call("touch", type(None), self._touch_timeout, prompt=prompt)
+
+    async def release(self) -> None:
+        await self.call("release", type(None))
+
+
+class RemoteScene(RemoteDevice):
+    """A simulated scene behind its node; see `Scene`."""
+
+    def __init__(self, link: Link, clock: Clock) -> None:
+        super().__init__(link, "scene", clock)
+
+    async def truth(self) -> SceneTruth:
+        return await self.call("truth", SceneTruth)
+
+    async def reseed(self, seed: int) -> None:
+        await self.call("reseed", type(None), seed=seed)
+
+    async def displace_touch(self, index: int, offset_in_image: tuple[float, float, float]) -> None:
+        await self.call("displace_touch", type(None), index=index, offset_in_image=offset_in_image)
+
+    async def occlude(self, body: str, hidden: bool) -> None:
+        await self.call("occlude", type(None), body=body, hidden=hidden)
+
+    async def move_body(self, offset_in_tracker: tuple[float, float, float]) -> None:
+        await self.call("move_body", type(None), offset_in_tracker=offset_in_tracker)
+
+    async def cut_robot(self, cut: bool) -> None:
+        await self.call("cut_robot", type(None), cut=cut)

@@ -1,0 +1,175 @@
+"""What the gateway does with each command of one peer."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Any
+from uuid import uuid4
+
+from pcmrs.clock import Clock
+from pcmrs.errors import RefusalError
+from pcmrs.gateway.commands import Action, Plan
+from pcmrs.gateway.core import Core
+from pcmrs.gateway.grammar import Request
+from pcmrs.gateway.outcome import Outcome, of_verdict
+from pcmrs.gateway.records import Records
+from pcmrs.gateway.series import LandmarkSeries, PlanLock, PosePair
+from pcmrs.gateway.streams import Streams
+from pcmrs.messages import Command
+
+Job = Callable[[], Awaitable[Outcome]]
+
+
+@dataclass(frozen=True, slots=True)
+class Services:
+    """What all peers share."""
+
+    core: Core
+    clock: Clock
+    streams: Streams
+    records: Records
+
+
+class Actions:
+    """The actions of one peer.
+
+    Args:
+        source: Who the peer is, as the daemon records it.
+        services: What all peers share.
+        lock: The plan lock of the peer's host.
+    """
+
+    def __init__(self, source: str, services: Services, lock: PlanLock) -> None:
+        self._source = source
+        self._services = services
+        self._core = services.core
+        self._lock = lock
+        self._session = uuid4().hex
+        self._landmarks = LandmarkSeries()
+        self._pair = PosePair()
+        self._handlers: dict[Action, Callable[[Request], Outcome | Job]] = {
+            Action.SUBMIT: lambda request: lambda: self._submit(request),
+            Action.ANNOUNCE_LANDMARKS: self._announce_landmarks,
+            Action.ADD_LANDMARK: self._add_landmark,
+            Action.PLAN_LANDMARKS: self._plan_landmarks,
+            Action.OPEN_POSE: self._open_pose,
+            Action.PLAN_POSE: self._plan_pose,
+            Action.STOP: lambda request: lambda: self._stop(request),
+            Action.READ_JOINTS: lambda request: self._numbers(request, self._core.joints()),
+            Action.READ_FLANGE: self._read_flange,
+            Action.KEEP_JOINTS: lambda request: self._numbers(request, self._core.remember_initial_joints()),
+            Action.START_POSES: lambda request: self._done(request, services.streams.start_poses),
+            Action.STOP_POSES: lambda request: self._done(request, services.streams.stop_poses),
+            Action.START_TIP: lambda request: self._done(request, services.streams.start_tip),
+            Action.STOP_TIP: lambda request: self._done(request, services.streams.stop_tip),
+            Action.SAVE_PLACEMENT: lambda request: lambda: self._save_placement(request),
+            Action.LOG_POSES: lambda request: self._done(request, services.records.log_poses),
+            Action.REFUSE: lambda request: self.rejected(request, "not_available"),
+        }
+
+    def prepare(self, request: Request) -> Outcome | Job:
+        """Does at once what needs no waiting, and returns the rest as a job to run in its turn.
+
+        Parts of a plan are collected here, on arrival, so that a motion behind them already sees the plan as begun.
+        """
+        try:
+            return self._handlers[request.spec.action](request)
+        except RefusalError as refusal:
+            return self.rejected(request, refusal.refusal_code)
+
+    def accepted(self, request: Request, *numbers: float) -> Outcome:
+        """The acceptance of a command that the gateway itself performs."""
+        return Outcome("accepted", request.spec.branch, self._state(request), numbers=numbers)
+
+    def rejected(self, request: Request, reason: str) -> Outcome:
+        """The gateway's own refusal."""
+        return Outcome("rejected", request.spec.branch, self._state(request), reason)
+
+    def failed(self, request: Request, reason: str) -> Outcome:
+        """A command that was begun and broke."""
+        return Outcome("failed", request.spec.branch, self._state(request), reason)
+
+    async def _submit(self, request: Request) -> Outcome:
+        if request.spec.approaches and self._lock.held:
+            return self.rejected(request, "plan_not_accepted")
+        attempt = self._lock.newest
+        outcome = await self._run_steps(request, request.spec.arguments(request.values))
+        if request.spec.settles is not None and outcome.decision == "accepted":
+            self._lock.accept(request.spec.settles, attempt)
+        return outcome
+
+    async def _run_steps(self, request: Request, arguments: dict[str, Any]) -> Outcome:
+        """Submits the operations in order; the first that is not accepted ends the command."""
+        outcome = self.accepted(request)
+        for number, step in enumerate(request.spec.steps):
+            if step.only_in is None or self._core.snapshot().branches.get(step.branch) in step.only_in:
+                outcome = await self._operate(request, number, step.branch, step.operation, arguments)
+            if outcome.decision != "accepted":
+                break
+        return outcome
+
+    async def _operate(
+        self, request: Request, number: int, branch: str, operation: str, arguments: dict[str, Any]
+    ) -> Outcome:
+        # A client's id is unique in its session only, the daemon's ids are unique for ever.
+        unique = f"{self._session}-{request.id}-{number}" if request.id is not None else uuid4().hex
+        command = Command(id=unique, branch=branch, operation=operation, source=self._source, arguments=arguments)
+        return of_verdict(await self._core.submit(command))
+
+    def _announce_landmarks(self, request: Request) -> Outcome:
+        self._lock.attempt(Plan.LANDMARKS)
+        self._landmarks.announce(int(request.values[0]))
+        return self.accepted(request)
+
+    def _add_landmark(self, request: Request) -> Outcome:
+        index, *point = request.values
+        self._landmarks.add(int(index), [float(value) for value in point])
+        return self.accepted(request)
+
+    def _plan_landmarks(self, request: Request) -> Job:
+        attempt = self._lock.attempt(Plan.LANDMARKS)
+        landmarks = self._landmarks.finish()
+        return lambda: self._plan(request, Plan.LANDMARKS, attempt, "plan_landmarks", {"landmarks": landmarks})
+
+    def _open_pose(self, request: Request) -> Outcome:
+        self._lock.attempt(Plan.POSE)
+        self._pair.rotate([float(value) for value in request.values], self._services.clock.monotonic())
+        return self.accepted(request)
+
+    def _plan_pose(self, request: Request) -> Job:
+        attempt = self._lock.attempt(Plan.POSE)
+        now = self._services.clock.monotonic()
+        pose = self._pair.translate([float(value) for value in request.values], now)
+        return lambda: self._plan(request, Plan.POSE, attempt, "plan", pose)
+
+    async def _plan(
+        self, request: Request, kind: Plan, attempt: int, operation: str, arguments: dict[str, Any]
+    ) -> Outcome:
+        outcome = await self._operate(request, 0, request.spec.branch, operation, arguments)
+        if outcome.decision == "accepted":
+            self._lock.accept(kind, attempt)
+        return outcome
+
+    async def _stop(self, request: Request) -> Outcome:
+        await self._core.stop(self._source)
+        return self.accepted(request)
+
+    def _read_flange(self, request: Request) -> Outcome:
+        pose = self._core.flange_pose()
+        return self._numbers(request, None if pose is None else [*pose.translation, *pose.quat_xyzw])
+
+    def _numbers(self, request: Request, numbers: list[float] | None) -> Outcome:
+        return self.rejected(request, "no_data") if numbers is None else self.accepted(request, *numbers)
+
+    def _done(self, request: Request, act: Callable[[], object]) -> Outcome:
+        act()
+        return self.accepted(request)
+
+    async def _save_placement(self, request: Request) -> Outcome:
+        await self._services.records.save_placement()
+        return self.accepted(request)
+
+    def _state(self, request: Request) -> str:
+        """State of the command's branch; the gateway's own services have none but ready."""
+        return self._core.snapshot().branches.get(request.spec.branch, "ready")

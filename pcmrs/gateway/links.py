@@ -1,0 +1,100 @@
+"""The gateway as a whole: opens all links on one intake, and closes them."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from pcmrs.clock import Clock
+from pcmrs.errors import ConfigurationError
+from pcmrs.gateway.actions import Services
+from pcmrs.gateway.core import Core
+from pcmrs.gateway.intake import Counters, Intake
+from pcmrs.gateway.records import Records
+from pcmrs.gateway.settings import GatewayConfig, LinkConfig
+from pcmrs.gateway.streams import Send, Streams
+from pcmrs.gateway.tasks import Tasks
+from pcmrs.gateway.tcp import LINK, TcpLink
+from pcmrs.gateway.udp import UdpLink
+
+
+@dataclass(frozen=True, slots=True)
+class Gateway:
+    """The open gateway.
+
+    Attributes:
+        addresses: Host and port of every listening link, by name (``tcp`` is the TCP link).
+        counters: What arrived and what was refused.
+    """
+
+    addresses: dict[str, tuple[str, int]]
+    counters: Counters
+
+
+@asynccontextmanager
+async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: Path) -> AsyncIterator[Gateway]:
+    """Serves all links until the context ends.
+
+    Args:
+        core: The daemon.
+        config: The links.
+        clock: The machine's clock, not a faster simulated one: clients wait in real time.
+        folder: Where saved placements and pose logs go.
+
+    Raises:
+        ConfigurationError: A port cannot be bound.
+    """
+    async with AsyncExitStack() as stack:
+        tasks = Tasks()
+        stack.push_async_callback(tasks.close)
+        streams = Streams(core, clock, config, await _open_sender(stack), tasks)
+        records = Records(core, clock, folder, tasks)
+        intake = Intake(Services(core, clock, streams, records), tasks, config.unsigned_peers)
+        addresses = {
+            name: await _open_udp(stack, UdpLink(name, link, intake), config.host, link)
+            for name, link in config.links().items()
+            if link.port is not None
+        }
+        if config.tcp_port is not None:
+            addresses[LINK] = await _open_tcp(stack, TcpLink(intake, tasks), config.host, config.tcp_port)
+        yield Gateway(addresses, intake.counters)
+
+
+async def _open_sender(stack: AsyncExitStack) -> Send:
+    """A socket of its own for streams, so that a mixed reality host need not be reachable from loopback."""
+    transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+        asyncio.DatagramProtocol, family=socket.AF_INET
+    )
+    stack.callback(transport.close)
+    return lambda text, host, port: transport.sendto(text.encode("ascii"), (host, port))
+
+
+async def _open_udp(stack: AsyncExitStack, link: UdpLink, host: str, config: LinkConfig) -> tuple[str, int]:
+    try:
+        await asyncio.get_running_loop().create_datagram_endpoint(lambda: link, local_addr=(host, config.port or 0))
+    except OSError as error:
+        raise _unbound("UDP", host, config.port or 0, error) from None
+    stack.callback(link.close)
+    return link.address
+
+
+async def _open_tcp(stack: AsyncExitStack, link: TcpLink, host: str, port: int) -> tuple[str, int]:
+    try:
+        address = await link.listen(host, port)
+    except OSError as error:
+        raise _unbound("TCP", host, port, error) from None
+    stack.callback(link.close)
+    return address
+
+
+def _unbound(kind: str, host: str, port: int, error: OSError) -> ConfigurationError:
+    return ConfigurationError(
+        f"{kind} port {port} of {host} cannot be bound ({error.strerror}); "
+        "another daemon may be running, or configure another port.",
+        host=host,
+        port=port,
+    )

@@ -1,0 +1,62 @@
+"""A UDP link: one command per datagram."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, cast
+
+from pcmrs.gateway.intake import Intake
+from pcmrs.gateway.session import Answer
+from pcmrs.gateway.settings import LinkConfig, is_loopback
+
+UNKNOWN_PEER = ("unknown", 0)
+
+
+class UdpLink(asyncio.DatagramProtocol):
+    """Receives the commands of one link; acknowledges to its reply port at the sender's host.
+
+    Args:
+        name: Name of the link.
+        config: Its ports.
+        intake: Takes what arrives.
+    """
+
+    def __init__(self, name: str, config: LinkConfig, intake: Intake) -> None:
+        self._name = name
+        self._config = config
+        self._intake = intake
+        self._transport: asyncio.DatagramTransport
+        self._exposed = True
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port that the link is bound to."""
+        host, port = self._transport.get_extra_info("sockname")[:2]
+        return host, port
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Called by the event loop once the socket is bound."""
+        self._transport = cast(asyncio.DatagramTransport, transport)
+        self._exposed = not is_loopback(self.address[0])
+
+    def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
+        """Called by the event loop for every datagram."""
+        host, port = addr[:2]
+        reply_port = self._config.reply_port
+        answer = Answer(
+            verdict=lambda text: self._send(text, addr),
+            acknowledge=None if reply_port is None else lambda text: self._send(text, (host, reply_port, *addr[2:])),
+        )
+        self._intake.receive(self._name, (host, port), self._exposed, data, answer)
+
+    def error_received(self, exc: Exception) -> None:
+        """Called by the event loop when a client's port is closed; the link goes on."""
+        self._intake.refuse(self._name, UNKNOWN_PEER, exc)
+
+    def close(self) -> None:
+        """Closes the socket."""
+        self._transport.close()
+
+    def _send(self, text: str, addr: tuple[Any, ...]) -> None:
+        if not self._transport.is_closing():
+            self._transport.sendto(text.encode("ascii"), addr)

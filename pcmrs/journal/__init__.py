@@ -1,0 +1,7 @@
+"""The durable decision log: what was asked, decided and reported, in order and without gaps."""
+
+from pcmrs.journal.journal import Journal
+from pcmrs.journal.reader import JournalReader
+from pcmrs.journal.rows import JournalRow, Kind, StoredRow
+
+__all__ = ["Journal", "JournalReader", "JournalRow", "Kind", "StoredRow"]

@@ -1,0 +1,91 @@
+"""Reading the journal: in order, filtered, and by command."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Self
+
+from pcmrs.errors import JournalError
+from pcmrs.journal.rows import JournalRow, Kind, StoredRow, decode_row
+from pcmrs.journal.schema import open_for_reading
+from pcmrs.messages import Verdict
+
+_COLUMNS = "sequence, body, previous_hash, hash"
+
+
+class JournalReader:
+    """A read-only view of a journal file, also while a daemon writes it.
+
+    Args:
+        path: Of the file.
+
+    Raises:
+        JournalError: From the constructor: there is no such journal. From all methods: it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._connection = open_for_reading(path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def read(
+        self,
+        *,
+        after: int = 0,
+        limit: int | None = None,
+        kind: Kind | None = None,
+        branch: str | None = None,
+        source: str | None = None,
+        command_id: str | None = None,
+    ) -> Iterator[StoredRow]:
+        """Rows in order of their sequence, those that fit all filters given.
+
+        Args:
+            after: Only rows with a larger sequence.
+            limit: At most so many: the last ones.
+            kind: Only this kind.
+            branch: Only of this branch.
+            source: Only from this source.
+            command_id: Only of this command.
+        """
+        wanted = {"kind": kind, "branch": branch, "source": source, "command_id": command_id}
+        filters = {column: value for column, value in wanted.items() if value is not None}
+        where = " AND ".join(["sequence > ?", *(f"{column} = ?" for column in filters)])
+        newest = f"SELECT {_COLUMNS} FROM journal WHERE {where} ORDER BY sequence DESC LIMIT ?"
+        # A negative limit is none.
+        values = (after, *filters.values(), -1 if limit is None else limit)
+        for sequence, body, previous, own in self._select(f"SELECT * FROM ({newest}) ORDER BY sequence", values):
+            yield StoredRow(sequence=sequence, row=decode_row(body), previous_hash=previous, hash=own)
+
+    def verdict_of(self, source: str, command_id: str) -> Verdict | None:
+        """The recorded verdict on a command, so that a repeat runs nothing; None when there is none."""
+        query = "SELECT body FROM journal WHERE kind = 'outcome' AND source = ? AND command_id = ?"
+        for (body,) in self._select(query, (source, command_id)):
+            return decode_row(body).verdict
+        return None
+
+    def unfinished(self) -> list[JournalRow]:
+        """Intents without an outcome: what the daemon was doing when it was killed."""
+        query = """
+            SELECT body FROM journal AS intent WHERE kind = 'intent' AND NOT EXISTS (
+                SELECT 1 FROM journal WHERE kind = 'outcome'
+                AND source IS intent.source AND command_id IS intent.command_id
+            ) ORDER BY sequence"""
+        return [decode_row(body) for (body,) in self._select(query, ())]
+
+    def close(self) -> None:
+        """Closes the file."""
+        self._connection.close()
+
+    def _select(self, query: str, values: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
+        try:
+            yield from self._connection.execute(query, values)
+        except sqlite3.Error as error:
+            raise JournalError(f"{self._path} cannot be read: {error}.", path=str(self._path)) from error

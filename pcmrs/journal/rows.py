@@ -1,0 +1,92 @@
+"""What the journal holds, and the hash chain over it."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any, Final, Literal
+
+import msgspec
+
+from pcmrs.errors import JournalError
+from pcmrs.messages import BlueprintTag, Message, Verdict
+
+Kind = Literal["intent", "outcome", "event", "device", "snapshot", "config"]
+
+GENESIS: Final = bytes(32)
+"""Previous hash of the first row."""
+
+
+class JournalRow(Message, frozen=True, kw_only=True):
+    """One fact, as handed to the journal.
+
+    Attributes:
+        kind: ``intent`` before an operation's first step, ``outcome`` with its verdict, ``device`` for what
+            a device reported, ``event`` for what the daemon did by itself, ``snapshot``, ``config``.
+        command_id: Unique per source for intents, and for outcomes.
+        source: Who asked, such as ``udp:planner:127.0.0.1``.
+        states: State of every branch afterwards.
+        result: Results of steps that later decisions depend on.
+        parent: Id of the command whose step submitted this one.
+        wall: Unix seconds.
+        monotonic: Seconds of the cell's clock, comparable within one `boot_id` only.
+        boot_id: Of the machine's start.
+        session_id: Of the patient session.
+        blueprint: The workflow under which it was decided.
+    """
+
+    kind: Kind
+    wall: float
+    monotonic: float
+    boot_id: str
+    session_id: str
+    blueprint: BlueprintTag
+    command_id: str | None = None
+    source: str | None = None
+    branch: str | None = None
+    operation: str | None = None
+    arguments: dict[str, Any] | None = None
+    verdict: Verdict | None = None
+    states: dict[str, str] | None = None
+    result: dict[str, Any] | None = None
+    parent: str | None = None
+
+
+class StoredRow(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """A row as the journal holds it; `sequence` starts at 1 and has no gaps."""
+
+    sequence: int
+    row: JournalRow
+    previous_hash: bytes
+    hash: bytes
+
+
+def encode_row(row: JournalRow) -> bytes:
+    """The row as canonical MessagePack: keys in alphabetical order at every level.
+
+    Raises:
+        JournalError: It holds a value that is not plain data.
+    """
+    try:
+        return msgspec.msgpack.encode(row, order="sorted")
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise JournalError(
+            f"The {row.kind} of {row.branch}.{row.operation} cannot be journalled: {error}. "
+            "Use numbers, text, lists and maps only."
+        ) from error
+
+
+def decode_row(body: bytes) -> JournalRow:
+    """The row that `encode_row` made.
+
+    Raises:
+        JournalError: The bytes are not such a row.
+    """
+    try:
+        return msgspec.msgpack.decode(body, type=JournalRow)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise JournalError(f"A row of the journal is damaged: {error}. Keep the file and look at it.") from error
+
+
+def chain_hash(previous: bytes, sequence: int, body: bytes) -> bytes:
+    """SHA-256 over the previous hash, the sequence (8 bytes, big-endian) and the encoded row."""
+    return hashlib.sha256(previous + sequence.to_bytes(8, "big") + body).digest()

@@ -1,0 +1,55 @@
+"""The process of a device node: opens a driver's devices and serves them on the bus."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+from collections.abc import Sequence
+from importlib.metadata import entry_points
+
+from pcmrs.bus import Bus
+from pcmrs.bus.stop import StopLane
+from pcmrs.clock import SystemClock
+from pcmrs.config import as_table
+from pcmrs.devices.node import DeviceNode
+from pcmrs.devices.protocols import OpenDriver
+from pcmrs.settings import DRIVERS, Settings
+
+
+async def serve_devices(settings: Settings, driver: str, devices: Sequence[str], *, lifeline: bool) -> None:
+    """Serves `devices` with `driver` until SIGTERM or SIGINT.
+
+    Args:
+        settings: The cell's configuration.
+        driver: Name of an installed driver.
+        devices: Devices to open together.
+        lifeline: Also ends when standard input ends: with the daemon that started this process.
+
+    Raises:
+        BusError: The daemon does not answer.
+        ConfigurationError: The driver refuses its settings.
+    """
+    loop, ended = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, ended.set)
+    if lifeline:
+        loop.add_reader(sys.stdin.fileno(), ended.set)
+    (point,) = entry_points(group=DRIVERS, name=driver)
+    open_driver: OpenDriver = point.load()
+    clock = SystemClock(settings.cell.rate)
+    bus = await Bus.open(settings.bus("client"))
+    try:
+        async with open_driver(devices, as_table(settings), clock) as opened:
+            node = DeviceNode(bus, opened)
+            lane = await StopLane.open(settings.bus("client"), node.stop)
+            bus.alive(f"node-{driver}")
+            serving = asyncio.create_task(node.run())
+            ending = asyncio.create_task(ended.wait())
+            await asyncio.wait([serving, ending], return_when=asyncio.FIRST_COMPLETED)
+            ending.cancel()
+            serving.cancel()
+            await asyncio.gather(serving, ending, return_exceptions=True)
+            await lane.close()
+    finally:
+        await bus.close()

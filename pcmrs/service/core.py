@@ -1,0 +1,79 @@
+"""The daemon as the gateway sees it: commands in, and the poses that clients are shown."""
+
+from __future__ import annotations
+
+from pcmrs.dispatcher import Dispatcher
+from pcmrs.errors import RefusalError
+from pcmrs.messages import Command, Snapshot, Verdict
+from pcmrs.spatial import Floats, Transform
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData, as_transform
+
+
+class GatewayCore:
+    """Implements `pcmrs.gateway.core.Core` on the dispatcher and the cell."""
+
+    def __init__(self, dispatcher: Dispatcher[Cell, PlacementData], cell: Cell) -> None:
+        self._dispatcher = dispatcher
+        self._cell = cell
+
+    async def submit(self, command: Command) -> Verdict:
+        return await self._dispatcher.submit(command)
+
+    async def stop(self, source: str) -> None:
+        await self._dispatcher.stop(source)
+
+    def snapshot(self) -> Snapshot:
+        return self._dispatcher.snapshot()
+
+    def joints(self) -> list[float] | None:
+        state, connected = self._cell.joints, self._dispatcher.procedure.joint()["robot"] == "1"
+        return list(state.positions) if state is not None and connected else None
+
+    def remember_initial_joints(self) -> list[float] | None:
+        joints = self.joints()
+        if joints is not None:
+            self._cell.initial_joints = joints
+        return joints
+
+    def flange_pose(self) -> Transform | None:
+        joints = self.joints()
+        return self._cell.arm.forward(joints) if joints is not None else None
+
+    def tool_in_image(self) -> Transform | None:
+        image_from_tracker = self._image_from_tracker()
+        coil = self._seen("coil")
+        return image_from_tracker @ coil if image_from_tracker is not None and coil is not None else None
+
+    def target_in_image(self) -> Transform | None:
+        plan = self._dispatcher.procedure.data.plan
+        return as_transform(plan) if plan is not None else None
+
+    def tip_in_image(self) -> Floats | None:
+        image_from_tracker = self._image_from_tracker()
+        pointer = self._seen("pointer")
+        if image_from_tracker is None or pointer is None:
+            return None
+        return image_from_tracker @ (pointer @ self._cell.pointer_from_tip.translation)
+
+    def registration(self) -> Transform | None:
+        registered = self._dispatcher.procedure.data.registered
+        return as_transform(registered.body_ref_from_image) if registered is not None else None
+
+    def tracked(self) -> dict[str, Transform] | None:
+        body, tool = self._seen("body_ref"), self._seen("coil")
+        if body is None or tool is None:
+            return None
+        return {"body_from_tool": body.inverse() @ tool, "tracker_from_body": body, "tracker_from_tool": tool}
+
+    def _image_from_tracker(self) -> Transform | None:
+        body, body_from_image = self._seen("body_ref"), self.registration()
+        if body is None or body_from_image is None:
+            return None
+        return (body @ body_from_image).inverse()
+
+    def _seen(self, body: str) -> Transform | None:
+        try:
+            return self._cell.poses.newest(body)
+        except RefusalError:
+            return None

@@ -1,0 +1,215 @@
+"""The composition root of `pcmrs-serve`: the only module that knows all parts."""
+
+from __future__ import annotations
+
+import asyncio
+import fcntl
+import uuid
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from pcmrs.bus import Bus, CommandEdge
+from pcmrs.bus.codec import Empty
+from pcmrs.bus.keys import KEYS, KeyTable
+from pcmrs.clock import SystemClock
+from pcmrs.devices.poses import PoseFeed
+from pcmrs.devices.remote import RemotePointer, RemoteRobot
+from pcmrs.dispatcher import Dispatcher
+from pcmrs.errors import ConfigurationError, DeviceError
+from pcmrs.gateway.links import open_gateway
+from pcmrs.journal import Journal
+from pcmrs.kinematics.arms import ARMS
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.messages import BlueprintTag, BodyPose, DeviceEvent, JointState, Snapshot, Verdict
+from pcmrs.service.core import GatewayCore
+from pcmrs.service.nodes import NodeProcesses
+from pcmrs.service.recorder import JournalRecorder
+from pcmrs.service.watch import RobotWatch
+from pcmrs.settings import Settings
+from pcmrs.workflows import open_workflow
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData
+
+log = structlog.get_logger(__name__)
+
+DEVICES_TIME = 30.0
+"""The simulated or real devices must have been heard within this after the start, s of the machine."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """Where a running daemon can be reached.
+
+    Attributes:
+        prefix: Prefix of all its keys on the bus.
+        links: Host and port of every gateway link.
+        folder: Journal and records.
+    """
+
+    prefix: str
+    endpoint: str
+    links: dict[str, tuple[str, int]]
+    folder: Path
+    workflow: str
+    rate: float
+
+
+class Daemon:
+    """One running cell."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._tasks: set[asyncio.Task[Any]] = set()
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[Ready]:
+        """Runs the daemon for as long as the context lasts; on leaving, motion is held first.
+
+        Raises:
+            ConfigurationError: Another daemon runs this cell, or a port is taken.
+            BusError: The bus endpoint is taken.
+            BlueprintError: The workflow is unsound.
+            JournalError: The journal cannot be opened.
+            DeviceError: A device is not heard.
+        """
+        settings = self._settings
+        workflow = open_workflow(settings.workflow)
+        clock = SystemClock(settings.cell.rate)
+        folder = settings.cell.path()
+        async with AsyncExitStack() as stack:
+            stack.enter_context(_only_daemon_of(folder))
+            bus = await Bus.open(settings.bus("router"))
+            stack.push_async_callback(bus.close)
+            journal = Journal.open(folder / "journal.sqlite", durable=settings.journal.durable)
+            stack.push_async_callback(journal.close)
+            blueprint = workflow.blueprint
+            tag = BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash)
+            recorder = JournalRecorder(journal, clock, uuid.uuid4().hex, tag)
+            for verdict in await recorder.close_unfinished():
+                log.warning("unknown_outcome", command=verdict.id, operation=f"{verdict.branch}.{verdict.operation}")
+            cell = _open_cell(settings, bus, clock)
+            dispatcher = Dispatcher(workflow, cell, clock, recorder, cell.robot.hold, _publisher(bus))
+            await self._start_devices(stack, bus, cell, dispatcher)
+            stack.push_async_callback(self._end_tasks)
+            stack.push_async_callback(dispatcher.close)
+            edge = await CommandEdge.open(bus, dispatcher.submit, self._stopper(dispatcher))
+            stack.push_async_callback(edge.close)
+            core = GatewayCore(dispatcher, cell)
+            gateway = await stack.enter_async_context(
+                open_gateway(core, settings.gateway, SystemClock(), folder / "records")
+            )
+            self._serve_queries(bus, dispatcher)
+            bus.alive("daemon")
+            bus.publish("state/fsm", dispatcher.snapshot())
+            yield Ready(
+                prefix=bus.prefix,
+                endpoint=settings.cell.endpoint,
+                links=gateway.addresses,
+                folder=folder,
+                workflow=f"{blueprint.id} {blueprint.version}",
+                rate=settings.cell.rate,
+            )
+
+    async def _start_devices(
+        self, stack: AsyncExitStack, bus: Bus, cell: Cell, dispatcher: Dispatcher[Cell, PlacementData]
+    ) -> None:
+        """Starts the nodes, and waits until the robot's joints and a tracked pose have been heard."""
+
+        def connected() -> bool:
+            return dispatcher.procedure.joint()["robot"] == "1"
+
+        watch = RobotWatch(bus, connected, dispatcher.report)
+        heard = asyncio.Event()
+
+        def take_pose(_key: str, pose: BodyPose) -> None:
+            cell.poses.update(pose)
+            if cell.joints is not None:
+                heard.set()
+
+        def take_joints(_key: str, state: JointState) -> None:
+            cell.update_joints(state)
+            watch.hear()
+
+        def lose(devices: list[str]) -> None:
+            if "robot" in devices:
+                self._spawn(watch.lose("The robot's node has ended."))
+
+        bus.subscribe("state/pose/*", BodyPose, take_pose)
+        bus.subscribe("state/joints", JointState, take_joints)
+        nodes = NodeProcesses(self._settings, lose)
+        stack.push_async_callback(nodes.stop)
+        await nodes.start()
+        self._spawn(watch.run())
+        try:
+            async with asyncio.timeout(DEVICES_TIME):
+                await heard.wait()
+        except TimeoutError:
+            text = f"Robot and tracker were not heard within {DEVICES_TIME:g} s; the log says why."
+            raise DeviceError(text) from None
+
+    def _serve_queries(self, bus: Bus, dispatcher: Dispatcher[Cell, PlacementData]) -> None:
+        async def snapshot(_key: str, _request: Empty) -> Snapshot:
+            return dispatcher.snapshot()
+
+        async def keys(_key: str, _request: Empty) -> KeyTable:
+            return KeyTable(prefix=bus.prefix, keys=KEYS)
+
+        bus.serve("svc/snapshot", Empty, snapshot)
+        bus.serve("svc/keys", Empty, keys)
+
+    def _stopper(self, dispatcher: Dispatcher[Cell, PlacementData]) -> Callable[[str], None]:
+        def stop(source: str) -> None:
+            self._spawn(dispatcher.stop(source))
+
+        return stop
+
+    def _spawn(self, work: Any) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _end_tasks(self) -> None:
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+
+def _open_cell(settings: Settings, bus: Bus, clock: SystemClock) -> Cell:
+    procedure = settings.procedure
+    return Cell(
+        robot=RemoteRobot(bus, clock),
+        pointer=RemotePointer(bus, clock, procedure.registration.touch_timeout_s),
+        poses=PoseFeed(clock, procedure.max_pose_age),
+        arm=ArmModel(ARMS[settings.robot.model]),
+        clock=clock,
+        settings=procedure,
+    )
+
+
+def _publisher(bus: Bus) -> Callable[[Snapshot | Verdict | DeviceEvent], None]:
+    def publish(message: Snapshot | Verdict | DeviceEvent) -> None:
+        bus.publish("state/fsm" if isinstance(message, Snapshot) else "state/event", message)
+
+    return publish
+
+
+@contextmanager
+def _only_daemon_of(folder: Path) -> Iterator[None]:
+    """Holds the lock of the cell's folder. Raises `ConfigurationError` when another daemon has it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / "lock").open("w")
+    except OSError as error:
+        raise ConfigurationError(f"{folder} cannot be used: {error.strerror}.", folder=str(folder)) from None
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            text = f"Another daemon runs this cell ({folder}): stop it, or choose another cell.name and ports."
+            raise ConfigurationError(text, folder=str(folder)) from None
+        yield

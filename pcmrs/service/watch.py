@@ -1,0 +1,54 @@
+"""The daemon's heartbeat for the robot's node, and what it means when the robot falls silent."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+
+from pcmrs.bus import Bus
+from pcmrs.clock import SystemClock
+from pcmrs.messages import Beat, DeviceEvent
+
+PERIOD = 0.05
+"""Seconds of the machine between beats."""
+
+SILENCE = 1.0
+"""A robot whose joints have not been heard for so long is lost, s of the machine."""
+
+
+class RobotWatch:
+    """Beats for the robot's node and listens for the robot's joints.
+
+    Args:
+        bus: The bus.
+        connected: Whether the workflow holds the robot for connected.
+        report: `Dispatcher.report`.
+    """
+
+    def __init__(
+        self, bus: Bus, connected: Callable[[], bool], report: Callable[[DeviceEvent], Awaitable[None]]
+    ) -> None:
+        self._bus = bus
+        self._connected = connected
+        self._report = report
+        self._clock = SystemClock()
+        self._heard = self._clock.monotonic()
+
+    async def run(self) -> None:
+        """Beats and watches until cancelled."""
+        number = 0
+        while True:
+            number += 1
+            self._bus.publish("dev/robot/beat", Beat(number=number))
+            silence = self._clock.monotonic() - self._heard
+            if silence > SILENCE and self._connected():
+                await self.lose(f"The robot has not reported its joints for {silence:.1f} s.")
+            await self._clock.sleep(PERIOD)
+
+    async def lose(self, text: str) -> None:
+        """Reports the link to the robot as lost: motion is held, the robot counts as disconnected."""
+        if self._connected():
+            await self._report(DeviceEvent(device="robot", code="link_lost", text=text, danger=True))
+
+    def hear(self) -> None:
+        """The robot has reported its joints."""
+        self._heard = self._clock.monotonic()

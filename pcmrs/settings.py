@@ -1,0 +1,130 @@
+"""The whole configuration of one cell: what `pcmrs-serve` and the device nodes read."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+
+from pcmrs.bus import BusSettings
+from pcmrs.config import read_config
+from pcmrs.errors import ConfigurationError
+from pcmrs.gateway.settings import GatewayConfig
+from pcmrs.kinematics.arms import ARMS
+from pcmrs.workflows.settings import ProcedureSettings
+
+DRIVERS = "pcmrs.drivers"
+DRIVER_SETTINGS = "pcmrs.driver_settings"
+
+
+class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Base of the tables of the configuration; unknown keys are refused."""
+
+
+class CellSettings(Table, frozen=True, forbid_unknown_fields=True):
+    """Which cell this is.
+
+    Attributes:
+        site: First part of its name on the bus.
+        name: Second part.
+        endpoint: Where the daemon's bus router listens.
+        rate: Seconds of the cell per second of the machine; other than 1 only with simulated devices.
+        folder: Where journal and records are kept; empty for ``pcmrs/<site>-<name>`` in the user's state folder.
+    """
+
+    site: str = "lab"
+    name: str = "cell1"
+    endpoint: str = "tcp/127.0.0.1:7447"
+    rate: Annotated[float, msgspec.Meta(gt=0.0, le=50.0)] = 1.0
+    folder: str = ""
+
+    def path(self) -> Path:
+        """The folder as a path."""
+        if self.folder:
+            return Path(self.folder)
+        state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+        return Path(state) / "pcmrs" / f"{self.site}-{self.name}"
+
+
+class DeviceSettings(Table, frozen=True, forbid_unknown_fields=True):
+    """Which driver serves a device; ``none`` where another machine runs its node."""
+
+    driver: str = "sim"
+
+
+class RobotSettings(DeviceSettings, frozen=True, forbid_unknown_fields=True):
+    """The arm: its driver and its model, a name in the table of arms."""
+
+    model: str = "iiwa14"
+
+
+class JournalSettings(Table, frozen=True, forbid_unknown_fields=True):
+    """The journal; not `durable`, decisions survive a kill but not a power cut: for benchmarks."""
+
+    durable: bool = True
+
+
+class Settings(Table, frozen=True, forbid_unknown_fields=True):
+    """The root of the configuration; `sim` is read by the simulated devices."""
+
+    workflow: str = "ratms"
+    cell: CellSettings = CellSettings()
+    robot: RobotSettings = RobotSettings()
+    tracker: DeviceSettings = DeviceSettings()
+    pointer: DeviceSettings = DeviceSettings()
+    scene: DeviceSettings = DeviceSettings()
+    procedure: ProcedureSettings = ProcedureSettings()
+    gateway: GatewayConfig = GatewayConfig()
+    journal: JournalSettings = JournalSettings()
+    sim: dict[str, Any] = {}
+
+    def drivers(self) -> dict[str, list[str]]:
+        """Driver name to the devices it serves, without those that another machine serves."""
+        chosen = {"robot": self.robot, "tracker": self.tracker, "pointer": self.pointer, "scene": self.scene}
+        found: dict[str, list[str]] = {}
+        for device, settings in chosen.items():
+            if settings.driver != "none":
+                found.setdefault(settings.driver, []).append(device)
+        return found
+
+    def bus(self, mode: str) -> BusSettings:
+        """How a process of this cell joins the bus: the daemon as ``router``, others as ``client``."""
+        as_client = BusSettings(endpoint=self.cell.endpoint, site=self.cell.site, cell=self.cell.name)
+        return as_client if mode == "client" else msgspec.structs.replace(as_client, mode="router")
+
+
+def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Settings:
+    """Reads and checks the whole configuration.
+
+    Raises:
+        ConfigurationError: A key is unknown or a value cannot be used; the text says which and what to do.
+    """
+    settings = read_config(Settings, file, overrides)
+    if settings.robot.model not in ARMS:
+        text = f"robot.model is {settings.robot.model!r}; known arms are {', '.join(ARMS)}."
+        raise ConfigurationError(text, model=settings.robot.model)
+    known = {point.name for point in entry_points(group=DRIVERS)}
+    for driver in settings.drivers():
+        if driver not in known:
+            text = f"There is no driver {driver!r}; installed are {', '.join(sorted(known)) or 'none'}."
+            raise ConfigurationError(text, driver=driver)
+    real = sorted(set(settings.drivers()) - {"sim"})
+    if settings.cell.rate != 1.0 and real:
+        text = f"cell.rate is {settings.cell.rate:g}, but {', '.join(real)} runs in real time: only 1 is possible."
+        raise ConfigurationError(text, rate=settings.cell.rate)
+    _check_driver_tables({"sim": settings.sim})
+    return settings
+
+
+def _check_driver_tables(tables: Mapping[str, Mapping[str, Any]]) -> None:
+    """Each driver's own table, against the type that the driver declares for it."""
+    for point in entry_points(group=DRIVER_SETTINGS):
+        if point.name in tables:
+            try:
+                msgspec.convert(tables[point.name], point.load())
+            except msgspec.ValidationError as error:
+                raise ConfigurationError(f"The table [{point.name}] is wrong: {error}.") from None

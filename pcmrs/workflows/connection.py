@@ -1,0 +1,50 @@
+"""Connecting the robot, and finding out where it is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pcmrs.dispatcher import Registry
+from pcmrs.dispatcher import Run as AnyRun
+from pcmrs.errors import RefusalError
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData
+
+Run = AnyRun[Cell, PlacementData]
+
+FRAMES_TO_LOCATE = 5
+
+
+async def connect_robot(run: Run) -> None:
+    """Connected means that the robot has answered with joints within its limits."""
+    state = await run.cell.robot.connect()
+    if not np.all(np.isfinite(state.positions)):
+        raise RefusalError("bad_joints", f"The robot reports joints {state.positions}, which are no numbers.")
+    run.cell.arm.check_limits(state.positions)
+    run.cell.update_joints(state)
+    run.post("placement", "locate")
+
+
+async def disconnect_robot(run: Run) -> None:
+    """Ends the connection once the robot has confirmed it."""
+    await run.cell.robot.disconnect()
+
+
+async def locate_arm(run: Run) -> None:
+    """Clear of the body or not, by the measured joints and the body as the tracker sees it."""
+    cell = run.cell
+    cell.update_joints(await cell.robot.joints())
+    cell.arm.check_limits(cell.posture())
+    await cell.poses.collect(["coil", "body_ref"], FRAMES_TO_LOCATE, timeout=2.0)
+    cell.frames(run.data)
+    tracked = cell.poses.recent(["coil", "body_ref"], FRAMES_TO_LOCATE, since=cell.resting_since)
+    distance = float(np.linalg.norm(tracked["coil"].translation - tracked["body_ref"].translation))
+    clearance = cell.settings.placement.clearance
+    run.outcome = "retracted" if distance > clearance else "held"
+    run.result |= {"distance": distance, "clearance": clearance}
+
+
+def register_connection_operations(registry: Registry[Cell, PlacementData]) -> None:
+    """Registers the names that blueprints use for these steps."""
+    for step in (connect_robot, disconnect_robot, locate_arm):
+        registry.world_step(step)

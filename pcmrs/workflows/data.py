@@ -1,0 +1,112 @@
+"""What a placement procedure gathers: landmarks, digitization, registration, plan and nudges."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from pcmrs.dispatcher import ProcedureData
+from pcmrs.fsm import Effect
+from pcmrs.messages import PoseMessage
+from pcmrs.spatial import Transform
+
+Point = tuple[float, float, float]
+
+
+class Landmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A planned anatomical point in the image, m."""
+
+    name: str
+    position: Point
+
+
+class Registered(msgspec.Struct, frozen=True, kw_only=True):
+    """An accepted registration and all it rests on.
+
+    Attributes:
+        body_ref_from_image: The registration.
+        residual: Mean distance of the landmarks, m.
+        patient: Whose head it is.
+        calibration: Identity of the pointer's and tool's calibration it was made with.
+    """
+
+    id: str
+    body_ref_from_image: PoseMessage
+    residual: float
+    rms: float
+    landmarks: tuple[Landmark, ...]
+    digitized: tuple[Point, ...]
+    patient: str
+    calibration: str
+
+
+class PlacementData(ProcedureData, frozen=True, kw_only=True):
+    """Data of the procedures that place a tool on a registered body.
+
+    Attributes:
+        landmarks: Planned, in the image, m.
+        digitized: For each landmark its point in body_ref, m; None while it is open.
+        previous_digitized: The last complete digitization, and the landmarks it belongs to.
+        registered: The registration in force.
+        previous: The last accepted registration, in force or not.
+        plan: ``image_from_coil`` of the accepted tool plan.
+        nudge_translation: Sum of nudges since the approach, m, in the tool frame.
+        nudge_rotation_zyx: Sum of rotations since the approach, rad.
+        approached: Ids of the plan and registration that the tool is at.
+    """
+
+    landmarks: tuple[Landmark, ...] = ()
+    digitized: tuple[Point | None, ...] = ()
+    previous_landmarks: tuple[Landmark, ...] = ()
+    previous_digitized: tuple[Point, ...] = ()
+    registered: Registered | None = None
+    previous: Registered | None = None
+    plan: PoseMessage | None = None
+    nudge_translation: Point = (0.0, 0.0, 0.0)
+    nudge_rotation_zyx: Point = (0.0, 0.0, 0.0)
+    approached: tuple[str, str] | None = None
+
+    def complete_digitization(self) -> tuple[Point, ...]:
+        """The digitized points; empty unless every landmark has one."""
+        points = tuple(point for point in self.digitized if point is not None)
+        return points if self.landmarks and len(points) == len(self.landmarks) else ()
+
+
+def settle(data: PlacementData, states: Mapping[str, str], effects: Sequence[Effect]) -> PlacementData:
+    """Drops what the joint state no longer stands for. Pure."""
+    changes: dict[str, object] = {}
+    if states["registration"] == "000":
+        changes |= {"landmarks": (), "digitized": ()}
+    if any(effect.branch == "digitization" and effect.operation == "reinit" for effect in effects):
+        changes["digitized"] = tuple(None for _ in data.landmarks) if states["registration"] != "000" else ()
+    if states["registration"] != "111":
+        changes |= {"registered": None, "registration_id": None}
+    if states["toolplan"] != "1":
+        changes |= {"plan": None, "plan_id": None}
+    if states["placement"] in ("unknown", "retracted"):
+        changes["approached"] = None
+    return msgspec.structs.replace(data, **changes) if changes else data
+
+
+def as_transform(pose: PoseMessage) -> Transform:
+    """The pose as a `Transform`."""
+    return Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
+
+
+def as_message(transform: Transform) -> PoseMessage:
+    """The transform as data."""
+    return PoseMessage(position=as_point(transform.translation), quat_wxyz=_four(transform.quat_wxyz))
+
+
+def as_point(values: npt.ArrayLike) -> Point:
+    """Three numbers as plain data."""
+    x, y, z = np.asarray(values, dtype=float).tolist()
+    return (x, y, z)
+
+
+def _four(values: npt.ArrayLike) -> tuple[float, float, float, float]:
+    w, x, y, z = np.asarray(values, dtype=float).tolist()
+    return (w, x, y, z)

@@ -1,0 +1,131 @@
+"""Moving the tool, correcting its pose by the tracker, and measuring where it is."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pcmrs.dispatcher import Registry
+from pcmrs.dispatcher import Run as AnyRun
+from pcmrs.errors import RefusalError
+from pcmrs.kinematics.trajectory import straight_motion
+from pcmrs.messages import JointTrajectory
+from pcmrs.spatial import Frame, Transform, distance, mean_transform, rotation_angle
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData, as_transform
+from pcmrs.workflows.paths import along_axis
+from pcmrs.workflows.placement import NOTHING, at_present_plan, nudges_with, planned
+
+Run = AnyRun[Cell, PlacementData]
+
+
+async def follow_prepared(run: Run) -> None:
+    """Follows the trajectory that the check has planned, and lets the arm come to rest."""
+    await _follow(run, run.prepared)
+
+
+def remember_approach(run: Run) -> None:
+    """The standoff belongs to this plan and this registration; nudges start anew."""
+    approached = (run.data.plan_id, run.data.registration_id)
+    run.keep(approached=approached, nudge_translation=NOTHING, nudge_rotation_zyx=NOTHING)
+
+
+def remember_nudge(run: Run) -> None:
+    """Nudges add up; the tool stays at the standoff or at the target."""
+    translation, rotation = nudges_with(run)
+    run.keep(nudge_translation=translation, nudge_rotation_zyx=rotation)
+    run.outcome = run.states["placement"]
+
+
+async def correct_from_tracker(run: Run) -> None:
+    """Corrects the command once by what the tracker sees: geometry and joint errors stay the same so near.
+
+    Raises:
+        RefusalError: The correction is too large to be one.
+    """
+    cell, limits = run.cell, run.cell.settings.placement
+    commanded: JointTrajectory = run.prepared
+    image_from_measured = await measure_coil(run)
+    measured_from_desired = image_from_measured.inverse() @ _target(run)
+    shift = float(np.linalg.norm(measured_from_desired.translation)) * 1000.0
+    turn = math.degrees(float(np.linalg.norm(measured_from_desired.rotvec)))
+    run.result |= {"correction_mm": shift, "correction_deg": turn}
+    if shift > limits.correction_limit_mm or turn > limits.correction_limit_deg:
+        text = (
+            f"The tracker sees the tool {shift:.2f} mm and {turn:.2f}° from where it should be; the limits are "
+            f"{limits.correction_limit_mm:g} mm and {limits.correction_limit_deg:g}°. Check the calibration."
+        )
+        raise RefusalError("correction_too_large", text, shift_mm=shift, turn_deg=turn)
+    end = commanded.positions[-1]
+    goal = cell.flange_for(cell.arm.forward(end) @ cell.flange_from_coil @ measured_from_desired)
+    way = straight_motion(cell.arm, end, goal, cell.motion_limits(), flange_from_tool=cell.flange_from_coil)
+    await _follow(run, way)
+
+
+async def measure_placement(run: Run) -> None:
+    """Measures the pose of the tool and its errors against the plan, both by the tracker.
+
+    Translation error ‖R_mᵀ(t_m − t_p) − s·e_z‖ for measured m, planned p and offset s along the tool's z axis;
+    rotation error is the angle of R_pᵀR_m.
+    """
+    measured, plan = await measure_coil(run), planned(run.data)
+    offset = np.array([0.0, 0.0, run.cell.settings.placement.confirm_offset])
+    error = measured.rotation.T @ (measured.translation - plan.translation) - offset
+    run.result |= {
+        "planned": _as_result(plan),
+        "measured": _as_result(measured),
+        "translation_error": float(np.linalg.norm(error)),
+        "rotation_error": rotation_angle(plan, measured),
+    }
+
+
+async def find_where_retreat_ended(run: Run) -> None:
+    """At the standoff of the plan in force, or merely away from the body."""
+    run.outcome = "standoff" if _at_standoff(run) else "retracted"
+
+
+async def measure_coil(run: Run) -> Transform:
+    """``image_from_coil`` as the mean of fresh tracker frames, with the arm at rest."""
+    cell, placement = run.cell, run.cell.settings.placement
+    registered = run.data.registered
+    if registered is None:
+        raise RefusalError("not_registered", "There is no registration to measure the tool in the image by.")
+    frames = await cell.poses.collect(["coil", "body_ref"], placement.frames, timeout=5.0)
+    image_from_body_ref = as_transform(registered.body_ref_from_image).inverse()
+    return mean_transform([image_from_body_ref @ frame["body_ref"].inverse() @ frame["coil"] for frame in frames])
+
+
+async def _follow(run: Run, trajectory: JointTrajectory) -> None:
+    ended = await run.cell.robot.follow(trajectory)
+    if ended.outcome != "done":
+        raise RefusalError("motion_stopped", f"The motion was stopped: {ended.reason or 'held'}.")
+    await run.clock.sleep(run.cell.settings.placement.settle_time)
+
+
+def _target(run: Run) -> Transform:
+    return planned(run.data) @ along_axis(run.cell.settings.placement.confirm_offset)
+
+
+def _at_standoff(run: Run) -> bool:
+    data, placement = run.data, run.cell.settings.placement
+    in_force = run.states["registration"] == "111" and run.states["toolplan"] == "1"
+    if not in_force or not at_present_plan(data):
+        return False
+    try:
+        measured = run.cell.frames(data).get(Frame.IMAGE, Frame.COIL)
+    except RefusalError:
+        return False
+    return distance(planned(data) @ along_axis(placement.standoff), measured) * 1000 <= placement.standoff_tolerance_mm
+
+
+def _as_result(pose: Transform) -> dict[str, list[float]]:
+    return {"position": pose.translation.tolist(), "quat_xyzw": pose.quat_xyzw.tolist()}
+
+
+def register_motion_steps(registry: Registry[Cell, PlacementData]) -> None:
+    """Registers the names that blueprints use for these steps."""
+    for step in (remember_approach, remember_nudge):
+        registry.step(step)
+    for world_step in (follow_prepared, correct_from_tracker, measure_placement, find_where_retreat_ended):
+        registry.world_step(world_step)

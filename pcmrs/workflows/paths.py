@@ -1,0 +1,78 @@
+"""Paths of the tool relative to the body: towards it only as planned, away from it only farther."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pcmrs.errors import RefusalError
+from pcmrs.messages import JointTrajectory
+from pcmrs.spatial import Floats, Transform
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData, as_transform
+
+CHECK_EVERY = 8
+"""Every so manyth sample of a trajectory is looked at: 40 ms apart."""
+
+TOLERANCE = 0.001
+"""Shrinking by less than this (m) is noise of the measured posture."""
+
+
+def middle_of_body(cell: Cell, data: PlacementData) -> Floats:
+    """A point inside the body, in the robot's base, m, (3,): the centre of the landmarks once registered.
+
+    Raises:
+        RefusalError: The body has never been seen together with the tool.
+    """
+    if cell.base_from_body_ref is None:
+        text = "Where the body is has not been seen yet: show the tool and the body's reference to the tracker."
+        raise RefusalError("body_unknown", text)
+    if data.registered is None:
+        return cell.base_from_body_ref.translation
+    centre: Floats = np.mean([landmark.position for landmark in data.registered.landmarks], axis=0)
+    centre_in_body_ref = as_transform(data.registered.body_ref_from_image) @ centre
+    return cell.base_from_body_ref @ centre_in_body_ref
+
+
+def distances(cell: Cell, trajectory: JointTrajectory, middle: Floats) -> Floats:
+    """Distance of the coil from the middle of the body along a trajectory, m."""
+    samples = [*trajectory.positions[::CHECK_EVERY], trajectory.positions[-1]]
+    coils = [(cell.arm.forward(q) @ cell.flange_from_coil).translation for q in samples]
+    return np.asarray(np.linalg.norm(np.array(coils) - middle, axis=1))
+
+
+def check_only_grows(cell: Cell, trajectory: JointTrajectory, data: PlacementData) -> None:
+    """Refuses a retreat that comes nearer to the body, unless it stays clear of it all the way.
+
+    Raises:
+        RefusalError: It comes nearer than `clearance` and by more than `TOLERANCE`.
+    """
+    way = distances(cell, trajectory, middle_of_body(cell, data))
+    shrinks = np.maximum.accumulate(way) - way
+    worst = int(np.argmax(np.where(way < cell.settings.placement.clearance, shrinks, 0.0)))
+    if way[worst] < cell.settings.placement.clearance and shrinks[worst] > TOLERANCE:
+        text = (
+            f"The way leads back towards the body: to {way[worst] * 1000:.0f} mm from its middle after "
+            f"{(way[worst] + shrinks[worst]) * 1000:.0f} mm. Back off first."
+        )
+        raise RefusalError("distance_shrinks", text, distance=float(way[worst]), shrinks=float(shrinks[worst]))
+
+
+def check_passes_clear(cell: Cell, trajectory: JointTrajectory, data: PlacementData) -> None:
+    """Refuses an approach that comes nearer to the body on its way than at its end.
+
+    Raises:
+        RefusalError: It does, by more than 10 mm.
+    """
+    way = distances(cell, trajectory, middle_of_body(cell, data))
+    nearest, end = float(way.min()), float(min(way[0], way[-1]))
+    if nearest < end - 0.010:
+        text = (
+            f"The way to the standoff passes the body at {nearest * 1000:.0f} mm from its middle, nearer than "
+            f"it ends ({end * 1000:.0f} mm). Go home first, or plan another pose."
+        )
+        raise RefusalError("path_near_body", text, distance=nearest, limit=end)
+
+
+def along_axis(distance: float) -> Transform:
+    """``coil_from_shifted``: a shift along the tool's +z axis, away from the body, m."""
+    return Transform(np.eye(3), np.array([0.0, 0.0, distance]))

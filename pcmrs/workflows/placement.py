@@ -1,0 +1,156 @@
+"""What is worked out before the tool moves: each check plans the whole motion or refuses it."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pcmrs.dispatcher import Registry
+from pcmrs.dispatcher import Run as AnyRun
+from pcmrs.errors import RefusalError
+from pcmrs.kinematics.trajectory import concatenate, joint_motion, straight_motion
+from pcmrs.messages import JointTrajectory
+from pcmrs.spatial import Frame, Transform
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData, Point, as_transform
+from pcmrs.workflows.paths import along_axis, check_only_grows, check_passes_clear
+from pcmrs.workflows.toolplan import check_reachable
+
+Run = AnyRun[Cell, PlacementData]
+
+NOTHING: Point = (0.0, 0.0, 0.0)
+
+
+class Nudge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Arguments of `nudge`, in the tool frame: m, and rotations about z, y, x in rad."""
+
+    translation: Point = NOTHING
+    rotation_zyx: Point = NOTHING
+
+
+def approach_possible(run: Run) -> None:
+    """Plans the way to the standoff, and refuses one that passes the body or a target out of reach."""
+    cell = run.cell
+    goal = check_reachable(run, planned(run.data))
+    trajectory = joint_motion(cell.arm, cell.posture(), goal, cell.motion_limits())
+    check_passes_clear(cell, trajectory, run.data)
+    run.prepared = trajectory
+
+
+def confirm_possible(run: Run) -> None:
+    """Plans the straight way along the tool's axis to the target."""
+    run.prepared = straight_to(run, planned(run.data) @ along_axis(run.cell.settings.placement.confirm_offset))
+
+
+def nudge_possible(run: Run) -> None:
+    """Plans the straight way to the nudged pose, and refuses a sum of nudges that is too large."""
+    limits = run.cell.settings.placement
+    translation, rotation = nudges_with(run)
+    length, angle = math.dist(NOTHING, translation), nudge_of(NOTHING, rotation).rotvec
+    turned = math.degrees(float(np.linalg.norm(angle)))
+    if length * 1000.0 > limits.nudge_limit_mm or turned > limits.nudge_limit_deg:
+        text = (
+            f"The nudges would add up to {length * 1000:.1f} mm and {turned:.1f}°; the limits are "
+            f"{limits.nudge_limit_mm:g} mm and {limits.nudge_limit_deg:g}°. Plan another pose instead."
+        )
+        raise RefusalError("nudge_too_large", text, translation=length, rotation_deg=turned)
+    height = limits.standoff if run.states["placement"] == "standoff" else limits.confirm_offset
+    run.prepared = straight_to(run, planned(run.data) @ along_axis(height) @ nudge_of(translation, rotation))
+
+
+def retreat_possible(run: Run) -> None:
+    """Plans the straight way back along the tool's axis, up to the standoff."""
+    run.prepared = _back_off(run)
+    if run.cell.base_from_body_ref is not None:
+        check_only_grows(run.cell, run.prepared, run.data)
+
+
+def home_grows_distance(run: Run) -> None:
+    """Plans the way to the home posture; it may only lead away from the body."""
+    run.prepared = _retreat_to(run, list(run.cell.settings.home))
+
+
+def initial_grows_distance(run: Run) -> None:
+    """Plans the way to the initial posture; it may only lead away from the body."""
+    run.prepared = _retreat_to(run, run.cell.initial_joints or list(run.cell.settings.home))
+
+
+def planned(data: PlacementData) -> Transform:
+    """``image_from_coil`` of the plan in force. Raises `RefusalError` when there is none."""
+    if data.plan is None:
+        raise RefusalError("no_plan", "No tool pose is planned: plan one first.")
+    return as_transform(data.plan)
+
+
+def nudge_of(translation: Point, rotation_zyx: Point) -> Transform:
+    """``coil_from_nudged`` of a translation (m) and rotations about z, y, x (rad)."""
+    rotation = Rotation.from_euler("ZYX", np.asarray(rotation_zyx)).as_matrix()
+    return Transform(rotation, np.asarray(translation))
+
+
+def nudges_with(run: Run) -> tuple[Point, Point]:
+    """The sums of nudges with the one that is asked for."""
+    data, asked = run.data, run.payload
+    x, y, z = np.add(data.nudge_translation, asked.translation).tolist()
+    rz, ry, rx = np.add(data.nudge_rotation_zyx, asked.rotation_zyx).tolist()
+    return (x, y, z), (rz, ry, rx)
+
+
+def straight_to(run: Run, image_from_coil: Transform) -> JointTrajectory:
+    """The straight way of the coil from where it is to a pose in the image."""
+    cell = run.cell
+    base_from_image = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE)
+    goal = cell.flange_for(base_from_image @ image_from_coil)
+    return straight_motion(cell.arm, cell.posture(), goal, cell.motion_limits(), flange_from_tool=cell.flange_from_coil)
+
+
+def _retreat_to(run: Run, posture: list[float]) -> JointTrajectory:
+    """Back off along the axis where the tool is at the body, then straight in the joints to a posture."""
+    cell = run.cell
+    way = None if run.states["placement"] == "retracted" else _back_off(run)
+    start = cell.posture() if way is None else way.positions[-1]
+    trajectory = joint_motion(cell.arm, start, posture, cell.motion_limits())
+    trajectory = trajectory if way is None else concatenate(way, trajectory)
+    check_only_grows(cell, trajectory, run.data)
+    return trajectory
+
+
+def _back_off(run: Run) -> JointTrajectory:
+    """Straight along the tool's +z axis, as far as the standoff is from where the tool is."""
+    cell = run.cell
+    base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
+    goal = cell.flange_for(base_from_coil @ along_axis(_length_of_retreat(run)))
+    return straight_motion(cell.arm, cell.posture(), goal, cell.motion_limits(), flange_from_tool=cell.flange_from_coil)
+
+
+def _length_of_retreat(run: Run) -> float:
+    placement, data = run.cell.settings.placement, run.data
+    if run.states["placement"] == "standoff":
+        return 0.0
+    if run.states["placement"] == "placed":
+        return placement.standoff - placement.confirm_offset
+    if data.plan is None or data.registered is None or not at_present_plan(data):
+        return placement.standoff
+    try:
+        image_from_coil = run.cell.frames(data).get(Frame.IMAGE, Frame.COIL)
+    except RefusalError:
+        return placement.standoff
+    height = (planned(data).inverse() @ image_from_coil).translation[2]
+    return float(np.clip(placement.standoff - height, 0.0, placement.standoff))
+
+
+def at_present_plan(data: PlacementData) -> bool:
+    """Whether the tool was brought to the plan and registration that are in force."""
+    return data.approached is not None and data.approached == (data.plan_id, data.registration_id)
+
+
+def register_placement_checks(registry: Registry[Cell, PlacementData]) -> None:
+    """Registers the names that blueprints use for these checks."""
+    registry.payload("nudge", Nudge)
+    for check in (approach_possible, confirm_possible, nudge_possible, retreat_possible):
+        registry.check(check)
+    for check in (home_grows_distance, initial_grows_distance):
+        registry.check(check)

@@ -1,0 +1,52 @@
+"""The scene's ground truth and faults, for experiments and tests."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pcmrs.errors import DeviceError
+from pcmrs.messages import SceneTruth
+from pcmrs.spatial import Transform
+from sim.pointer import SimPointer
+from sim.robot import SimRobot
+from sim.tracker import BODIES
+from sim.world import World
+
+
+class SimScene:
+    """What only a simulation can tell or do.
+
+    Args:
+        world: Holds the truth.
+        robot: Its link can be cut.
+        pointer: Its touches can be displaced.
+    """
+
+    def __init__(self, world: World, robot: SimRobot, pointer: SimPointer) -> None:
+        self._world = world
+        self._robot = robot
+        self._pointer = pointer
+
+    async def truth(self) -> SceneTruth:
+        return self._world.truth()
+
+    async def reseed(self, seed: int) -> None:
+        self._world.reseed(seed)
+
+    async def displace_touch(self, index: int, offset_in_image: tuple[float, float, float]) -> None:
+        self._pointer.displace(index, np.array(offset_in_image))
+
+    async def occlude(self, body: str, hidden: bool) -> None:
+        if body not in BODIES:
+            raise DeviceError(f"The tracker knows no body {body!r}; it tracks {', '.join(BODIES)}.", body=body)
+        if hidden:
+            self._world.hidden.add(body)
+        else:
+            self._world.hidden.discard(body)
+
+    async def move_body(self, offset_in_tracker: tuple[float, float, float]) -> None:
+        moved = Transform(np.eye(3), np.array(offset_in_tracker))
+        self._world.tracker_from_body_ref = moved @ self._world.tracker_from_body_ref
+
+    async def cut_robot(self, cut: bool) -> None:
+        self._robot.cut(cut)

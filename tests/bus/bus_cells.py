@@ -1,0 +1,76 @@
+"""Cells of their own for tests: a free port, a router and clients."""
+
+from __future__ import annotations
+
+import json
+import socket
+import uuid
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
+
+import msgspec
+import zenoh
+
+from pcmrs.bus import Bus, BusSettings
+from pcmrs.messages import BlueprintTag, Command, Snapshot, Verdict
+
+TIMEOUT = 20.0
+
+
+def new_cell() -> BusSettings:
+    """Router settings of a cell that nobody else has."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    return BusSettings(mode="router", endpoint=f"tcp/127.0.0.1:{port}", site="test", cell=f"c{uuid.uuid4().hex[:8]}")
+
+
+@asynccontextmanager
+async def open_bus(settings: BusSettings) -> AsyncIterator[Bus]:
+    bus = await Bus.open(settings)
+    try:
+        yield bus
+    finally:
+        await bus.close()
+
+
+@asynccontextmanager
+async def open_pair() -> AsyncIterator[tuple[Bus, Bus]]:
+    """A router and a client of one cell."""
+    settings = new_cell()
+    async with open_bus(settings) as router, open_bus(msgspec.structs.replace(settings, mode="client")) as client:
+        yield router, client
+
+
+@contextmanager
+def plain_session(settings: BusSettings) -> Iterator[zenoh.Session]:
+    """A Zenoh client that knows nothing of PCMRS, as a command-line tool is."""
+    config = zenoh.Config()
+    for key, value in {"mode": "client", "connect/endpoints": [settings.endpoint]}.items():
+        config.insert_json5(key, json.dumps(value))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    with zenoh.open(config) as session:
+        yield session
+
+
+def accepted(command: Command) -> Verdict:
+    return Verdict(
+        id=command.id,
+        branch=command.branch,
+        operation=command.operation,
+        decision="accepted",
+        state="100",
+        sequence=7,
+        result={"source": command.source, "arguments": command.arguments},
+    )
+
+
+def snapshot(sequence: int) -> Snapshot:
+    return Snapshot(
+        sequence=sequence,
+        branches={"registration": "000"},
+        flags={},
+        running=[],
+        latched=False,
+        blueprint=BlueprintTag(id="test", version="1", hash="0"),
+    )

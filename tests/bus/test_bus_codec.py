@@ -1,0 +1,150 @@
+"""Codec: what is packed comes back, and other bytes are refused with a reason."""
+
+import msgpack
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pcmrs.bus.codec import Empty, is_text, pack, pack_text, unpack
+from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.reasons import error_from, reason_from
+from pcmrs.errors import DeviceError, PayloadError, RefusalError, UnknownOutcomeError
+from pcmrs.messages import BodyPose, JointState, Message, Reason, Verdict
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+integers = st.integers(-(2**63), 2**63 - 1)
+plain = st.recursive(
+    st.none() | st.booleans() | integers | finite | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
+    max_leaves=12,
+)
+fields = st.dictionaries(st.text(), plain, max_size=4)
+reasons = st.builds(Reason, code=st.text(), text=st.text(), fields=fields)
+triples = st.tuples(finite, finite, finite)
+messages: st.SearchStrategy[Message] = st.one_of(
+    st.builds(
+        Verdict,
+        id=st.text(),
+        branch=st.text(),
+        operation=st.text(),
+        decision=st.sampled_from(["accepted", "rejected", "failed", "unknown"]),
+        state=st.text(),
+        sequence=integers,
+        reason=st.none() | reasons,
+        allowed=st.lists(st.text()),
+        result=st.none() | fields,
+    ),
+    st.builds(
+        BodyPose,
+        body=st.text(),
+        frame_number=integers,
+        captured=finite,
+        sent=finite,
+        valid=st.booleans(),
+        position=triples,
+        quat_wxyz=st.tuples(finite, finite, finite, finite),
+    ),
+    st.builds(
+        JointState,
+        captured=finite,
+        sent=finite,
+        positions=st.lists(finite),
+        velocities=st.lists(finite),
+        torques=st.lists(finite),
+    ),
+    st.builds(Envelope, id=st.none() | st.text(min_size=1, max_size=128), sent=st.none() | finite, arguments=fields),
+)
+
+
+@given(messages)
+def test_messages_survive_messagepack(message: Message) -> None:
+    assert unpack(pack(message), type(message)) == message
+
+
+@given(messages)
+def test_messages_survive_json_text(message: Message) -> None:
+    assert unpack(pack_text(message), type(message)) == message
+
+
+@given(st.binary(max_size=200) | st.text(max_size=200).map(str.encode))
+def test_arbitrary_bytes_give_a_message_or_a_payload_error(payload: bytes) -> None:
+    for kind in (Envelope, Verdict, dict):
+        try:
+            assert isinstance(unpack(payload, kind), kind)
+        except PayloadError as error:
+            assert error.text
+
+
+@given(messages, st.data())
+def test_a_cut_message_is_refused(message: Message, data: st.DataObject) -> None:
+    whole = pack(message)
+    cut = data.draw(st.integers(1, len(whole) - 1)) if len(whole) > 1 else 0
+    if cut:
+        with pytest.raises(PayloadError):
+            unpack(whole[:cut], type(message))
+
+
+@pytest.mark.parametrize("payload", [b"", b"  \n", b"{}", b"\x80"])
+def test_no_payload_is_no_arguments(payload: bytes) -> None:
+    assert unpack(payload, Envelope) == Envelope()
+    assert unpack(payload, Empty) == Empty()
+
+
+def test_text_is_told_from_messagepack_by_its_first_byte() -> None:
+    assert is_text(b' \t{"id": "a"}')
+    assert is_text(b"")
+    assert not is_text(pack(Envelope(id="a")))
+    assert unpack(b' {"id": "a", "arguments": {"index": 3}}', Envelope) == Envelope(id="a", arguments={"index": 3})
+
+
+@pytest.mark.parametrize(
+    ("payload", "says"),
+    [
+        (b'{"id": "a", "argument": {}}', "unknown field `argument`"),
+        (b'{"id": 5}', "Expected `str | null`, got `int`"),
+        (b'{"id": ""}', "length >= 1"),
+        (b'{"ttl": -1}', ">= 0"),
+        (b'{"sent": 1e999}', "out of range"),
+        (b'{"arguments": [1]}', "Expected `object`"),
+        (b'{"arguments": {"x": 1}', "truncated"),
+        (b'{"arguments": {"n": 9223372036854775808}}', "64 bits"),
+        (b"plan the landmarks", "extra data"),
+        (b"[1, 2]", "extra data"),
+        (msgpack.packb({"arguments": {"x": [1.0, float("nan")]}}), "nan is not a finite number"),
+        (msgpack.packb({"arguments": {"x": float("-inf")}}), "-inf is not a finite number"),
+        (msgpack.packb({"arguments": {"x": msgpack.ExtType(4, b"?")}}), "ExtType"),
+        (msgpack.packb({"arguments": {"x": msgpack.Timestamp(1)}}), "Timestamp"),
+        (msgpack.packb({"arguments": {"x": {b"raw": 1}}}), "key that is no text"),
+        (b"\xdd\xff\xff\xff\xff", "Neither MessagePack"),
+        (b"\x91" * 5000 + b"\xc0", "StackError"),
+        (b'{"arguments": {"a": ' + b"[" * 5000 + b"]" * 5000 + b"}}", "recursion"),
+        (b'{"arguments": {"a": "' + b"x" * 65536 + b'"}}', "at most 65536"),
+    ],
+)
+def test_a_malformed_envelope_is_refused_with_a_reason(payload: bytes, says: str) -> None:
+    with pytest.raises(PayloadError) as refused:
+        unpack(payload, Envelope)
+    assert says.lower() in refused.value.text.lower()
+
+
+def test_the_limit_of_commands_does_not_bind_other_messages() -> None:
+    long = JointState(captured=0.0, sent=0.0, positions=[0.5] * 20000, velocities=[], torques=[])
+    assert unpack(pack(long), JointState) == long
+
+
+@pytest.mark.parametrize("value", [object(), {1, 2}.__class__, 2**70, [b"raw", object()]])
+def test_what_is_no_plain_data_cannot_be_packed(value: object) -> None:
+    with pytest.raises(PayloadError, match="cannot be sent"):
+        pack(Envelope(arguments={"value": value}))
+
+
+def test_a_refusal_crosses_with_its_code_and_values() -> None:
+    error = error_from(pack(reason_from(RefusalError("residual_too_large", "5 mm are too much.", residual=0.005))))
+    assert isinstance(error, DeviceError)
+    assert error.text == "5 mm are too much."
+    assert error.fields == {"reason": "residual_too_large", "values": {"residual": 0.005}}
+
+
+@pytest.mark.parametrize("payload", [pack(reason_from(UnknownOutcomeError("Silent."))), b"Timeout", b"\xff"])
+def test_what_the_other_side_does_not_know_stays_unknown(payload: bytes) -> None:
+    assert isinstance(error_from(payload), UnknownOutcomeError)

@@ -1,0 +1,168 @@
+"""Command edge: by hand in JSON, from programs in MessagePack, too many, malformed, and Stop."""
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+import zenoh
+from bus_cells import TIMEOUT, accepted, new_cell, open_bus, plain_session
+
+from pcmrs.bus import Bus, CommandEdge
+from pcmrs.bus.bridge import CAPACITY
+from pcmrs.bus.codec import pack, unpack
+from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.stop import Stopping
+from pcmrs.messages import Command, Verdict
+
+PLAN = "cmd/local/registration/plan_landmarks"
+
+
+class Daemon:
+    """What stands behind the edge in these tests: it remembers, and accepts everything."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.bus = bus
+        self.submitted: asyncio.Queue[Command] = asyncio.Queue()
+        self.stopped: asyncio.Queue[str] = asyncio.Queue()
+
+    async def submit(self, command: Command) -> Verdict:
+        self.submitted.put_nowait(command)
+        return accepted(command)
+
+
+@asynccontextmanager
+async def running_daemon() -> AsyncIterator[tuple[Daemon, zenoh.Session]]:
+    async with open_bus(new_cell()) as bus:
+        daemon = Daemon(bus)
+        edge = await CommandEdge.open(bus, daemon.submit, daemon.stopped.put_nowait)
+        try:
+            with plain_session(bus.settings) as session:
+                yield daemon, session
+        finally:
+            await edge.close()
+
+
+async def get(daemon: Daemon, session: zenoh.Session, key: str, payload: bytes | None = None) -> bytes:
+    replies = await asyncio.to_thread(lambda: list(session.get(f"{daemon.bus.prefix}/{key}", payload=payload)))
+    (reply,) = replies
+    return bytes(reply.result.payload.to_bytes())
+
+
+async def test_a_json_query_by_hand_is_answered_in_json() -> None:
+    async with running_daemon() as (daemon, session):
+        payload = b' {"id": "a1", "sent": 5, "ttl": 2, "arguments": {"index": 3}}'
+        verdict = json.loads(await get(daemon, session, PLAN, payload))
+        assert verdict["decision"] == "accepted"
+        assert verdict["id"] == "a1"
+        command = daemon.submitted.get_nowait()
+        assert command == Command(
+            id="a1",
+            source="bus:local",
+            branch="registration",
+            operation="plan_landmarks",
+            arguments={"index": 3},
+            sent=5.0,
+            ttl=2.0,
+        )
+
+
+async def test_an_empty_query_is_no_arguments_and_gets_an_id() -> None:
+    async with running_daemon() as (daemon, session):
+        verdicts = [json.loads(await get(daemon, session, PLAN)) for _ in range(2)]
+        assert verdicts[0]["id"] != verdicts[1]["id"]
+        assert len(verdicts[0]["id"]) == 32
+        assert daemon.submitted.get_nowait().arguments == {}
+
+
+async def test_messagepack_is_answered_in_messagepack() -> None:
+    async with running_daemon() as (daemon, session):
+        verdict = unpack(await get(daemon, session, PLAN, pack(Envelope(id="b"))), Verdict)
+        assert (verdict.id, verdict.decision, verdict.sequence) == ("b", "accepted", 7)
+
+
+@pytest.mark.parametrize("encoding", ["zenoh/bytes", "application/json", "text/plain"])
+async def test_a_put_by_hand_is_submitted_whatever_its_encoding(encoding: str) -> None:
+    async with running_daemon() as (daemon, session):
+        session.put(f"{daemon.bus.prefix}/cmd/anna/toolplan/clear", b'{"id": "p"}', encoding=encoding)
+        command = await asyncio.wait_for(daemon.submitted.get(), TIMEOUT)
+        assert (command.id, command.source, command.branch) == ("p", "bus:anna", "toolplan")
+
+
+@pytest.mark.parametrize(
+    ("key", "payload", "says"),
+    [
+        (PLAN, b'{"id": "a", "argumnets": {}}', "argumnets"),
+        (PLAN, b"plan it", "Neither MessagePack nor JSON"),
+        (PLAN, b'{"arguments": {"x": NaN}}', "Neither MessagePack nor JSON"),
+        (PLAN, b'{"arguments": {"x": "' + b"x" * 70000 + b'"}}', "at most 65536"),
+        ("cmd/Local/registration/reinit", b"", "'Local' cannot be a part of a key"),
+    ],
+)
+async def test_a_malformed_query_is_rejected_and_not_submitted(key: str, payload: bytes, says: str) -> None:
+    async with running_daemon() as (daemon, session):
+        verdict = unpack(await get(daemon, session, key, payload), Verdict)
+        assert (verdict.decision, verdict.branch) == ("rejected", "registration")
+        assert verdict.reason is not None
+        assert verdict.reason.code == "malformed"
+        assert says in verdict.reason.text
+        assert daemon.submitted.empty()
+
+
+async def test_a_malformed_put_is_refused_on_the_event_key() -> None:
+    async with running_daemon() as (daemon, session):
+        events = session.declare_subscriber(f"{daemon.bus.prefix}/state/event")
+        await get(daemon, session, PLAN)
+        daemon.submitted.get_nowait()
+        session.put(f"{daemon.bus.prefix}/{PLAN}", b'{"arguments": 3}')
+        event = await asyncio.wait_for(asyncio.to_thread(events.recv), TIMEOUT)
+        verdict = unpack(event.payload.to_bytes(), Verdict)
+        assert (verdict.decision, verdict.operation) == ("rejected", "plan_landmarks")
+        assert daemon.submitted.empty()
+
+
+async def test_looking_around_commands_nothing_and_stops_nothing() -> None:
+    async with running_daemon() as (daemon, session):
+        for selector in ("**", "cmd/local/*/reinit", "stop/*"):
+            replies = await asyncio.to_thread(lambda key=selector: list(session.get(f"{daemon.bus.prefix}/{key}")))
+            assert [reply for reply in replies if reply.ok is not None] == []
+        assert daemon.submitted.empty()
+        assert daemon.stopped.empty()
+
+
+async def test_too_many_commands_are_each_answered_busy() -> None:
+    async with running_daemon() as (daemon, session):
+        key, excess = f"{daemon.bus.prefix}/{PLAN}", 40
+        asked = [session.get(key, payload=b'{"id": "%d"}' % number) for number in range(CAPACITY + excess)]
+        # Until here the loop had no turn: the queue is full when the excess arrives.
+        busy = await_busy(asked, excess)
+        verdicts = await asyncio.to_thread(lambda: [verdict_of(replies) for replies in asked if replies not in busy])
+        assert {verdict["decision"] for verdict in verdicts} == {"accepted"}
+        assert daemon.submitted.qsize() == CAPACITY
+
+
+def verdict_of(replies: Any) -> dict[str, Any]:
+    return json.loads(next(iter(replies)).ok.payload.to_bytes())  # type: ignore[no-any-return]
+
+
+def await_busy(asked: list[Any], excess: int) -> list[Any]:
+    """Blocks the loop's thread until the last queries asked are answered: they are the ones refused."""
+    refused = asked[-excess:]
+    for replies in refused:
+        verdict = verdict_of(replies)
+        assert verdict["decision"] == "rejected"
+        assert verdict["reason"]["code"] == "busy"
+        assert str(CAPACITY) in verdict["reason"]["text"]
+    return refused
+
+
+async def test_stop_by_put_and_by_query() -> None:
+    async with running_daemon() as (daemon, session):
+        session.put(f"{daemon.bus.prefix}/stop/anna", b"whatever")
+        assert await asyncio.wait_for(daemon.stopped.get(), TIMEOUT) == "bus:anna"
+        assert json.loads(await get(daemon, session, "stop/bert")) == {"source": "bus:bert"}
+        assert daemon.stopped.get_nowait() == "bus:bert"
+        reply = await get(daemon, session, "stop/carl", pack(Envelope()))
+        assert unpack(reply, Stopping).source == "bus:carl"

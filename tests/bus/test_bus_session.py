@@ -1,0 +1,289 @@
+"""Bus: real Zenoh sessions on a port of their own."""
+
+import asyncio
+import json
+import subprocess
+import sys
+import textwrap
+
+import msgspec
+import pytest
+import zenoh
+from bus_cells import TIMEOUT, new_cell, open_bus, open_pair, plain_session, snapshot
+
+from pcmrs.bus import Bus, Empty
+from pcmrs.bus.codec import pack
+from pcmrs.errors import BusError, DeviceError, PayloadError, RefusalError, UnknownOutcomeError
+from pcmrs.messages import BodyPose, DeviceReply, DeviceRequest, Snapshot
+
+
+def pose(frame_number: int) -> BodyPose:
+    return BodyPose(body="coil", frame_number=frame_number, captured=0.0, sent=0.0, valid=True)
+
+
+async def echo(key: str, request: DeviceRequest) -> DeviceReply:
+    return DeviceReply(result={"key": key, "method": request.method, **request.arguments})
+
+
+async def test_messages_arrive_in_the_loop_with_their_relative_key() -> None:
+    async with open_pair() as (router, client):
+        received: asyncio.Queue[tuple[str, BodyPose]] = asyncio.Queue()
+        router.subscribe("state/pose/*", BodyPose, lambda key, message: received.put_nowait((key, message)))
+        client.publish("state/pose/coil", pose(3))
+        assert await asyncio.wait_for(received.get(), TIMEOUT) == ("state/pose/coil", pose(3))
+
+
+async def test_a_late_joiner_gets_the_last_snapshot() -> None:
+    async with open_pair() as (router, client):
+        for sequence in range(5):
+            router.publish("state/fsm", snapshot(sequence))
+        received: asyncio.Queue[Snapshot] = asyncio.Queue()
+        client.subscribe("state/fsm", Snapshot, lambda _, message: received.put_nowait(message))
+        assert (await asyncio.wait_for(received.get(), TIMEOUT)).sequence == 4
+
+
+async def test_a_process_does_not_hear_itself() -> None:
+    async with open_pair() as (router, client):
+        received: asyncio.Queue[int] = asyncio.Queue()
+        router.subscribe("dev/robot/beat", BodyPose, lambda _, message: received.put_nowait(message.frame_number))
+        router.publish("dev/robot/beat", pose(1))
+        client.publish("dev/robot/beat", pose(2))
+        assert await asyncio.wait_for(received.get(), TIMEOUT) == 2
+
+
+async def test_of_a_stream_a_busy_loop_gets_the_newest_and_of_events_all() -> None:
+    async with open_pair() as (router, _):
+        frames: list[int] = []
+        events: list[int] = []
+        done = asyncio.Event()
+
+        def take(_: str, message: BodyPose) -> None:
+            events.append(message.frame_number)
+            if message.frame_number == 99:
+                done.set()
+
+        router.subscribe("state/pose/coil", BodyPose, lambda _, message: frames.append(message.frame_number))
+        router.subscribe("state/event", BodyPose, take)
+        with plain_session(router.settings) as session:
+            for number in range(100):
+                for key in ("state/pose/coil", "state/event"):
+                    payload = pack(pose(number))
+                    session.put(f"{router.prefix}/{key}", payload, congestion_control=zenoh.CongestionControl.BLOCK)
+            # The loop has not had a turn since the first put.
+            await asyncio.wait_for(done.wait(), TIMEOUT)
+        assert events == list(range(100))
+        while not frames or frames[-1] != 99:
+            await asyncio.sleep(0)
+        assert frames == sorted(set(frames))
+
+
+async def test_a_malformed_message_is_ignored_and_the_next_one_heard() -> None:
+    async with open_pair() as (router, _):
+        received: asyncio.Queue[int] = asyncio.Queue()
+        refused: asyncio.Queue[str] = asyncio.Queue()
+        router.subscribe(
+            "state/event",
+            BodyPose,
+            lambda _, message: received.put_nowait(message.frame_number),
+            refuse=lambda key, error: refused.put_nowait(f"{key}: {error.code}"),
+        )
+        with plain_session(router.settings) as session:
+            session.put(f"{router.prefix}/state/event", b"\xc1garbage")
+            session.put(f"{router.prefix}/state/event", pack(pose(8)))
+            assert await asyncio.wait_for(received.get(), TIMEOUT) == 8
+        assert refused.get_nowait() == "state/event: malformed"
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+async def test_requests_are_answered_in_both_directions(backwards: bool) -> None:
+    async with open_pair() as pair:
+        server, asker = reversed(pair) if backwards else pair
+        server.serve("dev/*/cmd", DeviceRequest, echo)
+        if backwards:
+            # Once its own request is answered, the router knows what the client serves.
+            await sync(asker, server)
+        request = DeviceRequest(method="joints", arguments={"x": 1.5})
+        reply = await asker.request("dev/robot/cmd", request, DeviceReply, TIMEOUT)
+        assert reply.result == {"key": "dev/robot/cmd", "method": "joints", "x": 1.5}
+
+
+async def sync(router: Bus, client: Bus) -> None:
+    async def pong(_: str, __: Empty) -> Empty:
+        return Empty()
+
+    router.serve("svc/ping", Empty, pong)
+    await client.request("svc/ping", Empty(), Empty, TIMEOUT)
+
+
+async def test_requests_run_side_by_side() -> None:
+    async with open_pair() as (router, client):
+        meet = asyncio.Barrier(5)
+
+        async def wait_for_all(key: str, request: DeviceRequest) -> DeviceReply:
+            await meet.wait()
+            return DeviceReply(result=request.method)
+
+        router.serve("dev/robot/cmd", DeviceRequest, wait_for_all)
+        asked = [client.request("dev/robot/cmd", DeviceRequest(method=f"m{n}"), DeviceReply, TIMEOUT) for n in range(5)]
+        replies = await asyncio.wait_for(asyncio.gather(*asked), TIMEOUT)
+        assert [reply.result for reply in replies] == [f"m{n}" for n in range(5)]
+
+
+@pytest.mark.parametrize(
+    ("raised", "code", "says"),
+    [
+        (RefusalError("too_far", "3 m are too far.", distance=3.0), "too_far", "3 m are too far"),
+        (ZeroDivisionError("division by zero"), "error", "ZeroDivisionError"),
+    ],
+)
+async def test_an_error_in_the_handler_is_raised_at_the_asker(raised: Exception, code: str, says: str) -> None:
+    async def fail(_: str, __: DeviceRequest) -> DeviceReply:
+        raise raised
+
+    async with open_pair() as (router, client):
+        router.serve("dev/robot/cmd", DeviceRequest, fail)
+        with pytest.raises(DeviceError, match=says) as error:
+            await client.request("dev/robot/cmd", DeviceRequest(method="follow"), DeviceReply, TIMEOUT)
+        assert error.value.fields["reason"] == code
+
+
+async def test_a_reply_that_cannot_be_sent_and_a_malformed_request_are_errors() -> None:
+    async def answer_object(_: str, __: DeviceRequest) -> DeviceReply:
+        return DeviceReply(result=object())
+
+    async with open_pair() as (router, client):
+        router.serve("dev/robot/cmd", DeviceRequest, answer_object)
+        for request in (DeviceRequest(method="joints"), Empty()):
+            with pytest.raises(DeviceError) as error:
+                await client.request("dev/robot/cmd", request, DeviceReply, TIMEOUT)
+            assert error.value.fields["reason"] == "malformed"
+
+
+async def test_nobody_serving_and_silence_are_unknown_outcomes() -> None:
+    async with open_pair() as (router, client):
+        with pytest.raises(UnknownOutcomeError):
+            await client.request("dev/nobody/cmd", DeviceRequest(method="joints"), DeviceReply, TIMEOUT)
+
+        async def never(_: str, __: DeviceRequest) -> DeviceReply:
+            await asyncio.Event().wait()
+            raise AssertionError
+
+        router.serve("dev/robot/cmd", DeviceRequest, never)
+        with pytest.raises(UnknownOutcomeError):
+            await client.request("dev/robot/cmd", DeviceRequest(method="follow"), DeviceReply, 0.2)
+
+
+async def test_a_server_that_closes_leaves_its_askers_with_unknown() -> None:
+    settings = new_cell()
+    async with open_bus(settings) as router:
+        server = await Bus.open(msgspec.structs.replace(settings, mode="client"))
+        asked = asyncio.Event()
+
+        async def never(_: str, __: DeviceRequest) -> DeviceReply:
+            asked.set()
+            await asyncio.Event().wait()
+            raise AssertionError
+
+        server.serve("dev/robot/cmd", DeviceRequest, never)
+        await sync(router, server)
+        request = router.request("dev/robot/cmd", DeviceRequest(method="follow"), DeviceReply, 600.0)
+        pending = asyncio.ensure_future(request)
+        await asyncio.wait_for(asked.wait(), TIMEOUT)
+        await server.close()
+        with pytest.raises(UnknownOutcomeError):
+            await asyncio.wait_for(pending, TIMEOUT)
+
+
+SERVER = """
+import asyncio, sys
+import msgspec
+from pcmrs.bus import Bus, BusSettings
+from pcmrs.messages import DeviceReply, DeviceRequest
+
+async def main():
+    bus = await Bus.open(msgspec.json.decode(sys.argv[1], type=BusSettings))
+    async def handle(key, request):
+        if request.method == "follow":
+            print("moving", flush=True)
+            await asyncio.Event().wait()
+        return DeviceReply(result=request.method)
+    bus.serve("dev/robot/cmd", DeviceRequest, handle)
+    print("ready", flush=True)
+    await asyncio.Event().wait()
+
+asyncio.run(main())
+"""
+
+
+async def test_another_process_answers_and_its_death_is_noticed_at_once() -> None:
+    settings = new_cell()
+    arguments = [sys.executable, "-c", textwrap.dedent(SERVER), msgspec.json.encode(settings).decode()]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        try:
+            assert await asyncio.to_thread(server.stdout.readline) == "ready\n"
+            async with open_bus(msgspec.structs.replace(settings, mode="client")) as client:
+                ask = DeviceRequest(method="joints")
+                assert (await client.request("dev/robot/cmd", ask, DeviceReply, TIMEOUT)).result == "joints"
+                request = client.request("dev/robot/cmd", DeviceRequest(method="follow"), DeviceReply, 600.0)
+                pending = asyncio.ensure_future(request)
+                assert await asyncio.to_thread(server.stdout.readline) == "moving\n"
+                server.kill()
+                with pytest.raises(UnknownOutcomeError):
+                    await asyncio.wait_for(pending, TIMEOUT)
+        finally:
+            server.kill()
+
+
+async def test_a_second_daemon_is_refused() -> None:
+    settings = new_cell()
+    async with open_bus(settings):
+        with pytest.raises(BusError, match="another daemon") as error:
+            await Bus.open(settings)
+        assert error.value.fields["endpoint"] == settings.endpoint
+    # A closed one frees the endpoint.
+    async with open_bus(settings):
+        pass
+
+
+async def test_without_a_daemon_a_client_is_told_so() -> None:
+    with pytest.raises(BusError, match="start pcmrs-serve"):
+        await Bus.open(msgspec.structs.replace(new_cell(), mode="client"))
+
+
+async def test_names_that_are_no_part_of_a_key_are_refused() -> None:
+    with pytest.raises(PayloadError, match="Lab/1"):
+        await Bus.open(msgspec.structs.replace(new_cell(), site="Lab/1"))
+
+
+async def test_a_hand_query_without_payload_reads_json_also_by_wildcard() -> None:
+    async def present(_: str, __: Empty) -> Snapshot:
+        return snapshot(12)
+
+    async with open_pair() as (router, _):
+        router.serve("svc/snapshot", Empty, present)
+        with plain_session(router.settings) as session:
+            for selector in (f"{router.prefix}/svc/snapshot", f"{router.prefix}/**"):
+                replies = await asyncio.to_thread(lambda key=selector: list(session.get(key)))
+                (sample,) = [reply.ok for reply in replies]
+                assert str(sample.key_expr) == f"{router.prefix}/svc/snapshot"
+                assert json.loads(sample.payload.to_bytes())["sequence"] == 12
+
+
+async def test_a_liveliness_token_lasts_as_long_as_the_session() -> None:
+    settings = new_cell()
+    async with open_bus(settings):
+        with plain_session(settings) as session:
+            events: asyncio.Queue[tuple[str, zenoh.SampleKind]] = asyncio.Queue()
+            loop = asyncio.get_running_loop()
+            session.liveliness().declare_subscriber(
+                "pcmrs/**",
+                lambda sample: loop.call_soon_threadsafe(
+                    events.put_nowait, (str(sample.key_expr).rpartition("/")[2], sample.kind)
+                ),
+                history=True,
+            )
+            async with open_bus(msgspec.structs.replace(settings, mode="client")) as node:
+                node.alive("robot")
+                assert await asyncio.wait_for(events.get(), TIMEOUT) == ("robot", zenoh.SampleKind.PUT)
+            assert await asyncio.wait_for(events.get(), TIMEOUT) == ("robot", zenoh.SampleKind.DELETE)

@@ -1,0 +1,64 @@
+"""A clock for tests: time stands still until the test moves it, and nothing waits for real."""
+
+from __future__ import annotations
+
+import asyncio
+import heapq
+import itertools
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+
+EPOCH = 1_700_000_000.0
+SPINS = 50
+
+
+async def settle() -> None:
+    """Lets the event loop run until everything that needs no time has happened."""
+    for _ in range(SPINS):
+        await asyncio.sleep(0)
+
+
+class ManualClock:
+    """Implements `pcmrs.clock.Clock`; `advance` is the only thing that makes time pass."""
+
+    def __init__(self) -> None:
+        self._now = 100.0
+        self._numbers = itertools.count()
+        self._due: list[tuple[float, int, Callable[[], None]]] = []
+
+    def monotonic(self) -> float:
+        return self._now
+
+    def wall(self) -> float:
+        return EPOCH + self._now
+
+    async def sleep(self, seconds: float) -> None:
+        woken = asyncio.get_running_loop().create_future()
+        self._at(seconds, lambda: None if woken.done() else woken.set_result(None))
+        await woken
+
+    @asynccontextmanager
+    async def timeout(self, seconds: float) -> AsyncIterator[None]:
+        async with asyncio.timeout(None) as deadline:
+            entry = self._at(seconds, lambda: deadline.reschedule(0))
+            try:
+                yield
+            finally:
+                if entry in self._due:
+                    self._due.remove(entry)
+                    heapq.heapify(self._due)
+
+    async def advance(self, seconds: float) -> None:
+        """Moves time, waking whatever falls due, in order, and letting it run before time goes on."""
+        end = self._now + seconds
+        while self._due and self._due[0][0] <= end:
+            self._now, _, wake = heapq.heappop(self._due)
+            wake()
+            await settle()
+        self._now = end
+        await settle()
+
+    def _at(self, seconds: float, wake: Callable[[], None]) -> tuple[float, int, Callable[[], None]]:
+        entry = (self._now + seconds, next(self._numbers), wake)
+        heapq.heappush(self._due, entry)
+        return entry

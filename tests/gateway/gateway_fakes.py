@@ -1,0 +1,159 @@
+"""A daemon, a clock and clients for the gateway's tests."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import defaultdict
+from typing import Any, Self, cast
+
+import numpy as np
+
+from pcmrs.messages import BlueprintTag, Command, Reason, Snapshot, Verdict
+from pcmrs.spatial import Floats, Transform
+
+POSE = Transform.from_quat_xyzw([0.01, 0.02, 0.03], [0.5, 0.5, 0.5, 0.5])
+
+CONFIRMED = {
+    "measured": {"position": [0.1, 0.2, 0.3], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]},
+    "translation_error": 0.00025,
+    "rotation_error": 0.001,
+}
+
+
+class FakeCore:
+    """Accepts everything except what `refusals` names; an operation with a closed gate waits for it."""
+
+    def __init__(self) -> None:
+        self.branches = {
+            "registration": "000", "digitization": "0", "toolplan": "0", "robot": "1", "placement": "retracted",
+        }  # fmt: skip
+        self.commands: list[Command] = []
+        self.arrived = asyncio.Event()
+        self.refusals: dict[str, str] = {}
+        self.results: dict[str, dict[str, Any]] = {}
+        self.gates: dict[str, asyncio.Event] = defaultdict(_open_gate)
+        self.stops: list[str] = []
+        self.pose: Transform | None = POSE
+        self.target: Transform | None = POSE
+        self.tip: Floats | None = np.array([0.1, 0.2, 0.3])
+
+    @property
+    def operations(self) -> list[str]:
+        return [command.operation for command in self.commands]
+
+    async def submit(self, command: Command) -> Verdict:
+        self.commands.append(command)
+        self.arrived.set()
+        await self.gates[command.operation].wait()
+        code = self.refusals.get(command.operation)
+        return Verdict(
+            id=command.id,
+            branch=command.branch,
+            operation=command.operation,
+            decision="rejected" if code else "accepted",
+            state=self.branches[command.branch],
+            sequence=1,
+            reason=Reason(code=code, text="") if code else None,
+            result=self.results.get(command.operation),
+        )
+
+    async def stop(self, source: str) -> None:
+        self.stops.append(source)
+
+    def snapshot(self) -> Snapshot:
+        return Snapshot(
+            sequence=1,
+            branches=self.branches,
+            flags={},
+            running=[],
+            latched=False,
+            blueprint=BlueprintTag(id="t", version="1", hash=""),
+        )
+
+    def joints(self) -> list[float] | None:
+        return [0.1 * index for index in range(7)]
+
+    def remember_initial_joints(self) -> list[float] | None:
+        return None
+
+    def flange_pose(self) -> Transform | None:
+        return self.pose
+
+    def tool_in_image(self) -> Transform | None:
+        return self.pose
+
+    def target_in_image(self) -> Transform | None:
+        return self.target
+
+    def tip_in_image(self) -> Floats | None:
+        return self.tip
+
+    def registration(self) -> Transform | None:
+        return None
+
+    def tracked(self) -> dict[str, Transform] | None:
+        return {"body_from_tool": POSE, "tracker_from_body": POSE, "tracker_from_tool": POSE}
+
+
+def _open_gate() -> asyncio.Event:
+    gate = asyncio.Event()
+    gate.set()
+    return gate
+
+
+class ManualClock:
+    """Sleeping advances it; its timeouts pass when the test says so."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+        self._timeouts: list[asyncio.Timeout] = []
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def wall(self) -> float:
+        return 1.7e9 + self.now
+
+    async def sleep(self, seconds: float) -> None:
+        self.now += max(0.0, seconds)
+        await asyncio.sleep(0)
+
+    def timeout(self, seconds: float) -> asyncio.Timeout:
+        self._timeouts.append(asyncio.timeout(None))
+        return self._timeouts[-1]
+
+    def expire(self) -> None:
+        """Lets the timeouts entered so far pass."""
+        for timeout in self._timeouts:
+            timeout.reschedule(0.0)
+        self._timeouts.clear()
+
+
+class UdpClient(asyncio.DatagramProtocol):
+    """A socket that keeps what it receives."""
+
+    def __init__(self) -> None:
+        self.received: asyncio.Queue[str] = asyncio.Queue()
+
+    @classmethod
+    async def open(cls) -> Self:
+        _, client = await asyncio.get_running_loop().create_datagram_endpoint(cls, local_addr=("127.0.0.1", 0))
+        return client
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.transport = cast(asyncio.DatagramTransport, transport)
+
+    def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
+        self.received.put_nowait(data.decode())
+
+    @property
+    def port(self) -> int:
+        return int(self.transport.get_extra_info("sockname")[1])
+
+    def send(self, data: bytes | str, address: tuple[str, int]) -> None:
+        self.transport.sendto(data.encode() if isinstance(data, str) else data, address)
+
+    async def ask(self, data: str, address: tuple[str, int]) -> str:
+        """Sends, and returns the next datagram that comes."""
+        self.send(data, address)
+        return await self.received.get()

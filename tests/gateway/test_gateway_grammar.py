@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+import contextlib
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from pcmrs.errors import PayloadError
+from pcmrs.gateway.commands import COMMANDS, Kind, Second, Spec, Value
+from pcmrs.gateway.grammar import MAX_BYTES, format_command, parse, parse_tool_points
+from pcmrs.gateway.outcome import NO_DATA, Outcome
+from pcmrs.planner import parse_reply
+
+_TOKENS: dict[Kind, st.SearchStrategy[Value]] = {
+    Kind.COUNT: st.integers(0, 999),
+    Kind.NUMBER: st.floats(allow_nan=False, allow_infinity=False),
+    Kind.PATH: st.from_regex(r"[a-zA-Z0-9_/.\-]{0,99}[a-z]", fullmatch=True),
+}
+
+
+@st.composite
+def _commands(draw: st.DrawFn) -> tuple[Spec, tuple[Value, ...], str | None]:
+    spec = draw(st.sampled_from(list(COMMANDS.values())))
+    values = tuple(draw(_TOKENS[kind]) for kind in spec.payload)
+    return spec, values, draw(st.none() | st.from_regex(r"[0-9]{1,10}", fullmatch=True))
+
+
+@given(_commands())
+def test_what_is_formatted_parses_to_the_same_values(command: tuple[Spec, tuple[Value, ...], str | None]) -> None:
+    spec, values, client_id = command
+    request = parse(format_command(spec.name, *values, client_id=client_id))
+    assert (request.spec, request.values, request.id) == command
+
+
+@given(st.binary(max_size=300) | st.sampled_from(sorted(COMMANDS)).flatmap(
+    lambda name: st.text("_#;|0123456789.e+-nainfx", max_size=40).map(lambda rest: (name + rest).encode())
+))  # fmt: skip
+@example(b"")
+@example(b"img_fid_numxxxxx_" + "\u0663".encode() + b";")
+def test_bytes_parse_or_are_malformed_and_nothing_else(data: bytes) -> None:
+    for read in (parse, parse_tool_points):
+        with contextlib.suppress(PayloadError):
+            read(data)
+
+
+@pytest.mark.parametrize("token", ["1e-3", "-.5", "+2.", "0.000000000000001", "7"])
+def test_decimal_numbers_are_taken(token: str) -> None:
+    assert parse(f"target_tslxxxxxx_{token}_0_0;".encode()).values[0] == float(token)
+
+
+@pytest.mark.parametrize("token", ["nan", "inf", "-inf", "1e999", "1_000", "0x1", "", " 1", "1e", ".", "--1", "1,5"])
+def test_other_numbers_are_refused(token: str) -> None:
+    with pytest.raises(PayloadError):
+        parse(f"target_tslxxxxxx_{token}_0_0;".encode())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "execute_motionxx",  # no terminator
+        "execute_motionxx;;",  # more than the terminator
+        "execute_motionxx; ",
+        "execute_motionxx;execute_confirmx;",
+        "execute_motionxx_1;",  # arity
+        "execute_motionxxx;",
+        "target_tslxxxxxx_1_2;",
+        "target_tslxxxxxx_1_2_3_4;",
+        "img_dig_digitize_-1;",
+        "img_dig_digitize_1.0;",
+        "execute_motionxx_#;",  # id
+        "execute_motionxx_#12345678901;",
+        "execute_motionxx_#1_#2;",
+        "icp_registerxxxx_;",
+        "magic_close_byte;",  # unknown
+        "execute_motionxx;|peer|1|" + "0" * 31,  # no signature
+    ],
+)
+def test_the_whole_grammar_is_checked(text: str) -> None:
+    with pytest.raises(PayloadError):
+        parse(text.encode())
+
+
+def test_a_signature_is_recognised_and_not_supported() -> None:
+    with pytest.raises(PayloadError, match="not supported"):
+        parse(b"execute_motionxx;|planner|7|" + b"0123456789abcdef" * 2)
+
+
+def test_a_path_is_opaque() -> None:
+    request = parse(b"icp_registerxxxx_/a_b/c d_1.stl_#5;")
+    assert (request.values, request.id) == (("/a_b/c d_1.stl",), "5")
+
+
+@pytest.mark.parametrize(("size", "fits"), [(MAX_BYTES, True), (MAX_BYTES + 1, False)])
+def test_the_length_is_limited(size: int, fits: bool) -> None:
+    datagram = b"icp_registerxxxx_".ljust(size - 1, b"a") + b";"
+    if fits:
+        parse(datagram)
+    else:
+        with pytest.raises(PayloadError, match="257 bytes, the limit is 256"):
+            parse(datagram)
+
+
+@given(
+    st.sampled_from(["rejected", "failed"]),
+    st.from_regex(r"[0-9]{1,10}", fullmatch=True),
+    st.from_regex(r"[a-z]+(_[a-z]+)*", fullmatch=True),
+)
+def test_a_refusal_stays_parseable_whatever_its_reason(decision: str, client_id: str, reason: str) -> None:
+    outcome = Outcome(decision, "tool_plan", "in_air", reason)  # type: ignore[arg-type]
+    back_id, verdict = parse_reply(outcome.reply(client_id).encode())
+    assert (back_id, verdict.decision, verdict.branch, verdict.state, verdict.reason) == (
+        client_id, decision, "tool-plan", "in-air", reason,
+    )  # fmt: skip
+
+
+@given(st.lists(st.floats(-1e3, 1e3), max_size=9))
+def test_results_follow_an_acceptance(numbers: list[float]) -> None:
+    _, verdict = parse_reply(Outcome("accepted", "placement", "placed", numbers=tuple(numbers)).reply("1").encode())
+    assert verdict.results == pytest.approx(numbers, rel=1e-5)
+
+
+def test_a_refused_registration_never_shows_numbers() -> None:
+    assert Outcome("rejected", "registration", "110", "residual_too_large").second(Second.RESIDUAL) == NO_DATA
+    assert Outcome("accepted", "registration", "111", numbers=(2.300912,)).second(Second.RESIDUAL) == "2.300912"
+
+
+@given(st.binary(max_size=100))
+def test_the_planner_survives_any_reply(data: bytes) -> None:
+    with contextlib.suppress(PayloadError):
+        parse_reply(data)

@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import asyncio
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from gateway_fakes import POSE, FakeCore, ManualClock
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from pcmrs.errors import RefusalError
+from pcmrs.gateway.records import Records, placement_text
+from pcmrs.gateway.settings import GatewayConfig
+from pcmrs.gateway.streams import Streams, point_message, pose_message, unity_message
+from pcmrs.gateway.tasks import Tasks
+from pcmrs.spatial import Transform
+
+_rotvecs = st.tuples(*[st.floats(-1.5, 1.5)] * 3)
+_points = st.tuples(*[st.floats(-1.0, 1.0)] * 3)
+SWAP_YZ = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+
+
+def test_messages_are_in_mm_with_five_decimals() -> None:
+    assert pose_message(POSE) == "__msg_pose_10.00000_20.00000_30.00000_0.50000_0.50000_0.50000_0.50000"
+    assert point_message(np.array([0.1, -0.2, 1e-6])) == "__msg_point_100.00000_-200.00000_0.00100"
+
+
+@given(_points, _rotvecs)
+def test_unity_sees_the_mirrored_pose(position: tuple[float, ...], rotvec: tuple[float, ...]) -> None:
+    pose = Transform.from_rotvec(position, rotvec)
+    numbers = [float(token) for token in unity_message("crnt_", pose).removeprefix("crnt_").split("_")]
+    np.testing.assert_allclose(numbers[:3], SWAP_YZ @ pose.translation, atol=1e-7)
+    np.testing.assert_allclose(
+        Rotation.from_quat(numbers[3:]).as_matrix(), SWAP_YZ @ pose.rotation @ SWAP_YZ, atol=1e-6
+    )
+
+
+class Sent:
+    """Collects what a stream sends, by port."""
+
+    def __init__(self) -> None:
+        self.messages: list[tuple[str, int]] = []
+        self._grown = asyncio.Event()
+
+    def __call__(self, text: str, host: str, port: int) -> None:
+        self.messages.append((text, port))
+        self._grown.set()
+
+    async def wait(self, count: int) -> None:
+        while len(self.messages) < count:
+            self._grown.clear()
+            await self._grown.wait()
+
+    def to(self, port: int) -> list[str]:
+        return [text.split("_")[0] if port == 8051 else text for text, to in self.messages if to == port]
+
+
+async def test_the_pose_stream_keeps_its_rate_and_sends_unity_plans_once() -> None:
+    core, clock, sent, tasks = FakeCore(), ManualClock(), Sent(), Tasks()
+    config = GatewayConfig(stream_rate_hz=100.0)
+    streams = Streams(core, clock, config, sent, tasks)
+    began = clock.now
+    streams.start_poses()
+    streams.start_poses()
+    await sent.wait(51)
+    assert clock.now - began == pytest.approx((len(sent.to(8079)) - 1) * 0.01, abs=0.011)
+    assert sent.to(8051) == ["trgt"]  # not registered: no current pose, no registration
+    core.branches["registration"] = "111"
+    core.target = Transform.identity()
+    sent.messages.clear()
+    await sent.wait(20)
+    assert set(sent.to(8051)) == {"crnt", "trgt"}
+    assert sent.to(8051).count("trgt") == 1
+    streams.stop_poses()
+    sent.messages.clear()
+    streams.start_tip()
+    await sent.wait(3)
+    assert {port for _, port in sent.messages} == {8083}
+    streams.stop_tip()
+    await tasks.close()
+
+
+async def test_an_unknown_pose_is_left_out() -> None:
+    core, sent, tasks = FakeCore(), Sent(), Tasks()
+    core.pose = None
+    streams = Streams(core, ManualClock(), GatewayConfig(), sent, tasks)
+    streams.start_poses()
+    await sent.wait(1)
+    assert sent.to(8079) == []
+    await tasks.close()
+
+
+@given(_points, _rotvecs)
+def test_a_saved_placement_reads_back(position: tuple[float, ...], rotvec: tuple[float, ...]) -> None:
+    planned = Transform.from_rotvec(position, rotvec)
+    content = yaml.safe_load(placement_text(planned, POSE))
+    assert list(content) == ["PLANNED_POSE", "MEASURED_POSE"]
+    read = content["PLANNED_POSE"]
+    np.testing.assert_allclose([read["TRANSLATION"][axis] for axis in "xyz"], planned.translation, atol=1e-15)
+    np.testing.assert_allclose([read["ROTATION"][axis] for axis in "xyzw"], planned.quat_xyzw, atol=1e-15)
+
+
+async def test_a_pose_log_holds_five_seconds_at_twenty_hertz(tmp_path: Path) -> None:
+    clock, tasks = ManualClock(), Tasks()
+    records = Records(FakeCore(), clock, tmp_path / "session", tasks)
+    began = clock.now
+    log = records.log_poses()
+    with pytest.raises(RefusalError, match="being taken"):
+        records.log_poses()
+    path = await log
+    assert clock.now - began == pytest.approx(5.0)
+    rows = list(csv.reader(path.read_text().splitlines()))
+    assert [row[0] for row in rows] == ["body_tool", "pol_body", "pol_tool"] * 101
+    assert {len(row) for row in rows} == {8}
+    assert list(path.parent.iterdir()) == [path]
+    await tasks.close()
+
+
+async def test_a_placement_without_a_measured_pose_is_not_saved(tmp_path: Path) -> None:
+    core = FakeCore()
+    records = Records(core, ManualClock(), tmp_path, Tasks())
+    assert (await records.save_placement()).suffix == ".yaml"
+    core.pose = None
+    with pytest.raises(RefusalError, match="no fresh measured pose"):
+        await records.save_placement()

@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pcmrs.errors import DeviceError
+from pcmrs.kinematics.arms import ARMS
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.messages import JointTrajectory
+from pcmrs.spatial import Floats, distance
+from sim.arm import Arm
+from sim.settings import ArmSettings, GeometrySettings
+
+FACTS = ARMS["iiwa14"]
+HOME = np.array(ArmSettings().home)
+PERIOD = 0.005
+
+
+def make_arm(seed: int = 1) -> Arm:
+    flange_from_coil = GeometrySettings().flange_from_coil.transform
+    return Arm(FACTS, ArmSettings(), flange_from_coil, np.random.default_rng(seed))
+
+
+def smooth(start: Floats, goal: Floats, duration: float = 2.0) -> JointTrajectory:
+    """Minimum-jerk motion, at rest at both ends."""
+    time = np.arange(0.0, duration + PERIOD / 2, PERIOD) / duration
+    way = 10 * time**3 - 15 * time**4 + 6 * time**5
+    return JointTrajectory(period=PERIOD, positions=(start + way[:, None] * (goal - start)).tolist())
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 1000), st.lists(st.floats(-0.5, 0.5), min_size=7, max_size=7))
+def test_the_flange_ends_within_a_tenth_of_a_millimetre(seed: int, change: list[float]) -> None:
+    model, arm = ArmModel(FACTS), make_arm(seed)
+    goal = HOME + change
+    arm.follow(smooth(HOME, goal))
+    arm.step(2000)
+    overshoot = 0.0
+    for _ in range(20):
+        arm.step(100)
+        overshoot = max(overshoot, distance(model.forward(arm.positions), model.forward(goal)))
+    assert arm.at_rest
+    assert distance(model.forward(arm.positions), model.forward(goal)) < 1e-4
+    assert overshoot < 4e-4
+
+
+def test_the_same_seed_gives_the_same_motion() -> None:
+    ends = []
+    for _ in range(2):
+        arm = make_arm()
+        arm.follow(smooth(HOME, HOME + 0.3))
+        arm.step(1500)
+        ends.append(arm.positions)
+    assert np.array_equal(ends[0], ends[1])
+
+
+def test_hold_brakes_within_the_acceleration_limit() -> None:
+    arm = make_arm()
+    arm.follow(smooth(HOME, HOME + 0.5))
+    arm.step(1000)
+    arm.hold()
+    velocities = []
+    while not arm.reference.ended:
+        velocities.append(arm.reference.velocity)
+        arm.step(1)
+    assert np.abs(np.diff(velocities, axis=0)).max() / 0.001 < 1.05 * ArmSettings().brake_acceleration
+    assert len(velocities) < 300
+    arm.step(1000)
+    assert arm.at_rest
+    assert np.abs(arm.reference.position - HOME).max() < 0.5
+
+
+def test_hold_at_rest_stays() -> None:
+    arm = make_arm()
+    arm.hold()
+    arm.step(100)
+    assert np.array_equal(arm.reference.position, HOME)
+
+
+def test_a_start_within_tolerance_is_taken_up_without_a_jump() -> None:
+    arm = make_arm()
+    arm.follow(smooth(HOME + 0.01, HOME + 0.2))
+    previous = arm.reference.position
+    for _ in range(2000):
+        arm.step(1)
+        assert np.abs(arm.reference.position - previous).max() < 0.001
+        previous = arm.reference.position
+    assert np.allclose(previous, HOME + 0.2)
+
+
+def test_a_single_posture_is_no_motion() -> None:
+    arm = make_arm()
+    arm.follow(JointTrajectory(period=PERIOD, positions=[HOME.tolist()]))
+    assert arm.reference.ended
+
+
+BEYOND = HOME.copy()
+BEYOND[5] = 2.2
+REFUSED = {
+    "from the present posture": smooth(HOME + 0.03, HOME),
+    "range": smooth(HOME, BEYOND, 20.0),
+    "rad/s": smooth(HOME, HOME - 0.4, 0.3),
+    "finite": JointTrajectory(period=PERIOD, positions=[HOME.tolist(), [float("nan")] * 7]),
+    "7 joints": JointTrajectory(period=PERIOD, positions=[HOME.tolist(), [0.0] * 6]),
+    "period": JointTrajectory(period=0.0, positions=[HOME.tolist()]),
+    "0 postures": JointTrajectory(period=PERIOD, positions=[]),
+}
+
+
+@pytest.mark.parametrize("text", REFUSED)
+def test_refused_trajectories_change_nothing(text: str) -> None:
+    arm = make_arm()
+    with pytest.raises(DeviceError, match=text):
+        arm.follow(REFUSED[text])
+    assert arm.reference.ended
+    assert np.array_equal(arm.reference.position, HOME)
