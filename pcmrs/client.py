@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import uuid
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -105,7 +105,7 @@ class Client:
         self._bus.publish(key, Empty())
         await self._bus.request(key, Empty(), Stopping, timeout)
 
-    async def watch(self) -> AsyncIterator[Event]:
+    async def watch(self) -> AsyncGenerator[Event, None]:
         """Yields the last snapshot, then snapshots, verdicts and device events as they come; never ends."""
         events: asyncio.Queue[Event] = asyncio.Queue()
         self._bus.subscribe("state/fsm", Snapshot, lambda _, snapshot: events.put_nowait(snapshot))

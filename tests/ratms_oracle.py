@@ -22,19 +22,30 @@ BRANCHES = ("registration", "digitization", "toolplan", "robot", "placement")
 INITIAL: Joint = ("000", "0", "0", "0", "unknown")
 
 USER_OPERATIONS = {
-    "registration": (
-        "plan_landmarks register use_previous clear_landmarks reinit clear_digitization clear_registration"
-    ).split(),
-    "digitization": (
-        "digitize_all digitize_one redigitize_one reuse_previous reuse_previous_except reinit"
-    ).split(),
-    "toolplan": "plan clear reinit".split(),
-    "robot": "connect disconnect acknowledge".split(),
-    "placement": "locate approach confirm nudge back_off home to_initial reinit".split(),
+    "registration": [
+        "plan_landmarks",
+        "register",
+        "use_previous",
+        "clear_landmarks",
+        "reinit",
+        "clear_digitization",
+        "clear_registration",
+    ],
+    "digitization": [
+        "digitize_all",
+        "digitize_one",
+        "redigitize_one",
+        "reuse_previous",
+        "reuse_previous_except",
+        "reinit",
+    ],
+    "toolplan": ["plan", "clear", "reinit"],
+    "robot": ["connect", "disconnect", "acknowledge"],
+    "placement": ["locate", "approach", "confirm", "nudge", "back_off", "home", "to_initial", "reinit"],
 }
 EVENT_OPERATIONS = {"robot": ["link_lost"]}
 INTERNAL_OPERATIONS = {"registration": ["digitized", "undigitized"], "robot": ["placement_changed"]}
-MOTIONS = "approach confirm nudge back_off home to_initial".split()
+MOTIONS = ["approach", "confirm", "nudge", "back_off", "home", "to_initial"]
 
 
 def expected(joint: Joint, branch: str, operation: str) -> Endings | None:

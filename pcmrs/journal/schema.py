@@ -24,7 +24,8 @@ CREATE TABLE journal (
     previous_hash BLOB NOT NULL,
     hash BLOB NOT NULL
 ) STRICT;
-CREATE UNIQUE INDEX one_decision ON journal (source, command_id, kind) WHERE kind IN ('intent', 'outcome');
+CREATE UNIQUE INDEX one_intent ON journal (source, command_id) WHERE kind = 'intent';
+CREATE UNIQUE INDEX one_outcome ON journal (source, command_id) WHERE kind = 'outcome';
 CREATE TRIGGER no_update BEFORE UPDATE ON journal BEGIN SELECT RAISE(ABORT, 'the journal is append-only'); END;
 CREATE TRIGGER no_delete BEFORE DELETE ON journal BEGIN SELECT RAISE(ABORT, 'the journal is append-only'); END;
 CREATE TRIGGER no_gap BEFORE INSERT ON journal

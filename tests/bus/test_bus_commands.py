@@ -126,7 +126,7 @@ async def test_a_malformed_put_is_refused_on_the_event_key() -> None:
 async def test_looking_around_commands_nothing_and_stops_nothing() -> None:
     async with running_daemon() as (daemon, session):
         for selector in ("**", "cmd/local/*/reinit", "stop/*"):
-            replies = await asyncio.to_thread(lambda key=selector: list(session.get(f"{daemon.bus.prefix}/{key}")))
+            replies = await asyncio.to_thread(lambda: list(session.get(f"{daemon.bus.prefix}/{selector}")))  # noqa: B023
             assert [reply for reply in replies if reply.ok is not None] == []
         assert daemon.submitted.empty()
         assert daemon.stopped.empty()

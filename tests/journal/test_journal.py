@@ -3,7 +3,8 @@
 import asyncio
 import hashlib
 import sqlite3
-from collections.abc import AsyncIterator
+import threading
+from collections.abc import AsyncIterator, Iterable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -13,9 +14,9 @@ from hypothesis import strategies as st
 from journal_rows import intent, outcome, row
 
 from pcmrs.errors import JournalError
-from pcmrs.journal import Journal, JournalReader
+from pcmrs.journal import Journal, JournalReader, StoredRow
 from pcmrs.journal.rows import GENESIS, decode_row, encode_row
-from pcmrs.journal.writer import JournalWriter
+from pcmrs.journal.writer import Encoded, JournalWriter
 
 
 @pytest.fixture
@@ -48,14 +49,20 @@ async def test_waiting_appends_are_committed_in_their_order(journal: Journal) ->
 
 async def test_what_waits_is_committed_together(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     groups: list[int] = []
+    writing = threading.Event()
     write = JournalWriter.write
-    monkeypatch.setattr(JournalWriter, "write", lambda self, rows: (groups.append(len(rows)), write(self, rows))[1])
+
+    def counted_write(self: JournalWriter, rows: Sequence[Encoded]) -> int:
+        groups.append(len(rows))
+        writing.set()
+        return write(self, rows)
+
+    monkeypatch.setattr(JournalWriter, "write", counted_write)
     journal = Journal.open(path)
     blocker = sqlite3.connect(path, isolation_level=None)
     blocker.execute("BEGIN IMMEDIATE")
     first = journal.append([row()])
-    while not groups:
-        await asyncio.sleep(0)
+    await asyncio.to_thread(writing.wait)
     waiting = [journal.append([row()]) for _ in range(50)]
     assert groups == [1]
     blocker.execute("ROLLBACK")
@@ -83,8 +90,8 @@ async def test_the_chain_continues_over_a_restart(path: Path) -> None:
 
 @given(st.permutations(["a", "b", "c", "d"]))
 def test_the_encoding_does_not_depend_on_the_order_of_keys(keys: list[str]) -> None:
-    mixed = row(arguments={key: {inner: 1 for inner in keys} for key in keys})
-    ordered = row(arguments={key: {inner: 1 for inner in sorted(keys)} for key in sorted(keys)})
+    mixed = row(arguments={key: dict.fromkeys(keys, 1) for key in keys})
+    ordered = row(arguments={key: dict.fromkeys(sorted(keys), 1) for key in sorted(keys)})
     assert encode_row(mixed) == encode_row(ordered)
 
 
@@ -137,8 +144,8 @@ async def test_reading_can_be_narrowed(journal: Journal) -> None:
     await journal.append([intent("a"), outcome("a"), row("device"), intent("b", "udp:x")])
     read = journal.reader.read
 
-    def sequences(rows: object) -> list[int]:
-        return [stored.sequence for stored in rows]  # type: ignore[attr-defined]
+    def sequences(rows: Iterable[StoredRow]) -> list[int]:
+        return [stored.sequence for stored in rows]
 
     assert sequences(read(kind="intent")) == [1, 4]
     assert sequences(read(branch="registration", after=1)) == [2, 4]
@@ -193,7 +200,7 @@ async def test_reading_goes_on_while_a_daemon_writes(path: Path) -> None:
 @pytest.mark.parametrize("content", [b"", b"not a database at all, just some text" * 40])
 def test_a_file_that_is_no_journal_cannot_be_read(path: Path, content: bytes) -> None:
     path.write_bytes(content)
-    with pytest.raises(JournalError, match="give another file|Give another file"):
+    with pytest.raises(JournalError, match="another file"):
         JournalReader(path)
 
 
