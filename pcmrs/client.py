@@ -15,7 +15,7 @@ from typing import Any
 from pcmrs.bus import DEFAULT_ENDPOINT, Bus, BusSettings, Empty
 from pcmrs.bus.codec import convert
 from pcmrs.bus.envelope import Envelope
-from pcmrs.bus.keys import command_key
+from pcmrs.bus.keys import KeyTable, command_key
 from pcmrs.bus.stop import Stopping
 from pcmrs.clock import SystemClock
 from pcmrs.errors import BusError, DeviceError, PayloadError, UnknownOutcomeError
@@ -94,6 +94,14 @@ class Client:
             UnknownOutcomeError: The daemon did not answer within `timeout` (s).
         """
         return await self._bus.request("svc/snapshot", Empty(), Snapshot, timeout)
+
+    async def keys(self, timeout: float = 1.5) -> KeyTable:
+        """Everything that can be published and subscribed, with payloads.
+
+        Raises:
+            UnknownOutcomeError: The daemon did not answer within `timeout` (s).
+        """
+        return await self._bus.request("svc/keys", Empty(), KeyTable, timeout)
 
     async def stop(self, timeout: float = 1.5) -> None:
         """Stops every motion: told to all listeners at once, and returns when the daemon has begun.

@@ -142,7 +142,9 @@ def _line(event: Event) -> str:
 
 
 def _print_snapshot(snapshot: Snapshot) -> None:
-    table = Table("branch", "state", title=f"{snapshot.blueprint.id} {snapshot.blueprint.version}", title_justify="left")
+    table = Table(
+        "branch", "state", title=f"{snapshot.blueprint.id} {snapshot.blueprint.version}", title_justify="left"
+    )
     for branch, name in snapshot.branches.items():
         table.add_row(branch, name)
     console = Console()

@@ -7,6 +7,7 @@ import logging
 import signal
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import msgspec
@@ -15,6 +16,10 @@ import structlog
 from pcmrs.cli.options import config_options
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    # For annotations only: asking for help must not load the robot's kinematics.
+    from pcmrs.settings import Settings
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
@@ -57,7 +62,7 @@ def node(driver: str, devices: tuple[str, ...], file: Path | None, overrides: tu
     run(serve_devices(settings, driver, devices, lifeline=lifeline))
 
 
-async def _serve(settings: "Settings") -> None:  # noqa: F821, UP037
+async def _serve(settings: Settings) -> None:
     from pcmrs.service import Daemon
 
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
