@@ -111,6 +111,10 @@ class Planner(asyncio.DatagramProtocol):
         """Has all landmarks digitized in order."""
         await self._demand("start_autodigitz", timeout=600.0)
 
+    async def digitize_one(self, index: int) -> None:
+        """Has one landmark digitized; `index` counts from 0 in the order of the plan."""
+        await self._demand("img_dig_digitize", index, timeout=90.0)
+
     async def register(self) -> float:
         """Registers; returns the mean residual in mm."""
         return (await self._demand("start_registrati")).results[0]
@@ -140,6 +144,10 @@ class Planner(asyncio.DatagramProtocol):
     async def home(self) -> None:
         """Moves to the home posture."""
         await self._demand("execute_homexxxx", timeout=240.0)
+
+    async def reinitiate(self) -> None:
+        """Starts the procedure anew: no landmarks, no registration, no planned pose."""
+        await self._demand("session_reinitxx")
 
     async def stop(self) -> None:
         """Stops everything at once."""

@@ -19,14 +19,16 @@ from pcmrs.errors import ConfigurationError
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.
+    from pcmrs.service import Ready
     from pcmrs.settings import Settings
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @config_options
+@click.option("--json", "as_json", is_flag=True, help="Say where it can be reached as one line of JSON.")
 @click.option("--verbose", is_flag=True, help="Log every detail.")
 @readable_errors
-def serve(file: Path | None, overrides: tuple[str, ...], verbose: bool) -> None:
+def serve(file: Path | None, overrides: tuple[str, ...], as_json: bool, verbose: bool) -> None:
     """Run the daemon of one cell: by default robotic TMS on the simulated cell.
 
     Ends on SIGINT and SIGTERM; a running motion is held first. Exit status: 0 ended as told,
@@ -35,7 +37,7 @@ def serve(file: Path | None, overrides: tuple[str, ...], verbose: bool) -> None:
     from pcmrs.settings import read_settings
 
     _log_to_stderr(verbose=verbose)
-    run(_serve(read_settings(file, overrides)))
+    run(_serve(read_settings(file, overrides), as_json=as_json))
 
 
 @click.command(hidden=True)
@@ -62,24 +64,35 @@ def node(driver: str, devices: tuple[str, ...], file: Path | None, overrides: tu
     run(serve_devices(settings, driver, devices, lifeline=lifeline))
 
 
-async def _serve(settings: Settings) -> None:
+async def _serve(settings: Settings, *, as_json: bool) -> None:
     from pcmrs.service import Daemon
 
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
     async with Daemon(settings).running() as ready:
-        faster = f", {ready.rate:g} times as fast as real time" if ready.rate != 1.0 else ""
-        click.echo(f"pcmrs-serve: {ready.workflow}{faster}. Research software, not a medical device.")
-        click.echo(f"  bus      {ready.endpoint}, keys {ready.prefix}/** (see: pcmrs keys)")
-        for name, (host, port) in ready.links.items():
-            click.echo(f"  {name:<14} {'tcp' if name == 'tcp' else 'udp'} {host}:{port}")
-        click.echo(f"  journal  {ready.folder / 'journal.sqlite'}")
-        click.echo("ready")
+        click.echo(msgspec.json.encode(ready).decode() if as_json else _text(ready))
         sys.stdout.flush()
         await ended.wait()
-        click.echo("ending: motion is held first")
-    click.echo("ended")
+        click.echo("ending: motion is held first", err=True)
+
+
+def _text(ready: Ready) -> str:
+    faster = f", {ready.rate:g} times as fast as real time" if ready.rate != 1.0 else ""
+    links = [
+        f"  {name:<14} {'tcp' if name == 'tcp' else 'udp'} {host}:{port}" for name, (host, port) in ready.links.items()
+    ]
+    lines = [
+        f"pcmrs-serve: {ready.workflow}{faster}. Research software, not a medical device.",
+        f"  bus      {ready.endpoint}, keys {ready.prefix}/** (list them: pcmrs keys)",
+        *(
+            f"  {name:<14} {'tcp' if name == 'tcp' else 'udp'} {host}:{port}"
+            for name, (host, port) in ready.links.items()
+        ),
+        f"  journal  {ready.folder}/journal.sqlite",
+        "ready",
+    ]
+    return "\n".join(lines)
 
 
 def _log_to_stderr(*, verbose: bool) -> None:

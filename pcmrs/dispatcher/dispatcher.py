@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import itertools
+import uuid
 from collections.abc import Awaitable, Callable, Coroutine
 from contextvars import ContextVar
 from typing import Any, Generic
@@ -61,7 +61,6 @@ class Dispatcher(Generic[C, D]):
         self._memory = Memory(recorder)
         self._broken: Reason | None = None
         self._tasks: set[asyncio.Task[Any]] = set()
-        self._events = itertools.count(1)
 
     # -- what the edges of the system call -----------------------------------------------------------
 
@@ -118,7 +117,7 @@ class Dispatcher(Generic[C, D]):
         for name, branch in self._workflow.blueprint.branches.items():
             operation = branch.operations.get(event.code)
             if operation is not None and operation.event and branch.valid_in(event.code, joint[name]):
-                command_id = f"{event.code}-{next(self._events)}-{self._clock.monotonic():.6f}"
+                command_id = f"{event.code}-{uuid.uuid4().hex}"
                 source = f"device:{event.device}"
                 await self.submit(Command(id=command_id, branch=name, operation=event.code, source=source))
 
@@ -162,7 +161,7 @@ class Dispatcher(Generic[C, D]):
             self._start(attempt)
 
     def _barred(self, attempt: Attempt) -> Reason | None:
-        if attempt.moves and self.procedure.latched:
+        if self._broken is None and attempt.moves and self.procedure.latched:
             text = f"{attempt.name} would move, but Stop is latched: acknowledge with robot.acknowledge first."
             return Reason(code="latched", text=text)
         return self._broken
@@ -228,8 +227,6 @@ class Dispatcher(Generic[C, D]):
             cancelled = Reason(code="step_cancelled", text=f"What {attempt.name} waited for was cancelled.")
             ending = Ending("failed", reason=attempt.stopped or cancelled)
         attempt.end_steps()
-        if attempt.stopped is not None and ending.kind == "done":
-            ending = Ending("failed", reason=attempt.stopped)
         if attempt.moves and ending.kind != "done" and not await self._hold_confirmed():
             return Ending("unknown", reason=ending.reason)
         return ending

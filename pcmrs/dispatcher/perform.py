@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import inspect
 from dataclasses import dataclass
 from typing import Literal
@@ -48,6 +49,7 @@ async def take_steps(registry: Registry[C, D], spec: OperationSpec, run: Run[C, 
                 taken = registry.steps[step](run)
                 if inspect.isawaitable(taken):
                     await taken
+                _heed_cancellation()
     except UnknownOutcomeError as error:
         return Ending("unknown", reason=reason_of(error, step=step))
     except PcmrsError as error:
@@ -61,6 +63,13 @@ async def take_steps(registry: Registry[C, D], spec: OperationSpec, run: Run[C, 
         text = f"Step {step} raised an error; the log has it."
         return Ending("failed", reason=Reason(code="step_raised", text=text, fields={"step": step}))
     return Ending("done", outcome=run.outcome or START_OUTCOME)
+
+
+def _heed_cancellation() -> None:
+    """Ends the steps although the one before has swallowed the cancellation of Stop or the deadline."""
+    task = asyncio.current_task()
+    if task is not None and task.cancelling():
+        raise asyncio.CancelledError
 
 
 def consequence(closure: Closure, ending: Ending, name: str) -> tuple[Decision, Change | None, Reason | None]:

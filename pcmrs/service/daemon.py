@@ -7,10 +7,10 @@ import fcntl
 import uuid
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import structlog
 
 from pcmrs.bus import Bus, CommandEdge
@@ -41,8 +41,7 @@ DEVICES_TIME = 30.0
 """The simulated or real devices must have been heard within this after the start, s of the machine."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ready:
+class Ready(msgspec.Struct, frozen=True):
     """Where a running daemon can be reached.
 
     Attributes:
@@ -54,7 +53,7 @@ class Ready:
     prefix: str
     endpoint: str
     links: dict[str, tuple[str, int]]
-    folder: Path
+    folder: str
     workflow: str
     rate: float
 
@@ -110,7 +109,7 @@ class Daemon:
                 prefix=bus.prefix,
                 endpoint=settings.cell.endpoint,
                 links=gateway.addresses,
-                folder=folder,
+                folder=str(folder),
                 workflow=f"{blueprint.id} {blueprint.version}",
                 rate=settings.cell.rate,
             )

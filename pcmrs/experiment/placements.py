@@ -1,0 +1,185 @@
+"""The placement experiment: register a head phantom, then place the coil at planned poses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import msgspec
+import numpy as np
+
+from pcmrs.errors import ConfigurationError
+from pcmrs.experiment.plan import Plan
+from pcmrs.experiment.private import Bench, private_bench
+from pcmrs.experiment.published import PUBLISHED
+from pcmrs.messages import PoseMessage, SceneTruth
+from pcmrs.spatial import Transform, distance, rotation_angle
+from pcmrs.workflows.data import Registered, as_message, as_transform
+from pcmrs.workflows.toolplan import ToolPose
+
+Progress = Callable[[str, int, int], None]
+"""Told what is being done, and how many of how many steps are done."""
+
+
+class Trial(msgspec.Struct, frozen=True):
+    """One placement; every error is a distance in mm or an angle in degrees.
+
+    Attributes:
+        planned: ``image_from_coil`` as planned.
+        measured: ``image_from_coil`` as the tracker measured it at the target.
+        translation_error_mm: Measured against planned, all from the tracker.
+        true_translation_error_mm: The actual pose against the plan mapped by the estimated registration.
+        target_registration_error_mm: The plan mapped by the estimated against the true registration.
+    """
+
+    trial: int
+    translation_error_mm: float
+    rotation_error_deg: float
+    true_translation_error_mm: float
+    true_rotation_error_deg: float
+    target_registration_error_mm: float
+    target_registration_error_deg: float
+    planned: PoseMessage
+    measured: PoseMessage
+
+
+class Spread(msgspec.Struct, frozen=True):
+    """Mean and standard deviation (n - 1)."""
+
+    mean: float
+    sd: float
+
+
+class PlacementSummary(msgspec.Struct, frozen=True):
+    """All trials, beside the paper's means."""
+
+    trials: int
+    translation_error_mm: Spread
+    rotation_error_deg: Spread
+    true_translation_error_mm: Spread
+    true_rotation_error_deg: Spread
+    target_registration_error_mm: Spread
+    published_translation_error_mm: float
+    published_rotation_error_deg: float
+
+
+class PlacementReport(msgspec.Struct, frozen=True):
+    """Results of one run of the experiment; `settings` are what differs from the default configuration."""
+
+    experiment: str
+    workflow: str
+    seed: int
+    rate: float
+    settings: list[str]
+    simulated: bool
+    residual_mm: float
+    trials: list[Trial]
+    summary: PlacementSummary
+
+
+async def run_placements(
+    plan: Plan, *, workflow: str, seed: int, trials: int, rate: float, overrides: Sequence[str], progress: Progress
+) -> PlacementReport:
+    """Runs the experiment through a daemon of its own, commanded over UDP only.
+
+    Args:
+        plan: Landmarks and poses; poses are taken in order, again from the first when there are fewer.
+        workflow: Name of the workflow.
+        seed: Of the simulated errors.
+        trials: How many placements.
+        rate: Seconds of the simulated cell per second of the machine.
+        overrides: Further settings of the daemon.
+        progress: Told about every step.
+
+    Raises:
+        ConfigurationError: There are no trials or poses, or the workflow was not published.
+        CommandRefusedError: The daemon refused a command; the text says which and why.
+        DeviceError: The daemon did not start.
+    """
+    if trials < 2 or not plan.poses:
+        raise ConfigurationError(
+            f"{trials} trials of {len(plan.poses)} poses: at least 2 trials and 1 pose are needed."
+        )
+    if workflow not in PUBLISHED:
+        raise ConfigurationError(f"There is no experiment with {workflow!r}; there is {', '.join(PUBLISHED)}.")
+    steps = 3 + trials
+    progress("starting the daemon", 0, steps)
+    async with private_bench([f"workflow={workflow}", f"sim.seed={seed}", f"cell.rate={rate}", *overrides]) as bench:
+        progress("planning and digitizing the landmarks", 1, steps)
+        await bench.planner.connect()
+        await bench.planner.plan_landmarks([landmark.position for landmark in plan.landmarks])
+        await bench.planner.digitize_all()
+        progress("registering", 2, steps)
+        residual_mm = await bench.planner.register()
+        registration = as_transform(_registered(bench).body_ref_from_image)
+        done: list[Trial] = []
+        for number in range(trials):
+            progress(f"placing the coil, {number + 1} of {trials}", 3 + number, steps)
+            done.append(await _place(bench, number + 1, plan.poses[number % len(plan.poses)], registration))
+    progress("done", steps, steps)
+    return PlacementReport(
+        experiment="placements",
+        workflow=workflow,
+        seed=seed,
+        rate=rate,
+        settings=list(overrides),
+        simulated=True,
+        residual_mm=residual_mm,
+        trials=done,
+        summary=_summary(workflow, done),
+    )
+
+
+async def _place(bench: Bench, number: int, pose: ToolPose, body_ref_from_image: Transform) -> Trial:
+    await bench.planner.plan_pose(pose.position, pose.quat_xyzw)
+    await bench.planner.approach()
+    placement = await bench.planner.confirm()
+    truth = await bench.scene.truth()
+    await bench.planner.back_off()
+    await bench.planner.home()
+    planned = Transform.from_quat_xyzw(pose.position, pose.quat_xyzw)
+    measured = Transform.from_quat_xyzw(placement.position, placement.quat_xyzw)
+    actual, true_registration = _actual(truth, body_ref_from_image), as_transform(truth.body_ref_from_image)
+    mapped, meant = body_ref_from_image @ planned, true_registration @ planned
+    return Trial(
+        trial=number,
+        translation_error_mm=placement.translation_error_mm,
+        rotation_error_deg=placement.rotation_error_deg,
+        true_translation_error_mm=distance(actual, planned) * 1000.0,
+        true_rotation_error_deg=math.degrees(rotation_angle(actual, planned)),
+        target_registration_error_mm=distance(mapped, meant) * 1000.0,
+        target_registration_error_deg=math.degrees(rotation_angle(mapped, meant)),
+        planned=as_message(planned),
+        measured=as_message(measured),
+    )
+
+
+def _actual(truth: SceneTruth, body_ref_from_image: Transform) -> Transform:
+    """``image_from_coil`` as it really is, in the image as it was registered."""
+    tracker_from_image = as_transform(truth.tracker_from_body_ref) @ body_ref_from_image
+    return tracker_from_image.inverse() @ as_transform(truth.tracker_from_coil)
+
+
+def _registered(bench: Bench) -> Registered:
+    """The registration in force, as the journal has it."""
+    rows = [stored.row for stored in bench.journal.read(kind="outcome", branch="registration")]
+    kept = [row.result["registered"] for row in rows if row.result and row.result.get("registered")]
+    return msgspec.convert(kept[-1], Registered)
+
+
+def _summary(workflow: str, trials: Sequence[Trial]) -> PlacementSummary:
+    def spread(field: str) -> Spread:
+        values = np.array([getattr(trial, field) for trial in trials])
+        return Spread(float(values.mean()), float(values.std(ddof=1)))
+
+    published = PUBLISHED[workflow]
+    return PlacementSummary(
+        trials=len(trials),
+        translation_error_mm=spread("translation_error_mm"),
+        rotation_error_deg=spread("rotation_error_deg"),
+        true_translation_error_mm=spread("true_translation_error_mm"),
+        true_rotation_error_deg=spread("true_rotation_error_deg"),
+        target_registration_error_mm=spread("target_registration_error_mm"),
+        published_translation_error_mm=published.translation_error_mm,
+        published_rotation_error_deg=published.rotation_error_deg,
+    )

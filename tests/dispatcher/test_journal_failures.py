@@ -1,0 +1,119 @@
+"""A journal that fails is fail-stop: the robot is held, nothing is accepted, Stop and status still work."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from clock import settle
+from dispatcher_fakes import PLACED, RETRACTED, STANDOFF, Bench
+from ratms_oracle import Joint
+
+from pcmrs.messages import DeviceEvent, Verdict
+
+
+async def check_fail_stop(bench: Bench, joint: Joint) -> None:
+    """Nothing is accepted any more, even with a journal that works again; Stop and status do their work."""
+    bench.recorder.failing.clear()
+    for name in ("toolplan.plan", "placement.home", "robot.acknowledge"):
+        verdict = await bench.do(name)
+        assert verdict.decision == "rejected"
+        assert verdict.reason is not None
+        assert verdict.reason.code == "journal_unavailable"
+        assert "Restart the daemon" in verdict.reason.text
+    holds = bench.holds
+    await bench.dispatcher.stop("test:operator")
+    assert bench.holds == holds + 1
+    shown = bench.dispatcher.snapshot()
+    assert (shown.latched, shown.running, bench.joint) == (True, [], joint)
+
+
+def answered(bench: Bench, verdict: Verdict) -> bool:
+    return verdict in bench.published
+
+
+async def test_a_failing_intent_starts_no_step(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    bench.script.entered.clear()
+    bench.recorder.failing.add("intent")
+    verdict = await bench.do("placement.approach")
+    assert (verdict.decision, bench.script.entered, bench.holds) == ("unknown", [], 1)
+    assert answered(bench, verdict)
+    assert bench.snapshots()[-1].running == []
+    await check_fail_stop(bench, RETRACTED)
+
+
+async def test_a_failing_outcome_commits_nothing(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    data = bench.data
+    bench.recorder.failing.add("decision")
+    verdict = await bench.do("placement.approach")
+    assert (verdict.decision, bench.data, bench.holds) == ("unknown", data, 1)
+    assert answered(bench, verdict)
+    await check_fail_stop(bench, RETRACTED)
+
+
+async def test_a_rejection_that_cannot_be_written(bench: Bench) -> None:
+    bench.recorder.failing.add("decision")
+    verdict = await bench.do("registration.register")
+    assert (verdict.decision, bench.holds) == ("rejected", 1)
+    await check_fail_stop(bench, ("000", "0", "0", "0", "unknown"))
+
+
+async def test_a_failing_recall_runs_nothing(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    bench.script.entered.clear()
+    bench.recorder.failing.add("recall")
+    verdict = await bench.do("placement.approach")
+    assert (verdict.decision, bench.script.entered, bench.holds) == ("rejected", [], 1)
+    assert answered(bench, verdict)
+    await check_fail_stop(bench, RETRACTED)
+
+
+@pytest.mark.parametrize("danger", [True, False])
+async def test_an_event_that_cannot_be_written(bench: Bench, danger: bool) -> None:
+    await bench.go(PLACED)
+    bench.recorder.failing.add("event")
+    await bench.dispatcher.report(DeviceEvent(device="tracker", code="reference_moved", text="Moved.", danger=danger))
+    assert bench.holds == 1 + danger
+    assert bench.dispatcher.snapshot().latched == danger
+    await check_fail_stop(bench, PLACED)
+
+
+async def test_stop_holds_although_nothing_can_be_written(bench: Bench) -> None:
+    await bench.go(STANDOFF)
+    bench.script.hang("placement.confirm")
+    task = await bench.begin("placement.confirm")
+    bench.recorder.failing |= {"event", "decision"}
+    await bench.dispatcher.stop("test:operator")
+    assert bench.holds >= 1
+    assert ((await task).decision, bench.joint) == ("unknown", STANDOFF)
+    await check_fail_stop(bench, STANDOFF)
+
+
+async def test_what_else_runs_is_stopped_and_what_waits_is_rejected(bench: Bench) -> None:
+    await bench.go(STANDOFF)
+    bench.script.hang("placement.confirm")
+    bench.recorder.gates["intent"] = asyncio.Event()
+    bench.recorder.gates["intent"].set()
+    motion = await bench.begin("placement.confirm")
+    waiting = await bench.begin("robot.disconnect")
+    bench.recorder.failing.add("decision")
+    verdict = await bench.do("robot.connect_nothing")
+    assert verdict.decision == "rejected"
+    assert (await motion).decision == "unknown"
+    assert (await waiting).decision == "rejected"
+    await settle()
+    assert bench.dispatcher.snapshot().running == []
+    await check_fail_stop(bench, STANDOFF)
+
+
+async def test_a_bug_in_the_data_of_a_commit_is_fail_stop(bench: Bench) -> None:
+    async def keep_nonsense(run: object) -> None:
+        run.keep(no_such_field=1)  # type: ignore[attr-defined]
+
+    bench.script.steps["toolplan.plan"] = keep_nonsense
+    verdict = await bench.do("toolplan.plan")
+    assert (verdict.decision, bench.joint[2], bench.holds) == ("unknown", "0", 1)
+    assert verdict.reason is not None
+    assert verdict.reason.code == "internal_error"

@@ -1,0 +1,178 @@
+"""Locks: what overlaps, what waits and in which order, and what is turned away."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+from clock import settle
+from dispatcher_fakes import PLACED, RETRACTED, STANDOFF, Bench, Notes
+from hypothesis import given
+from hypothesis import strategies as st
+from ratms_oracle import USER_OPERATIONS
+
+from pcmrs.dispatcher import Run
+from pcmrs.dispatcher.lanes import MAX_WAITING
+from pcmrs.messages import Verdict
+
+PLANNED = ("100", "0", "0", "0", "unknown")
+
+
+def code(verdict: Verdict) -> str:
+    assert verdict.reason is not None
+    return verdict.reason.code
+
+
+async def test_disjoint_operations_are_in_their_steps_at_once(bench: Bench) -> None:
+    """Each waits for the other: only together can they end."""
+    await bench.go(PLANNED)
+    names = ("digitization.digitize_all", "toolplan.plan", "robot.connect")
+    together = asyncio.Barrier(len(names))
+
+    async def meet(run: Run[Any, Notes]) -> None:
+        await together.wait()
+
+    bench.script.steps |= dict.fromkeys(names, meet)
+    tasks = [await bench.begin(name) for name in names]
+    await settle()
+    assert [(await task).decision for task in tasks] == ["accepted"] * 3
+    assert bench.joint == ("110", "1", "1", "1", "unknown")
+
+
+async def test_the_journal_has_the_states_after_each_of_two_parallel_commits(bench: Bench) -> None:
+    await bench.go(PLANNED)
+    gate = bench.recorder.gates["decision"] = asyncio.Event()
+    tasks = [await bench.begin(name) for name in ("toolplan.plan", "registration.clear_landmarks")]
+    gate.set()
+    for task in tasks:
+        await task
+    states = [row[2] for row in bench.recorder.rows[-2:]]
+    assert [(s["registration"], s["toolplan"]) for s in states] == [("100", "1"), ("000", "1")]
+
+
+async def test_conflicting_operations_do_not_overlap_and_keep_their_order(bench: Bench) -> None:
+    await bench.go(PLANNED)
+    gate = bench.script.hang("digitization.digitize_all")
+    first = await bench.begin("digitization.digitize_all")
+    others = [await bench.begin(n) for n in ("registration.register", "registration.plan_landmarks")]
+    third = await bench.begin("registration.register")
+    assert "registration.register" not in bench.script.entered
+    gate.set()
+    verdicts = [await task for task in (first, *others, third)]
+    assert [v.state for v in verdicts] == ["1", "111", "100", "100"]
+    assert [v.decision for v in verdicts] == ["accepted"] * 3 + ["rejected"], "asked again when dequeued"
+    assert [v.sequence for v in verdicts] == [2, 3, 4, 4]
+
+
+async def test_a_newcomer_does_not_overtake_one_that_waits(bench: Bench) -> None:
+    """The second waits for registration and toolplan is free, but a third must queue behind the second."""
+    await bench.go(("111", "1", "0", "0", "unknown"))
+    gate = bench.script.hang("toolplan.plan")
+    plan = await bench.begin("toolplan.plan")
+    clear = await bench.begin("toolplan.clear")
+    again = await bench.begin("toolplan.plan")
+    free = await bench.do("registration.clear_registration")
+    assert free.decision == "accepted"
+    gate.set()
+    sequences = [(await task).sequence for task in (plan, clear, again)]
+    assert sequences == sorted(sequences)
+    assert bench.joint[2] == "1"
+
+
+async def test_a_requirement_is_locked_for_reading(bench: Bench) -> None:
+    """Nothing that an approach requires can change while it moves."""
+    await bench.go(RETRACTED)
+    gate = bench.script.hang("placement.approach")
+    task = await bench.begin("placement.approach")
+    for name in (
+        "toolplan.plan",
+        "toolplan.clear",
+        "registration.plan_landmarks",
+        "registration.clear_registration",
+        "digitization.redigitize_one",
+    ):
+        assert code(await bench.do(name)) == "busy"
+    gate.set()
+    assert (await task).state == "standoff"
+
+
+async def test_revocation_is_locked_too(bench: Bench) -> None:
+    """A plan that would revoke the placement waits for nothing that moves it."""
+    await bench.go(STANDOFF)
+    gate = bench.script.hang("toolplan.plan")
+    plan = await bench.begin("toolplan.plan")
+    for name in ("home", "confirm", "nudge", "back_off"):
+        assert code(await bench.do(f"placement.{name}")) == "busy"
+    gate.set()
+    assert (await plan).decision == "accepted"
+    assert bench.joint[4] == "held"
+
+
+async def test_motions_never_wait(bench: Bench) -> None:
+    await bench.go(PLACED)
+    gate = bench.script.hang("placement.nudge")
+    task = await bench.begin("placement.nudge")
+    verdict = await bench.do("placement.home")
+    assert (verdict.decision, code(verdict)) == ("rejected", "busy")
+    assert verdict.reason is not None
+    assert verdict.reason.fields == {"running": ["placement.nudge"]}
+    gate.set()
+    assert (await task).decision == "accepted"
+
+
+async def test_a_disconnection_waits_for_the_motion_and_is_then_asked_again(bench: Bench) -> None:
+    await bench.go(STANDOFF)
+    gate = bench.script.hang("placement.confirm")
+    motion = await bench.begin("placement.confirm")
+    disconnect = await bench.begin("robot.disconnect")
+    assert not disconnect.done()
+    gate.set()
+    await motion
+    assert code(await disconnect) == "tool_near_patient"
+
+
+async def test_the_queue_is_bounded(bench: Bench) -> None:
+    gate = bench.script.hang("toolplan.plan")
+    tasks = [await bench.begin("toolplan.plan") for _ in range(1 + MAX_WAITING)]
+    verdict = await bench.do("toolplan.clear")
+    assert (verdict.decision, code(verdict)) == ("rejected", "queue_full")
+    gate.set()
+    assert {(await task).decision for task in tasks} == {"accepted"}
+
+
+async def test_status_takes_no_lock(bench: Bench) -> None:
+    gate = bench.script.hang("robot.connect")
+    task = await bench.begin("robot.connect")
+    assert [r.operation for r in bench.dispatcher.snapshot().running] == ["connect"]
+    gate.set()
+    await task
+
+
+MOTIONLESS = ("registration", "digitization", "toolplan")
+HARMLESS = [f"{branch}.{name}" for branch in MOTIONLESS for name in USER_OPERATIONS[branch]]
+
+
+@given(st.lists(st.sampled_from([*HARMLESS, "robot.connect", "robot.disconnect", "placement.locate"]), max_size=15))
+def test_whatever_is_asked_at_once_everybody_gets_an_answer(names: list[str]) -> None:
+    async def ask_all() -> None:
+        bench = Bench()
+        tasks = [asyncio.create_task(bench.do(name)) for name in names]
+        verdicts = await asyncio.gather(*tasks)
+        assert {v.decision for v in verdicts} <= {"accepted", "rejected"}
+        accepted = sorted(v.sequence for v in verdicts if v.decision == "accepted")
+        assert accepted == list(range(1, len(accepted) + 1))
+        shown = bench.dispatcher.snapshot()
+        assert shown.running == []
+        assert shown.branches["digitization"] == shown.branches["registration"][1]
+        assert bench.recorder.rows == [] or bench.recorder.rows[-1][2] == shown.branches
+        await bench.dispatcher.close()
+        assert asyncio.all_tasks() == {asyncio.current_task()}
+
+    asyncio.run(ask_all())
+
+
+@pytest.mark.parametrize("ending", ["failed", "unknown"])
+async def test_locks_are_free_after_every_ending(bench: Bench, ending: str) -> None:
+    await bench.take("robot", "connect", ending)
+    assert (await bench.do("robot.connect")).decision == "accepted"

@@ -1,0 +1,241 @@
+"""Stop: in every phase of an operation, with a queue, twice in a row, by danger events; and its latch."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from typing import Any
+
+import pytest
+from clock import settle
+from dispatcher_fakes import HELD, PLACED, RETRACTED, STANDOFF, Bench, Notes
+from ratms_oracle import INITIAL
+
+from pcmrs.dispatcher import Run
+from pcmrs.errors import UnknownOutcomeError
+from pcmrs.messages import DeviceEvent, Reason, Verdict
+
+
+def code(verdict: Verdict) -> str:
+    assert verdict.reason is not None
+    return verdict.reason.code
+
+
+async def test_stop_before_the_task_has_begun(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    bench.script.entered.clear()
+    task = asyncio.create_task(bench.dispatcher.submit(bench.command("placement.approach")))
+    await asyncio.sleep(0)  # the command is admitted in this turn of the loop; its task runs in the next
+    await bench.dispatcher.stop("test:operator")
+    assert ((await task).decision, code(await task)) == ("failed", "stopped")
+    assert (bench.script.entered, bench.joint) == ([], HELD)
+
+
+async def test_stop_while_the_intent_is_journalled(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    bench.script.entered.clear()
+    gate = bench.recorder.gates["intent"] = asyncio.Event()
+    task = await bench.begin("placement.approach")
+    stop = asyncio.create_task(bench.dispatcher.stop("test:operator"))
+    await settle()
+    assert bench.holds > 0, "the hold waits for no journal"
+    gate.set()
+    await stop
+    assert (code(await task), bench.script.entered, bench.joint) == ("stopped", [], HELD)
+
+
+async def test_stop_in_a_step(bench: Bench) -> None:
+    await bench.go(STANDOFF)
+    bench.script.hang("placement.confirm")
+    task = await bench.begin("placement.confirm")
+    holds = bench.holds
+    await bench.dispatcher.stop("test:operator")
+    verdict = await task
+    assert (verdict.decision, code(verdict), verdict.state) == ("failed", "stopped", "held")
+    assert bench.holds >= holds + 1
+    assert (bench.joint, bench.dispatcher.snapshot().latched) == (HELD, True)
+
+
+async def test_stop_in_a_step_that_moves_nothing_leaves_the_states(bench: Bench) -> None:
+    bench.script.hang("robot.connect")
+    task = await bench.begin("robot.connect")
+    await bench.dispatcher.stop("test:operator")
+    assert ((await task).decision, bench.joint) == ("failed", INITIAL)
+
+
+async def test_stop_while_it_is_committed(bench: Bench) -> None:
+    """Too late to stop: the motion has ended where it was told to."""
+    await bench.go(RETRACTED)
+    gate = bench.recorder.gates["decision"] = asyncio.Event()
+    task = await bench.begin("placement.approach")
+    stop = asyncio.create_task(bench.dispatcher.stop("test:operator"))
+    await settle()
+    assert (bench.holds, bench.dispatcher.snapshot().latched, stop.done()) == (1, True, False)
+    gate.set()
+    await stop
+    assert ((await task).decision, bench.joint) == ("accepted", STANDOFF)
+    numbers = [s.sequence for s in bench.snapshots() if not s.running]
+    assert numbers == sorted(set(numbers)), "one number never stands for two joint states"
+
+
+async def test_stop_cannot_be_swallowed_by_a_step(bench: Bench) -> None:
+    await bench.go(STANDOFF)
+
+    async def stubborn(run: Run[Any, Notes]) -> None:
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.Event().wait()
+
+    bench.script.steps["placement.confirm"] = stubborn
+    task = await bench.begin("placement.confirm")
+    await bench.dispatcher.stop("test:operator")
+    assert (code(await task), bench.joint) == ("stopped", HELD)
+
+
+async def test_a_step_may_say_on_stop_that_nobody_knows(bench: Bench) -> None:
+    await bench.go(STANDOFF)
+
+    async def silent(run: Run[Any, Notes]) -> None:
+        try:
+            await asyncio.Event().wait()
+        except asyncio.CancelledError:
+            raise UnknownOutcomeError("The robot is silent.") from None
+
+    bench.script.steps["placement.confirm"] = silent
+    task = await bench.begin("placement.confirm")
+    await bench.dispatcher.stop("test:operator")
+    assert ((await task).decision, bench.joint[4]) == ("unknown", "unknown")
+
+
+async def test_the_hold_after_stop_can_use_a_deadline(bench: Bench) -> None:
+    """The cancellation ends with the steps, or `asyncio.timeout` in the hold would take it for its caller's."""
+    await bench.go(STANDOFF)
+    cancelling: list[int] = []
+
+    async def hold() -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        cancelling.append(task.cancelling())
+
+    bench.dispatcher._hold = hold
+    bench.script.hang("placement.confirm")
+    task = await bench.begin("placement.confirm")
+    await bench.dispatcher.stop("test:operator")
+    await task
+    assert cancelling == [0, 0]
+
+
+async def test_stop_rejects_what_waits(bench: Bench) -> None:
+    gate = bench.script.hang("digitization.digitize_all")
+    await bench.do("registration.plan_landmarks")
+    running = await bench.begin("digitization.digitize_all")
+    waiting = [await bench.begin(name) for name in ("registration.register", "registration.clear_landmarks")]
+    await bench.dispatcher.stop("test:operator")
+    for task in waiting:
+        verdict = await task
+        assert (verdict.decision, code(verdict)) == ("rejected", "stopped")
+    assert (await running).decision == "failed"
+    assert bench.joint == ("100", "0", "0", "0", "unknown")
+    assert not gate.is_set()
+
+
+async def test_stop_twice_in_a_row(bench: Bench) -> None:
+    await bench.go(STANDOFF)
+    bench.script.hang("placement.confirm")
+    task = await bench.begin("placement.confirm")
+    await asyncio.gather(bench.dispatcher.stop("test:a"), bench.dispatcher.stop("test:b"))
+    verdict = await task
+    assert verdict.reason is not None
+    assert verdict.reason.fields == {"source": "test:a"}
+    assert bench.joint == HELD
+    assert [row[0] for row in bench.recorder.rows].count("event") == 2
+
+
+async def test_stop_is_shown_at_once(bench: Bench) -> None:
+    bench.recorder.gates["event"] = asyncio.Event()
+    stop = asyncio.create_task(bench.dispatcher.stop("test:operator"))
+    await settle()
+    assert bench.snapshots()[-1].latched
+    assert [m.code for m in bench.published if isinstance(m, DeviceEvent)] == ["stopped"]
+    bench.recorder.gates["event"].set()
+    await stop
+
+
+async def test_a_stopped_caller_of_stop_stops_nothing_less(bench: Bench) -> None:
+    await bench.go(STANDOFF)
+    bench.script.hang("placement.confirm")
+    task = await bench.begin("placement.confirm")
+    stop = asyncio.create_task(bench.dispatcher.stop("test:operator"))
+    await asyncio.sleep(0)
+    stop.cancel()
+    assert ((await task).decision, bench.joint) == ("failed", HELD)
+
+
+async def test_nothing_moves_until_acknowledged(bench: Bench) -> None:
+    await bench.go(HELD)
+    await bench.dispatcher.stop("test:operator")
+    assert code(await bench.do("placement.back_off")) == "latched"
+    assert (await bench.do("toolplan.plan")).decision == "accepted", "what moves nothing goes on"
+    assert bench.dispatcher.snapshot().latched
+    assert (await bench.do("robot.acknowledge")).decision == "accepted"
+    assert not bench.dispatcher.snapshot().latched
+    assert (await bench.do("placement.back_off")).decision == "accepted"
+
+
+async def test_an_acknowledgement_does_not_answer_a_later_stop(bench: Bench) -> None:
+    await bench.go(HELD)
+    await bench.dispatcher.stop("test:operator")
+    gate = bench.recorder.gates["decision"] = asyncio.Event()
+    acknowledge = await bench.begin("robot.acknowledge")
+    stop = asyncio.create_task(bench.dispatcher.stop("test:operator"))
+    await settle()
+    gate.set()
+    await asyncio.gather(acknowledge, stop)
+    assert bench.dispatcher.snapshot().latched
+    assert (await bench.do("robot.acknowledge")).decision == "accepted"
+    assert not bench.dispatcher.snapshot().latched
+
+
+@pytest.mark.parametrize("event_code", ["reference_moved", "force_limit"])
+async def test_a_danger_event_goes_the_way_of_stop(bench: Bench, event_code: str) -> None:
+    await bench.go(STANDOFF)
+    bench.script.hang("placement.confirm")
+    task = await bench.begin("placement.confirm")
+    await bench.dispatcher.report(DeviceEvent(device="tracker", code=event_code, text="Danger.", danger=True))
+    assert (code(await task), bench.joint) == (event_code, HELD)
+    assert bench.dispatcher.snapshot().latched
+    assert [row[1] for row in bench.recorder.rows if row[0] == "event"] == [event_code]
+
+
+async def test_a_lost_link_stops_and_disconnects(bench: Bench) -> None:
+    await bench.go(PLACED)
+    bench.script.hang("placement.nudge")
+    task = await bench.begin("placement.nudge")
+    await bench.dispatcher.report(DeviceEvent(device="robot", code="link_lost", text="Silent.", danger=True))
+    assert (await task).decision == "failed"
+    assert bench.joint == ("111", "1", "1", "0", "unknown")
+    assert bench.dispatcher.snapshot().latched
+    assert bench.recorder.commands[-1].source == "device:robot"
+
+
+async def test_an_event_without_danger_is_journalled_and_stops_nothing(bench: Bench) -> None:
+    await bench.do("robot.connect")
+    event = DeviceEvent(device="tracker", code="occluded", text="Hidden.")
+    await bench.dispatcher.report(event)
+    assert event in bench.published
+    assert bench.recorder.rows[-1][:2] == ("event", "occluded")
+    assert not bench.dispatcher.snapshot().latched
+
+
+async def test_stop_gives_its_reason(bench: Bench) -> None:
+    bench.script.hang("robot.connect")
+    task = await bench.begin("robot.connect")
+    await bench.dispatcher.stop("gateway", Reason(code="stopped", text="stop_now_xxxxxxx", fields={"peer": "1"}))
+    assert (await task).reason == Reason(code="stopped", text="stop_now_xxxxxxx", fields={"peer": "1"})
+
+
+async def test_closing_stops_what_runs(bench: Bench) -> None:
+    await bench.go(STANDOFF)
+    bench.script.hang("placement.confirm")
+    task = await bench.begin("placement.confirm")
+    await bench.dispatcher.close()
+    assert (await task).state == "held"
