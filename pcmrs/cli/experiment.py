@@ -9,13 +9,14 @@ from typing import Any
 
 import click
 import msgspec
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from pcmrs.cli.options import json_option
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
 
 DEFAULT_RATE = 5.0
+NARROWEST = 100
 EXAMPLE_PLAN = Path("examples/ratms_plan.json")
 
 
@@ -80,7 +81,7 @@ def failures(workflow: str, seed: int, rate: float, plan_file: Path, overrides: 
     if as_json:
         click.echo(msgspec.json.encode(report).decode())
     else:
-        Console().print(failure_table(report))
+        _print(failure_table(report))
     if report.summary.as_published < report.summary.runs:
         raise SystemExit(EXIT_REJECTED)
 
@@ -119,7 +120,13 @@ def _placements(
     if as_json:
         click.echo(msgspec.json.encode(report).decode())
     else:
-        Console().print(placement_table(report))
+        _print(placement_table(report))
+
+
+def _print(table: RenderableType) -> None:
+    """Prints a table; in a narrow terminal its lines wrap, so that no number is cut."""
+    console = Console()
+    Console(width=max(console.width, NARROWEST)).print(table)
 
 
 @contextmanager

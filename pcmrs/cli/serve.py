@@ -79,20 +79,14 @@ async def _serve(settings: Settings, *, as_json: bool) -> None:
 
 def _text(ready: Ready) -> str:
     faster = f", {ready.rate:g} times as fast as real time" if ready.rate != 1.0 else ""
-    links = [
-        f"  {name:<14} {'tcp' if name == 'tcp' else 'udp'} {host}:{port}" for name, (host, port) in ready.links.items()
-    ]
     lines = [
         f"pcmrs-serve: {ready.workflow}{faster}. Research software, not a medical device.",
-        f"  bus      {ready.endpoint}, keys {ready.prefix}/** (list them: pcmrs keys)",
-        *(
-            f"  {name:<14} {'tcp' if name == 'tcp' else 'udp'} {host}:{port}"
-            for name, (host, port) in ready.links.items()
-        ),
-        f"  journal  {ready.folder}/journal.sqlite",
-        "ready",
+        f"  bus            {ready.endpoint}, keys {ready.prefix}/** (list them: pcmrs keys)",
     ]
-    return "\n".join(lines)
+    for name, (host, port) in ready.links.items():
+        lines.append(f"  {name:<14} {'tcp' if name == 'tcp' else 'udp'} {host}:{port}")
+    lines.append(f"  journal        {ready.folder}/journal.sqlite")
+    return "\n".join([*lines, "ready"])
 
 
 def _log_to_stderr(*, verbose: bool) -> None:

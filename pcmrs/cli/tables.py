@@ -38,7 +38,7 @@ def _placement_summary(report: PlacementReport) -> Table:
     table = Table(
         title="mean ± sd",
         box=SIMPLE_HEAD,
-        caption=f"Registration residual {report.residual_mm:.2f} mm. The paper's robot was real, this one is simulated.",
+        caption=f"Registration residual {report.residual_mm:.2f} mm. The paper's robot was real; this is simulated.",
     )
     for name in ("", "mm", "°"):
         table.add_column(name, justify="left" if not name else "right", no_wrap=True)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from math import ceil
+
 import numpy as np
 import numpy.typing as npt
 from ruckig import InputParameter, Trajectory
+from scipy.interpolate import CubicSpline
 
 from pcmrs.errors import UnreachableError
 from pcmrs.kinematics.joints import joint_array
@@ -16,6 +19,9 @@ from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
 
 _NO_WAY = 1e-12  # s; a motion that would take less is none
+_KNOT_DISTANCE = 0.002  # m
+_KNOT_ANGLE = 0.005  # rad
+_FEWEST_KNOTS = 5
 _RESERVE = 1.01  # on a stretched motion, whose samples fall on other points of the line
 
 
@@ -49,10 +55,11 @@ def straight_motion(
     if request is None:
         return JointTrajectory(period=period, positions=[joint_array(start_q).tolist()])
     profile = solve(request)
-    postures = _follow(arm, start_q, line, profile, sample_times(profile.duration, 1.0, period))
+    along = _postures_along(arm, start_q, line)
+    postures = _sampled(along, profile, sample_times(profile.duration, 1.0, period))
     stretch = _overload(postures, period, arm, limits)
     if stretch > 1.0:
-        postures = _follow(arm, start_q, line, profile, sample_times(profile.duration, _RESERVE * stretch, period))
+        postures = _sampled(along, profile, sample_times(profile.duration, _RESERVE * stretch, period))
     return JointTrajectory(period=period, positions=postures.tolist())
 
 
@@ -68,6 +75,11 @@ class _Line:
     def base_from_flange(self, parameter: float) -> Transform:
         tool = self._start @ Transform.from_rotvec(np.zeros(3), parameter * self._turn)
         return Transform(tool.rotation, tool.translation + parameter * self._way) @ self._tool_from_flange
+
+    def knots(self) -> int:
+        """How many postures describe the line: so many that a cubic between them leaves it by under a nanometre."""
+        length, angle = float(np.linalg.norm(self._way)), float(np.linalg.norm(self._turn))
+        return max(_FEWEST_KNOTS, 1 + ceil(max(length / _KNOT_DISTANCE, angle / _KNOT_ANGLE)))
 
     def request(self, limits: MotionLimits) -> InputParameter | None:
         """The motion of the parameter that keeps the limits of the tool; None where there is no way to go."""
@@ -85,17 +97,22 @@ class _Line:
         return request
 
 
-def _follow(arm: ArmModel, start_q: npt.ArrayLike, line: _Line, profile: Trajectory, times: Floats) -> Floats:
-    """Joint positions along the line at the profile's times, (N, 7)."""
+def _postures_along(arm: ArmModel, start_q: npt.ArrayLike, line: _Line) -> CubicSpline:
+    """Joint positions over the parameter of the line, (7,): exact at knots `_KNOT_DISTANCE` or `_KNOT_ANGLE` apart."""
+    knots = np.linspace(0.0, 1.0, line.knots())
     postures = [joint_array(start_q)]
-    for time in times[1:]:
-        parameter = profile.at_time(time)[0][0]
+    for parameter in knots[1:]:
         try:
             postures.append(track(arm, line.base_from_flange(parameter), postures[-1]))
         except UnreachableError as error:
             text = f"The straight line can be followed for {100.0 * parameter:.0f} % of its way only. {error.text}"
-            raise UnreachableError(text, parameter=parameter, **error.fields) from error
-    return np.array(postures)
+            raise UnreachableError(text, parameter=float(parameter), **error.fields) from error
+    return CubicSpline(knots, np.array(postures))
+
+
+def _sampled(along: CubicSpline, profile: Trajectory, times: Floats) -> Floats:
+    """Joint positions at the profile's times, (N, 7)."""
+    return np.asarray(along([profile.at_time(time)[0][0] for time in times]))
 
 
 def _overload(postures: Floats, period: float, arm: ArmModel, limits: MotionLimits) -> float:
