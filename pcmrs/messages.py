@@ -102,6 +102,13 @@ class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
     registration: str | None = None
 
 
+class Flags(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The flags of snapshot `sequence`, for displays; nothing is decided by them."""
+
+    sequence: int
+    flags: dict[str, bool]
+
+
 class BodyPose(Message, frozen=True, kw_only=True):
     """One tracked body in one tracker frame, as the tracker measured it.
 
@@ -219,3 +226,23 @@ class SceneTruth(Message, frozen=True, kw_only=True, omit_defaults=False):
     tracker_from_coil: PoseMessage
     tracker_from_body_ref: PoseMessage
     body_ref_from_image: PoseMessage
+
+
+class Target(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """``image_from_coil`` of the accepted tool plan; both None when there is none."""
+
+    plan: str | None = None
+    pose: PoseMessage | None = None
+
+
+class JournalQuery(Message, frozen=True, kw_only=True):
+    """Asks for rows of the journal after sequence `after`, at most `limit`."""
+
+    after: int = 0
+    limit: int = 100
+
+
+class JournalPage(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Rows of the journal as plain data, oldest first."""
+
+    rows: list[dict[str, Any]]

@@ -47,7 +47,7 @@ _TABLE: Final = [
         ("state/joints", JOINTS),
         ("state/robot", JOINTS),
         ("state/pose/*", POSES),
-        ("state/target", POSES),
+        ("state/target", SNAPSHOTS),
         ("dev/*/state", SNAPSHOTS),
         ("dev/*/beat", BEATS),
         ("video/*", VIDEO),

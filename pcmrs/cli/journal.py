@@ -30,8 +30,7 @@ def show(path: Path | None, last: int, as_json: bool, file: Path | None, overrid
 
     path = path or read_settings(file, overrides).cell.path() / "journal.sqlite"
     with JournalReader(path) as reader:
-        rows = reader.read(after=max(0, reader.last_sequence() - last) if last else 0)
-        for row in rows:
+        for row in reader.read(limit=last or None):
             click.echo(msgspec.json.encode(row).decode() if as_json else _line(row))
 
 

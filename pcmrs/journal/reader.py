@@ -64,11 +64,6 @@ class JournalReader:
         for sequence, body, previous, own in self._select(f"SELECT * FROM ({newest}) ORDER BY sequence", values):
             yield StoredRow(sequence=sequence, row=decode_row(body), previous_hash=previous, hash=own)
 
-    def last_sequence(self) -> int:
-        """Sequence of the newest row; 0 in an empty journal."""
-        ((newest,),) = self._select("SELECT COALESCE(MAX(sequence), 0) FROM journal", ())
-        return int(newest)
-
     def verdict_of(self, source: str, command_id: str) -> Verdict | None:
         """The recorded verdict on a command, so that a repeat runs nothing; None when there is none."""
         query = "SELECT body FROM journal WHERE kind = 'outcome' AND source = ? AND command_id = ?"

@@ -14,12 +14,10 @@ import msgspec
 import structlog
 
 from pcmrs.bus import Bus, CommandEdge
-from pcmrs.bus.codec import Empty
-from pcmrs.bus.keys import KEYS, KeyTable
-from pcmrs.clock import SystemClock
+from pcmrs.clock import Clock, SystemClock
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.remote import RemotePointer, RemoteRobot
-from pcmrs.dispatcher import Dispatcher
+from pcmrs.dispatcher import Dispatcher, Workflow
 from pcmrs.errors import ConfigurationError, DeviceError
 from pcmrs.gateway.links import open_gateway
 from pcmrs.journal import Journal
@@ -28,6 +26,7 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import BlueprintTag, BodyPose, DeviceEvent, JointState, Snapshot, Verdict
 from pcmrs.service.core import GatewayCore
 from pcmrs.service.nodes import NodeProcesses
+from pcmrs.service.publishing import Publishing, answer_queries
 from pcmrs.service.recorder import JournalRecorder
 from pcmrs.service.watch import RobotWatch
 from pcmrs.settings import Settings
@@ -92,7 +91,7 @@ class Daemon:
             for verdict in await recorder.close_unfinished():
                 log.warning("unknown_outcome", command=verdict.id, operation=f"{verdict.branch}.{verdict.operation}")
             cell = _open_cell(settings, bus, clock)
-            dispatcher = Dispatcher(workflow, cell, clock, recorder, cell.robot.hold, _publisher(bus))
+            dispatcher = _open_dispatcher(bus, workflow, cell, clock, recorder)
             await self._start_devices(stack, bus, cell, dispatcher)
             stack.push_async_callback(self._end_tasks)
             stack.push_async_callback(dispatcher.close)
@@ -102,7 +101,7 @@ class Daemon:
             gateway = await stack.enter_async_context(
                 open_gateway(core, settings.gateway, SystemClock(), folder / "records")
             )
-            self._serve_queries(bus, dispatcher)
+            answer_queries(bus, dispatcher, journal.reader)
             bus.alive("daemon")
             bus.publish("state/fsm", dispatcher.snapshot())
             yield Ready(
@@ -151,16 +150,6 @@ class Daemon:
             text = f"Robot and tracker were not heard within {DEVICES_TIME:g} s; the log says why."
             raise DeviceError(text) from None
 
-    def _serve_queries(self, bus: Bus, dispatcher: Dispatcher[Cell, PlacementData]) -> None:
-        async def snapshot(_key: str, _request: Empty) -> Snapshot:
-            return dispatcher.snapshot()
-
-        async def keys(_key: str, _request: Empty) -> KeyTable:
-            return KeyTable(prefix=bus.prefix, keys=KEYS)
-
-        bus.serve("svc/snapshot", Empty, snapshot)
-        bus.serve("svc/keys", Empty, keys)
-
     def _stopper(self, dispatcher: Dispatcher[Cell, PlacementData]) -> Callable[[str], None]:
         def stop(source: str) -> None:
             self._spawn(dispatcher.stop(source))
@@ -190,11 +179,17 @@ def _open_cell(settings: Settings, bus: Bus, clock: SystemClock) -> Cell:
     )
 
 
-def _publisher(bus: Bus) -> Callable[[Snapshot | Verdict | DeviceEvent], None]:
-    def publish(message: Snapshot | Verdict | DeviceEvent) -> None:
-        bus.publish("state/fsm" if isinstance(message, Snapshot) else "state/event", message)
+def _open_dispatcher(
+    bus: Bus, workflow: Workflow[Cell, PlacementData], cell: Cell, clock: Clock, recorder: JournalRecorder
+) -> Dispatcher[Cell, PlacementData]:
+    publishing = Publishing(bus)
 
-    return publish
+    def publish(message: Snapshot | Verdict | DeviceEvent) -> None:
+        publishing.publish(message)
+        publishing.publish_target(dispatcher.procedure.data)
+
+    dispatcher = Dispatcher(workflow, cell, clock, recorder, cell.robot.hold, publish)
+    return dispatcher
 
 
 @contextmanager

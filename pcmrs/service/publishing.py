@@ -1,0 +1,66 @@
+"""What the daemon shows on the bus, and what it answers there."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import msgspec
+
+from pcmrs.bus import KEYS, Bus, Empty, KeyTable
+from pcmrs.dispatcher import Dispatcher
+from pcmrs.journal import JournalReader
+from pcmrs.messages import (
+    DeviceEvent,
+    Flags,
+    JournalPage,
+    JournalQuery,
+    Snapshot,
+    Target,
+    Verdict,
+)
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData
+
+LARGEST_PAGE = 500
+
+
+class Publishing:
+    """Puts snapshots, flags, the target and events on the bus as the dispatcher makes them."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._target: Target | None = None
+
+    def publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+        """Called by the dispatcher with everything that is new."""
+        if isinstance(message, Snapshot):
+            self._bus.publish("state/fsm", message)
+            self._bus.publish("state/flags", Flags(sequence=message.sequence, flags=message.flags))
+        else:
+            self._bus.publish("state/event", message)
+
+    def publish_target(self, data: PlacementData) -> None:
+        """Shows the planned pose when it has changed."""
+        target = Target(plan=data.plan_id, pose=data.plan)
+        if target != self._target:
+            self._target = target
+            self._bus.publish("state/target", target)
+
+
+def answer_queries(bus: Bus, dispatcher: Dispatcher[Cell, PlacementData], journal: JournalReader) -> None:
+    """Serves the read-only queries below ``svc/``."""
+
+    async def snapshot(_key: str, _request: Empty) -> Snapshot:
+        return dispatcher.snapshot()
+
+    async def keys(_key: str, _request: Empty) -> KeyTable:
+        return KeyTable(prefix=bus.prefix, keys=KEYS)
+
+    async def page(_key: str, query: JournalQuery) -> JournalPage:
+        limit = max(1, min(query.limit, LARGEST_PAGE))
+        rows = islice(journal.read(after=query.after), limit)
+        return JournalPage(rows=[msgspec.to_builtins(row) for row in rows])
+
+    bus.serve("svc/snapshot", Empty, snapshot)
+    bus.serve("svc/keys", Empty, keys)
+    bus.serve("svc/journal", JournalQuery, page)

@@ -1,0 +1,200 @@
+"""A daemon as a user runs it: a process of its own, on free ports, in a cell and a folder that nobody else has."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+import msgspec
+import zenoh
+
+from pcmrs.client import Client
+from pcmrs.planner import Planner
+from pcmrs.service import Ready
+
+PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "ratms_plan.json").read_text())
+START_TIME = 60.0
+"""Seconds in which a daemon is ready on a machine that does much else."""
+PATIENCE = 20.0
+"""Seconds that anything may take before a test gives up."""
+
+TUNED = (
+    "cell.rate=10",
+    # At ten times real time a quarter of a second is 25 ms of a busy test machine.
+    "procedure.max_pose_age=5",
+    "procedure.placement.frames=5",
+    "procedure.registration.samples=5",
+    "sim.digitization.reach_time=0.1",
+    "sim.digitization.rest_time=0.1",
+)
+SLOW = ("procedure.motion.joint_speed_fraction=0.03", "procedure.motion.linear_velocity=0.005")
+"""Settings under which every motion lasts for seconds of the machine, so that a test can act in the middle of it."""
+
+
+class ServeProcess:
+    """A running `pcmrs-serve`.
+
+    Attributes:
+        ready: What it said about itself when it was ready.
+        settings: How it was started.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes], ready: Ready, settings: Sequence[str], folder: Path) -> None:
+        self.process = process
+        self.ready = ready
+        self.settings = list(settings)
+        self._folder = folder
+
+    @property
+    def log(self) -> str:
+        """Everything that daemon and node have written to standard error."""
+        return (self._folder / "log").read_text(errors="replace")
+
+    @property
+    def cell(self) -> str:
+        return self.ready.prefix.split("/")[-1]
+
+    def planner(self) -> AbstractAsyncContextManager[Planner]:
+        """A planner of the daemon."""
+        return _opened(self.ready.links["planner"])
+
+    def client(self) -> AbstractAsyncContextManager[Client]:
+        """A client on the daemon's bus."""
+        return Client.connect(self.ready.endpoint, "test", self.cell)
+
+    @contextmanager
+    def plain_session(self) -> Iterator[zenoh.Session]:
+        """A Zenoh session that knows nothing of PCMRS, as a command-line tool has."""
+        config = zenoh.Config()
+        values = {"mode": "client", "connect/endpoints": [self.ready.endpoint], "scouting/multicast/enabled": False}
+        for key, value in values.items():
+            config.insert_json5(key, json.dumps(value))
+        with zenoh.open(config) as session:
+            yield session
+
+    def pcmrs(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """Runs ``pcmrs`` on this daemon's cell."""
+        address = ("--endpoint", self.ready.endpoint, "--site", "test", "--cell", self.cell)
+        return run_pcmrs(words[0], *address, *words[1:])
+
+    def children(self) -> list[int]:
+        """Ids of the daemon's child processes: the device nodes."""
+        return _children(self.process.pid)
+
+    def end(self, number: int = signal.SIGTERM) -> int:
+        """Sends a signal and returns the exit status."""
+        self.process.send_signal(number)
+        return self.process.wait(PATIENCE)
+
+
+def run_pcmrs(*words: str) -> subprocess.CompletedProcess[str]:
+    """Runs ``pcmrs`` with the words as arguments."""
+    command = [sys.executable, "-m", "pcmrs.cli", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=START_TIME, check=False)
+
+
+def own_settings(folder: Path) -> list[str]:
+    """Settings of a cell that nobody else has; port 0 takes a free one."""
+    return [
+        "cell.site=test",
+        f"cell.name=c{uuid.uuid4().hex[:8]}",
+        f"cell.endpoint=tcp/127.0.0.1:{free_port()}",
+        f"cell.folder={folder}",
+        *(f"gateway.{link}.port=0" for link in ("planner", "robot", "visualization", "mep")),
+        "gateway.tcp_port=0",
+        *TUNED,
+    ]
+
+
+def as_words(settings: Sequence[str]) -> list[str]:
+    """The settings as words of a command line."""
+    return [word for setting in settings for word in ("--set", setting)]
+
+
+@contextmanager
+def running_daemon(settings: Sequence[str], folder: Path) -> Iterator[ServeProcess]:
+    """Starts a daemon, waits until it is ready, and ends it with the context, whatever state it is in."""
+    with (folder / "log").open("ab") as log:
+        command = [sys.executable, "-m", "pcmrs.cli", "serve", "--json", *as_words(settings)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log)
+    nodes: list[int] = []
+    try:
+        assert process.stdout is not None
+        line = _first_line(process.stdout)
+        assert line, f"the daemon did not start: {(folder / 'log').read_text()}"
+        nodes = _children(process.pid)
+        yield ServeProcess(process, msgspec.json.decode(line, type=Ready), settings, folder)
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGCONT)
+            process.terminate()
+            try:
+                process.wait(PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        for node in filter(is_running, nodes):
+            os.kill(node, signal.SIGKILL)
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+def is_running(pid: int) -> bool:
+    """Whether there is such a process, and it has not ended yet."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] != "Z"
+
+
+def wait_until(condition: Callable[[], bool], within: float = PATIENCE) -> bool:
+    """Whether a condition came true in time; for what only the operating system can tell."""
+    end = time.monotonic() + within
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def free_port() -> int:
+    """A port that nobody listens on, TCP and UDP."""
+    with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
+        tcp.bind(("127.0.0.1", 0))
+        port: int = tcp.getsockname()[1]
+        udp.bind(("127.0.0.1", port))
+        return port
+
+
+@asynccontextmanager
+async def _opened(address: tuple[str, int]) -> AsyncIterator[Planner]:
+    async with await Planner.open(*address) as planner:
+        yield planner
+
+
+def _children(pid: int) -> list[int]:
+    tasks = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(child) for task in tasks for child in task.read_text().split()]
+
+
+def _first_line(stream: IO[bytes]) -> bytes:
+    os.set_blocking(stream.fileno(), False)
+    read = b""
+
+    def complete() -> bool:
+        nonlocal read
+        read += stream.read() or b""
+        return read.endswith(b"\n")
+
+    return read if wait_until(complete, START_TIME) else b""
