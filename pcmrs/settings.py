@@ -116,7 +116,8 @@ def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Se
     if settings.cell.rate != 1.0 and real:
         text = f"cell.rate is {settings.cell.rate:g}, but {', '.join(real)} runs in real time: only 1 is possible."
         raise ConfigurationError(text, rate=settings.cell.rate)
-    _check_driver_tables({"sim": settings.sim})
+    if settings.sim or "sim" in settings.drivers():
+        _check_driver_tables({"sim": settings.sim})
     return settings
 
 
@@ -126,5 +127,7 @@ def _check_driver_tables(tables: Mapping[str, Mapping[str, Any]]) -> None:
         if point.name in tables:
             try:
                 msgspec.convert(tables[point.name], point.load())
+            except ImportError as error:
+                raise ConfigurationError(f"The driver {point.name!r} is not installed: {error}") from None
             except msgspec.ValidationError as error:
                 raise ConfigurationError(f"The table [{point.name}] is wrong: {error}.") from None

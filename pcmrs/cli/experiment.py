@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,6 +25,7 @@ def experiment_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """Adds the options that all experiments share."""
     for option in (
         click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Sets one value of the daemon."),
+        click.option("--picture", type=click.Path(path_type=Path), help="Also save the table as this SVG file."),
         click.option(
             "--plan",
             "plan_file",
@@ -53,17 +55,32 @@ def experiment() -> None:
 @json_option
 @readable_errors
 def placements(
-    workflow: str, seed: int, rate: float, plan_file: Path, overrides: tuple[str, ...], trials: int, as_json: bool
+    workflow: str,
+    seed: int,
+    rate: float,
+    plan_file: Path,
+    overrides: tuple[str, ...],
+    picture: Path | None,
+    trials: int,
+    as_json: bool,
 ) -> None:
     """Place the tool at planned poses and measure it, beside the paper's errors."""
-    _placements(workflow, seed, rate, plan_file, overrides, trials, as_json=as_json)
+    _placements(workflow, seed, rate, plan_file, overrides, picture, trials, as_json=as_json)
 
 
 @experiment.command()
 @experiment_options
 @json_option
 @readable_errors
-def failures(workflow: str, seed: int, rate: float, plan_file: Path, overrides: tuple[str, ...], as_json: bool) -> None:
+def failures(
+    workflow: str,
+    seed: int,
+    rate: float,
+    plan_file: Path,
+    overrides: tuple[str, ...],
+    picture: Path | None,
+    as_json: bool,
+) -> None:
     """Inject the paper's operator errors; each must be rejected where the paper says.
 
     Exit status 1 when a run did not end as published.
@@ -81,7 +98,7 @@ def failures(workflow: str, seed: int, rate: float, plan_file: Path, overrides: 
     if as_json:
         click.echo(msgspec.json.encode(report).decode())
     else:
-        _print(failure_table(report))
+        _print(failure_table(report), picture)
     if report.summary.as_published < report.summary.runs:
         raise SystemExit(EXIT_REJECTED)
 
@@ -89,17 +106,27 @@ def failures(workflow: str, seed: int, rate: float, plan_file: Path, overrides: 
 @click.command()
 @experiment_options
 @readable_errors
-def demo(workflow: str, seed: int, rate: float, plan_file: Path, overrides: tuple[str, ...]) -> None:
+def demo(
+    workflow: str, seed: int, rate: float, plan_file: Path, overrides: tuple[str, ...], picture: Path | None
+) -> None:
     """Run a whole procedure on the simulated cell: plan, digitize, register, and 12 placements."""
     click.echo(
         f"A simulated cell, {rate:g} times as fast as real time; speed limits as configured. "
         "All commands go over UDP, as from 3D Slicer.\nResearch software, not a medical device."
     )
-    _placements(workflow, seed, rate, plan_file, overrides, 12, as_json=False)
+    _placements(workflow, seed, rate, plan_file, overrides, picture, 12, as_json=False)
 
 
 def _placements(
-    workflow: str, seed: int, rate: float, plan_file: Path, overrides: tuple[str, ...], trials: int, *, as_json: bool
+    workflow: str,
+    seed: int,
+    rate: float,
+    plan_file: Path,
+    overrides: tuple[str, ...],
+    picture: Path | None,
+    trials: int,
+    *,
+    as_json: bool,
 ) -> None:
     from pcmrs.cli.tables import placement_table
     from pcmrs.experiment.placements import run_placements
@@ -120,13 +147,22 @@ def _placements(
     if as_json:
         click.echo(msgspec.json.encode(report).decode())
     else:
-        _print(placement_table(report))
+        _print(placement_table(report), picture)
 
 
-def _print(table: RenderableType) -> None:
-    """Prints a table; in a narrow terminal its lines wrap, so that no number is cut."""
-    console = Console()
-    Console(width=max(console.width, NARROWEST)).print(table)
+def _print(table: RenderableType, picture: Path | None) -> None:
+    """Prints a table; in a narrow terminal its lines wrap, so that no number is cut.
+
+    Args:
+        table: What to print.
+        picture: SVG file that shows the same, if wanted.
+    """
+    console = Console(width=max(Console().width, NARROWEST), record=picture is not None)
+    console.print(table)
+    if picture is not None:
+        svg = console.export_svg(title="pcmrs")
+        # Rich refers to a web font; a picture of a medical device's results loads nothing from anywhere.
+        picture.write_text(re.sub(r"@font-face\s*{[^}]*}", "", svg))
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,9 +19,15 @@ HISTORY = 256
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """A valid pose: frame number, when it was captured (s of this process's clock), `tracker_from_body`."""
+    """A valid pose.
+
+    Attributes:
+        exposed: When it was captured, s of the tracker's clock.
+        captured: The same, s of this process's clock.
+    """
 
     frame_number: int
+    exposed: float
     captured: float
     tracker_from_body: Transform
 
@@ -109,16 +116,19 @@ class PoseFeed:
     def _sighting_of(self, pose: BodyPose) -> tuple[Sighting | None, str]:
         if not pose.valid:
             return None, pose.reason or "invalid"
-        captured = self._clock.monotonic() - max(0.0, pose.sent - pose.captured)
+        age = pose.sent - pose.captured
+        if not 0.0 <= age < math.inf:
+            return None, "stamp_reversed"
         known = self._sightings.get(pose.body)
         if known and pose.frame_number <= known[-1].frame_number:
             return None, "frame_not_advancing"
-        if pose.sent < pose.captured:
-            return None, "stamp_reversed"
+        if known and pose.captured <= known[-1].exposed:
+            return None, "stamp_not_advancing"
         try:
-            return Sighting(pose.frame_number, captured, Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)), ""
+            tracker_from_body = Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
         except GeometryError:
             return None, "no_pose"
+        return Sighting(pose.frame_number, pose.captured, self._clock.monotonic() - age, tracker_from_body), ""
 
     def _newest(self, body: str) -> Sighting:
         known = self._sightings.get(body)

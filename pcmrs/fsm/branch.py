@@ -47,8 +47,8 @@ class State:
 
     def allowed(self) -> list[str]:
         """Operations a user may ask for in this state, in the blueprint's order."""
-        usable = (name for name, spec in self.spec.operations.items() if not spec.iio and not spec.event)
-        return [name for name in usable if isinstance(self.ask(name), OperationSpec)]
+        overridden = vars(type(self))
+        return [n for n, spec in self.spec.operations.items() if n in overridden and not spec.iio and not spec.event]
 
 
 def _invalid(operation: str) -> Callable[[State], Answer]:

@@ -104,6 +104,8 @@ class Daemon:
             answer_queries(bus, dispatcher, journal.reader)
             bus.alive("daemon")
             bus.publish("state/fsm", dispatcher.snapshot())
+            # Entered last, so left first: the arm stands, and latched, before anything else ends.
+            stack.push_async_callback(dispatcher.stop, "shutdown")
             yield Ready(
                 prefix=bus.prefix,
                 endpoint=settings.cell.endpoint,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self, overload
@@ -52,7 +53,8 @@ class Transform:
         Raises:
             GeometryError: The length of the quaternion is not 1 within `UNIT_QUATERNION_TOLERANCE`.
         """
-        return cls.from_quat_xyzw(position, np.roll(_array(quat, (4,), "quaternion"), -1))
+        w, x, y, z = _unit_quaternion(quat)
+        return cls._from_unit_quaternion(position, x, y, z, w)
 
     @classmethod
     def from_quat_xyzw(cls, position: npt.ArrayLike, quat: npt.ArrayLike) -> Self:
@@ -61,16 +63,21 @@ class Transform:
         Raises:
             GeometryError: The length of the quaternion is not 1 within `UNIT_QUATERNION_TOLERANCE`.
         """
-        quat = _array(quat, (4,), "quaternion")
-        norm = float(np.linalg.norm(quat))
-        if abs(norm - 1.0) > UNIT_QUATERNION_TOLERANCE:
-            raise GeometryError(
-                f"The quaternion has length {norm:.6g}, not 1 within {UNIT_QUATERNION_TOLERANCE:g}; "
-                "send a unit quaternion.",
-                norm=norm,
-                tolerance=UNIT_QUATERNION_TOLERANCE,
+        return cls._from_unit_quaternion(position, *_unit_quaternion(quat))
+
+    @classmethod
+    def _from_unit_quaternion(cls, position: npt.ArrayLike, x: float, y: float, z: float, w: float) -> Self:
+        """A rotation by construction: it need not be checked, and every tracked pose comes this way."""
+        rotation = np.array(
+            (
+                (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
+                (2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
+                (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
             )
-        return cls(Rotation.from_quat(quat).as_matrix(), _array(position, (3,), "translation"))
+        )
+        transform = object.__new__(cls)
+        _fill(transform, rotation, _array(position, (3,), "translation"))
+        return transform
 
     @classmethod
     def from_matrix(cls, matrix: npt.ArrayLike) -> Self:
@@ -176,6 +183,20 @@ def _fill(transform: Transform, rotation: Floats, translation: Floats) -> None:
     rotation.flags.writeable = translation.flags.writeable = False
     object.__setattr__(transform, "rotation", rotation)
     object.__setattr__(transform, "translation", translation)
+
+
+def _unit_quaternion(quat: npt.ArrayLike) -> tuple[float, float, float, float]:
+    """The quaternion, normalized, in its own order. Raises `GeometryError` when it is none."""
+    a, b, c, d = _array(quat, (4,), "quaternion").tolist()
+    norm = math.sqrt(a * a + b * b + c * c + d * d)
+    if abs(norm - 1.0) > UNIT_QUATERNION_TOLERANCE:
+        raise GeometryError(
+            f"The quaternion has length {norm:.6g}, not 1 within {UNIT_QUATERNION_TOLERANCE:g}; "
+            "send a unit quaternion.",
+            norm=norm,
+            tolerance=UNIT_QUATERNION_TOLERANCE,
+        )
+    return a / norm, b / norm, c / norm, d / norm
 
 
 def _array(values: npt.ArrayLike, shape: tuple[int, ...], what: str) -> Floats:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 
 from pcmrs.errors import RefusalError
@@ -20,9 +22,13 @@ TOLERANCE = 0.001
 def middle_of_body(cell: Cell, data: PlacementData) -> Floats:
     """A point inside the body, in the robot's base, m, (3,): the centre of the landmarks once registered.
 
+    The body is where it is seen now; where it was seen last while something hides it.
+
     Raises:
         RefusalError: The body has never been seen together with the tool.
     """
+    with suppress(RefusalError):
+        cell.frames(data)
     if cell.base_from_body_ref is None:
         text = "Where the body is has not been seen yet: show the tool and the body's reference to the tracker."
         raise RefusalError("body_unknown", text)

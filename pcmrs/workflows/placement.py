@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
-from pcmrs.errors import RefusalError
+from pcmrs.errors import RefusalError, UnreachableError
 from pcmrs.kinematics.trajectory import concatenate, joint_motion, straight_motion
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Frame, Transform
@@ -22,6 +22,9 @@ from pcmrs.workflows.toolplan import check_reachable
 Run = AnyRun[Cell, PlacementData]
 
 NOTHING: Point = (0.0, 0.0, 0.0)
+
+SHORT_OF_LIMIT = 0.005
+"""So far before the place where the arm cannot follow a line any more, it stops following it, m."""
 
 
 class Nudge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -62,10 +65,17 @@ def nudge_possible(run: Run) -> None:
 
 
 def retreat_possible(run: Run) -> None:
-    """Plans the straight way back along the tool's axis, up to the standoff."""
-    run.prepared = _back_off(run)
-    if run.cell.base_from_body_ref is not None:
-        check_only_grows(run.cell, run.prepared, run.data)
+    """Plans the straight way back along the tool's axis, up to the standoff; where it is cut short, on to home.
+
+    Backing off is the only way out of `held`, so a joint limit on the straight line must not refuse it.
+    """
+    cell = run.cell
+    way, complete = _back_off(run)
+    if not complete:
+        way = concatenate(way, joint_motion(cell.arm, way.positions[-1], cell.settings.home, cell.motion_limits()))
+    if not complete or cell.base_from_body_ref is not None:
+        check_only_grows(cell, way, run.data)
+    run.prepared = way
 
 
 def home_grows_distance(run: Run) -> None:
@@ -110,7 +120,7 @@ def straight_to(run: Run, image_from_coil: Transform) -> JointTrajectory:
 def _retreat_to(run: Run, posture: list[float]) -> JointTrajectory:
     """Back off along the axis where the tool is at the body, then straight in the joints to a posture."""
     cell = run.cell
-    way = None if run.states["placement"] == "retracted" else _back_off(run)
+    way = None if run.states["placement"] == "retracted" else _back_off(run)[0]
     start = cell.posture() if way is None else way.positions[-1]
     trajectory = joint_motion(cell.arm, start, posture, cell.motion_limits())
     trajectory = trajectory if way is None else concatenate(way, trajectory)
@@ -118,11 +128,22 @@ def _retreat_to(run: Run, posture: list[float]) -> JointTrajectory:
     return trajectory
 
 
-def _back_off(run: Run) -> JointTrajectory:
-    """Straight along the tool's +z axis, as far as the standoff is from where the tool is."""
+def _back_off(run: Run) -> tuple[JointTrajectory, bool]:
+    """Straight along the tool's +z axis, as far as the standoff is from where the tool is; and whether all of it.
+
+    It is cut short where the arm cannot follow it any farther.
+    """
+    length = _length_of_retreat(run)
+    try:
+        return _straight_away(run, length), True
+    except UnreachableError as error:
+        followed = error.fields.get("parameter", 0.0) * length
+    return _straight_away(run, max(0.0, followed - SHORT_OF_LIMIT)), False
+
+
+def _straight_away(run: Run, length: float) -> JointTrajectory:
     cell = run.cell
-    base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
-    goal = cell.flange_for(base_from_coil @ along_axis(_length_of_retreat(run)))
+    goal = cell.flange_for(cell.arm.forward(cell.posture()) @ cell.flange_from_coil @ along_axis(length))
     return straight_motion(cell.arm, cell.posture(), goal, cell.motion_limits(), flange_from_tool=cell.flange_from_coil)
 
 

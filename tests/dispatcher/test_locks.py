@@ -66,18 +66,15 @@ async def test_conflicting_operations_do_not_overlap_and_keep_their_order(bench:
 
 
 async def test_a_newcomer_does_not_overtake_one_that_waits(bench: Bench) -> None:
-    """The second waits for registration and toolplan is free, but a third must queue behind the second."""
-    await bench.go(("111", "1", "0", "0", "unknown"))
+    """What the third writes is free, but the second, which waits for the first, needs it unchanged."""
+    await bench.go(RETRACTED)
     gate = bench.script.hang("toolplan.plan")
-    plan = await bench.begin("toolplan.plan")
-    clear = await bench.begin("toolplan.clear")
-    again = await bench.begin("toolplan.plan")
-    free = await bench.do("registration.clear_registration")
-    assert free.decision == "accepted"
+    tasks = [await bench.begin(name) for name in ("toolplan.plan", "toolplan.reinit", "placement.reinit")]
+    assert [task.done() for task in tasks] == [False] * 3
     gate.set()
-    sequences = [(await task).sequence for task in (plan, clear, again)]
-    assert sequences == sorted(sequences)
-    assert bench.joint[2] == "1"
+    verdicts = [await task for task in tasks]
+    assert [v.decision for v in verdicts] == ["accepted"] * 3
+    assert [v.sequence - verdicts[0].sequence for v in verdicts] == [0, 1, 2]
 
 
 async def test_a_requirement_is_locked_for_reading(bench: Bench) -> None:

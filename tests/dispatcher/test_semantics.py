@@ -118,7 +118,19 @@ async def test_03_declared_outcomes_have_their_own_targets_and_others_fail(bench
         assert (verdict.decision == "failed") == (ending == "nonsense")
 
 
-async def test_03_a_motion_that_fails_is_held_and_one_not_confirmed_is_unknown(bench: Bench) -> None:
+async def test_03_a_failed_motion_commits_its_place_and_no_data(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+
+    async def fail(run: Run[Any, Notes]) -> None:
+        run.keep(plan_id="must not be kept")
+        raise RefusalError("no", "No.")
+
+    bench.script.steps["placement.approach"] = fail
+    verdict = await bench.do("placement.approach")
+    assert (verdict.decision, bench.joint, bench.data.plan_id) == ("failed", HELD, None)
+
+
+async def test_03_a_motion_whose_hold_is_not_confirmed_is_unknown(bench: Bench) -> None:
     await bench.go(RETRACTED)
     bench.hold_error = DeviceError("No answer.")
     verdict = await bench.take("placement", "approach", "failed")

@@ -58,7 +58,7 @@ def test_registration_and_digitization_have_4_joint_states() -> None:
     assert {joint[:2] for joint in REACHABLE} == {("000", "0"), ("100", "0"), ("110", "1"), ("111", "1")}
 
 
-@pytest.mark.parametrize(("branch", "operation"), [o for o in all_operations() if o[1] != "nudge"], ids=".".join)
+@pytest.mark.parametrize(("branch", "operation"), [o for o in all_operations() if o[1] != "nudge"])
 def test_every_ending_leads_where_the_specification_says(branch: str, operation: str) -> None:
     for joint in REACHABLE:
         assert decided(joint, branch, operation) == expected(joint, branch, operation), joint

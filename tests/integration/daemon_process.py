@@ -18,6 +18,7 @@ from typing import IO, Any
 import msgspec
 import zenoh
 
+from pcmrs.bus import Bus, BusSettings
 from pcmrs.client import Client
 from pcmrs.planner import Planner
 from pcmrs.service import Ready
@@ -37,7 +38,7 @@ TUNED = (
     "sim.digitization.reach_time=0.1",
     "sim.digitization.rest_time=0.1",
 )
-SLOW = ("procedure.motion.joint_speed_fraction=0.03", "procedure.motion.linear_velocity=0.005")
+SLOW = ("cell.rate=5", "procedure.motion.linear_velocity=0.02")
 """Settings under which every motion lasts for seconds of the machine, so that a test can act in the middle of it."""
 
 
@@ -82,6 +83,20 @@ class ServeProcess:
         with zenoh.open(config) as session:
             yield session
 
+    @asynccontextmanager
+    async def bus(self) -> AsyncIterator[Bus]:
+        """The bus as a device node or a console has it."""
+        bus = await Bus.open(BusSettings(endpoint=self.ready.endpoint, site="test", cell=self.cell))
+        try:
+            yield bus
+        finally:
+            await bus.close()
+
+    def reply_port(self, link: str) -> int:
+        """The port at which an unmodified client of a link listens."""
+        (setting,) = (setting for setting in self.settings if setting.startswith(f"gateway.{link}="))
+        return int(setting.removesuffix("}").rpartition("=")[2])
+
     def pcmrs(self, *words: str) -> subprocess.CompletedProcess[str]:
         """Runs ``pcmrs`` on this daemon's cell."""
         address = ("--endpoint", self.ready.endpoint, "--site", "test", "--cell", self.cell)
@@ -110,7 +125,9 @@ def own_settings(folder: Path) -> list[str]:
         f"cell.name=c{uuid.uuid4().hex[:8]}",
         f"cell.endpoint=tcp/127.0.0.1:{free_port()}",
         f"cell.folder={folder}",
-        *(f"gateway.{link}.port=0" for link in ("planner", "robot", "visualization", "mep")),
+        *(f"gateway.{link}={{port=0,reply_port={free_port()}}}" for link in ("planner", "robot", "visualization")),
+        "gateway.mixed_reality={}",
+        "gateway.mep={port=0}",
         "gateway.tcp_port=0",
         *TUNED,
     ]

@@ -1,0 +1,44 @@
+# Everything a developer types; `make` alone lists it.
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := help
+
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/installed.stamp
+
+.PHONY: help install demo test lint lock clean
+
+help: ## List these targets
+	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  make \1\t\2/p' Makefile
+
+install: $(INSTALLED) ## Create .venv with the locked versions; done once, again when they change
+
+demo: install ## Run the RATMS procedure on the simulated cell and print its errors
+	$(BIN)/pcmrs demo
+
+test: install ## Run the whole test suite; a running daemon does not disturb it
+	$(BIN)/pytest -n auto
+
+lint: install ## Check style, format, types and import contracts
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+lock: install ## Remake requirements.lock from pyproject.toml; keeps the versions that still fit
+	CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras \
+	    --no-emit-index-url --no-emit-trusted-host --no-emit-find-links \
+	    --extra sim --extra dev --build-deps-for editable --output-file requirements.lock pyproject.toml
+
+clean: ## Remove .venv, caches and what was built
+	rm -rf $(VENV) dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(INSTALLED): requirements.lock pyproject.toml
+	@bash .ci/venv $(VENV)
+	@echo "installing the locked versions into $(VENV)"
+	@$(BIN)/python -m pip install --quiet --require-hashes --requirement requirements.lock
+	@$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@

@@ -1,0 +1,239 @@
+"""How long a command takes to be decided: UDP and Zenoh, beside a bare echo of the same kind, in one run.
+
+Prints p50, p99 and max in µs and the ratio of the medians. The server runs in a process of its own: the real
+gateway, dispatcher, RATMS workflow and journal, without devices, since the commands asked for touch none
+(`toolplan.plan`, accepted, changes a state; `registration.register`, rejected). Clients and servers share the machine.
+
+    .venv/bin/python benchmarks/dispatch.py [--count 3000]
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import json
+import os
+import platform
+import socket
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import msgspec
+import uvloop
+import zenoh
+
+from pcmrs.bus import Bus, BusSettings, CommandEdge
+from pcmrs.bus.envelope import Envelope
+from pcmrs.clock import SystemClock
+from pcmrs.devices.poses import PoseFeed
+from pcmrs.devices.remote import RemotePointer, RemoteRobot
+from pcmrs.dispatcher import Dispatcher
+from pcmrs.gateway.grammar import format_command
+from pcmrs.gateway.links import open_gateway
+from pcmrs.gateway.settings import GatewayConfig, LinkConfig
+from pcmrs.journal import Journal
+from pcmrs.kinematics.arms import ARMS
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.messages import BlueprintTag
+from pcmrs.service.core import GatewayCore
+from pcmrs.service.publishing import Publishing
+from pcmrs.service.recorder import JournalRecorder
+from pcmrs.workflows import open_workflow
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.settings import ProcedureSettings
+
+WARM_UP = 300
+PLAN = {"position": [0.0, 0.05, 0.1], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
+
+
+class Echo(asyncio.DatagramProtocol):
+    def connection_made(self, transport: Any) -> None:
+        self.transport = transport
+
+    def datagram_received(self, data: bytes, address: Any) -> None:
+        self.transport.sendto(data, address)
+
+
+async def serve(endpoint: str, folder: Path, durable: bool) -> None:
+    """Runs until standard input ends; says on standard output which ports it has."""
+    loop, clock = asyncio.get_running_loop(), SystemClock()
+    ended = asyncio.Event()
+    loop.add_reader(sys.stdin.fileno(), ended.set)
+    echo, _ = await loop.create_datagram_endpoint(Echo, local_addr=("127.0.0.1", 0))
+    bus = await Bus.open(BusSettings(mode="router", endpoint=endpoint, cell="benchmark"))
+    journal = Journal.open(folder / "journal.sqlite", durable=durable)
+    workflow = open_workflow("ratms")
+    blueprint = workflow.blueprint
+    tag = BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash)
+    settings = ProcedureSettings()
+    cell = Cell(
+        RemoteRobot(bus, clock), RemotePointer(bus, clock, 1.0), PoseFeed(clock, 0.2), ArmModel(ARMS["iiwa14"]), clock, settings
+    )
+    recorder = JournalRecorder(journal, clock, "benchmark", tag)
+    dispatcher = Dispatcher(workflow, cell, clock, recorder, cell.robot.hold, Publishing(bus).publish)
+    edge = await CommandEdge.open(bus, dispatcher.submit, lambda _source: None)
+
+    async def echo_query(_key: str, request: Envelope) -> Envelope:
+        return request
+
+    bus.serve("svc/echo", Envelope, echo_query)
+    config = GatewayConfig(
+        planner=LinkConfig(port=0),
+        robot=LinkConfig(),
+        visualization=LinkConfig(),
+        mep=LinkConfig(),
+        mixed_reality=LinkConfig(),
+        tcp_port=None,
+    )
+    async with open_gateway(GatewayCore(dispatcher, cell), config, clock, folder) as gateway:
+        ports = {"echo": echo.get_extra_info("sockname")[1], "planner": gateway.addresses["planner"][1]}
+        print(json.dumps(ports), flush=True)
+        await ended.wait()
+    await edge.close()
+    await dispatcher.close()
+    await journal.close()
+    await bus.close()
+
+
+def measure_udp(port: int, datagrams: list[bytes]) -> list[float]:
+    times = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.settimeout(2.0)
+        client.connect(("127.0.0.1", port))
+        for datagram in datagrams:
+            begin = time.perf_counter_ns()
+            client.send(datagram)
+            client.recv(2048)
+            times.append((time.perf_counter_ns() - begin) / 1000.0)
+    return times[WARM_UP:]
+
+
+def measure_query(session: zenoh.Session, key: str, payloads: list[bytes]) -> list[float]:
+    times = []
+    for payload in payloads:
+        begin = time.perf_counter_ns()
+        for reply in session.get(key, payload=payload, timeout=2.0):
+            if reply.ok is None:
+                raise SystemExit(f"{key}: {reply.err.payload.to_string()}")
+        times.append((time.perf_counter_ns() - begin) / 1000.0)
+    return times[WARM_UP:]
+
+
+def plan_datagrams(count: int) -> list[bytes]:
+    """Alternately the two halves of a plan; only the second is a command for the dispatcher."""
+    return [format_command("start_registrati", client_id=str(10_000 + n)) for n in range(count)]
+
+
+def measure_plans(port: int, count: int) -> list[float]:
+    """Time from the second half of a plan to its verdict: accepted, journalled, a state changed."""
+    times = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.settimeout(2.0)
+        client.connect(("127.0.0.1", port))
+        for n in range(count):
+            client.send(format_command("target_rotxxxxxx", 0.0, 0.0, 0.0, 1.0, client_id=str(10**6 + 2 * n)))
+            client.recv(2048)
+            datagram = format_command("target_tslxxxxxx", 0.0, 0.05, 0.1, client_id=str(10**6 + 2 * n + 1))
+            begin = time.perf_counter_ns()
+            client.send(datagram)
+            answer = client.recv(2048)
+            times.append((time.perf_counter_ns() - begin) / 1000.0)
+            if b"accepted" not in answer:
+                raise SystemExit(f"not accepted: {answer!r}")
+    return times[WARM_UP:]
+
+
+def measure_commit(folder: Path, count: int) -> list[float]:
+    """One SQLite commit with fsync, alone."""
+    connection = sqlite3.connect(folder / "commit.sqlite", isolation_level=None)
+    connection.execute("PRAGMA journal_mode=WAL")
+    connection.execute("PRAGMA synchronous=FULL")
+    connection.execute("CREATE TABLE t (body BLOB)")
+    times = []
+    for _ in range(count):
+        begin = time.perf_counter_ns()
+        connection.execute("INSERT INTO t VALUES (?)", (b"x" * 600,))
+        times.append((time.perf_counter_ns() - begin) / 1000.0)
+    connection.close()
+    return times
+
+
+@contextlib.contextmanager
+def server(endpoint: str, folder: Path, durable: bool) -> Any:
+    command = [sys.executable, __file__, "--serve", endpoint, str(folder), *(["--durable"] if durable else [])]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        yield json.loads(process.stdout.readline())  # type: ignore[union-attr]
+    finally:
+        process.stdin.close()  # type: ignore[union-attr]
+        process.wait(timeout=20)
+
+
+def row(name: str, times: list[float], base: list[float] | None = None) -> None:
+    ordered = sorted(times)
+    p99 = ordered[int(0.99 * (len(ordered) - 1))]
+    ratio = f"{median(times) / median(base):6.2f}" if base else "  1.00"
+    print(f"  {name:<44} {median(times):8.0f} {p99:8.0f} {ordered[-1]:8.0f} {ratio}")
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def compare(durable: bool, count: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with tempfile.TemporaryDirectory(dir=os.environ.get("BENCHMARK_FOLDER")) as name:
+        folder = Path(name)
+        with server(endpoint, folder, durable) as ports:
+            print(f"journal {'with' if durable else 'without'} fsync      p50, p99, max in µs; ratio of p50 to the bare one")
+            echo = measure_udp(ports["echo"], [b"x" * 30] * (count + WARM_UP))
+            row("UDP, bare asyncio echo (uvloop)", echo)
+            row("UDP command → verdict, rejected", measure_udp(ports["planner"], plan_datagrams(count + WARM_UP)), echo)
+            plans = measure_plans(ports["planner"], count + WARM_UP)
+            row("UDP command → verdict, accepted and committed", plans, echo)
+            config = zenoh.Config()
+            config.insert_json5("mode", '"client"')
+            config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+            config.insert_json5("scouting/multicast/enabled", "false")
+            with zenoh.open(config) as session:
+                prefix = "pcmrs/lab/benchmark"
+                empty = [b"{}"] * (count + WARM_UP)
+                bare = measure_query(session, f"{prefix}/svc/echo", empty)
+                row("Zenoh, bare query answered in the loop", bare)
+                asked = [msgspec.json.encode({"arguments": PLAN})] * (count + WARM_UP)
+                planned = measure_query(session, f"{prefix}/cmd/local/toolplan/plan", asked)
+                row("Zenoh query → verdict, accepted and committed", planned, bare)
+            if durable:
+                commit = measure_commit(folder, count)
+                row("one SQLite commit with fsync, alone", commit, echo)
+                aim = median(echo) + median(commit) + 100.0
+                print(f"  aim for an accepted UDP command: echo + commit + 100 = {aim:.0f} µs, found {median(plans):.0f} µs")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=3000)
+    parser.add_argument("--serve", nargs=2, metavar=("ENDPOINT", "FOLDER"), help=argparse.SUPPRESS)
+    parser.add_argument("--durable", action="store_true", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.serve:
+        endpoint, folder = arguments.serve
+        with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+            runner.run(serve(endpoint, Path(folder), arguments.durable))
+        return
+    print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, {arguments.count} commands each")
+    for durable in (False, True):
+        compare(durable, arguments.count)
+
+
+if __name__ == "__main__":
+    main()
