@@ -24,7 +24,8 @@ test: install ## Run the whole test suite; a running daemon does not disturb it
 lint: install ## Check style, format, types and import contracts
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
-	$(BIN)/mypy
+	$(BIN)/mypy --strict
+	for fixtures in tests/*/conftest.py; do $(BIN)/mypy --strict "$$fixtures"; done
 	$(BIN)/lint-imports
 
 lock: install ## Remake requirements.lock from pyproject.toml; keeps the versions that still fit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,11 +25,12 @@ def read_config(kind: type[S], file: Path | None = None, overrides: Sequence[str
 
     Raises:
         ConfigurationError: The file cannot be read, or a key is unknown, or a value has the wrong type or
-            range; the text says which.
+            range or is no finite number; the text says which.
     """
     values = _read_file(file) if file is not None else {}
     for override in overrides:
         _set(values, override)
+    _check_finite(values, "")
     try:
         return msgspec.convert(values, kind)
     except msgspec.ValidationError as error:
@@ -63,6 +65,16 @@ def _value(text: str) -> Any:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return text
+
+
+def _check_finite(value: Any, path: str) -> None:
+    """TOML has nan and inf, but no limit or distance may be one: nothing would ever be beyond it."""
+    if isinstance(value, float) and not math.isfinite(value):
+        text = f"The configuration is wrong: {path[1:]} is {value}; every number must be finite."
+        raise ConfigurationError(text, key=path[1:])
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in items:
+        _check_finite(item, f"{path}.{key}")
 
 
 def as_table(config: msgspec.Struct) -> Mapping[str, Any]:

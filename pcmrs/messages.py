@@ -51,7 +51,7 @@ class Verdict(Message, frozen=True, kw_only=True, omit_defaults=False):
 
     Attributes:
         state: State of the branch after the decision.
-        allowed: Operations of the branch that are valid in `state`.
+        allowed: Operations of the branch that would not be denied now.
         result: What the operation reports, such as ``residual`` in m.
         sequence: Number of the snapshot that shows the decision.
     """

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from importlib.metadata import entry_points
 
 from pcmrs.bus import Bus
@@ -34,22 +35,35 @@ async def serve_devices(settings: Settings, driver: str, devices: Sequence[str],
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
     if lifeline:
-        loop.add_reader(sys.stdin.fileno(), ended.set)
+        _when_input_ends(ended.set)
     (point,) = entry_points(group=DRIVERS, name=driver)
     open_driver: OpenDriver = point.load()
     clock = SystemClock(settings.cell.rate)
     bus = await Bus.open(settings.bus("client"))
     try:
         async with open_driver(devices, as_table(settings), clock) as opened:
-            node = DeviceNode(bus, opened)
+            node = DeviceNode(bus, opened, SystemClock())
             lane = await StopLane.open(settings.bus("client"), node.stop)
             bus.alive(f"node-{driver}")
             serving = asyncio.create_task(node.run())
             ending = asyncio.create_task(ended.wait())
             await asyncio.wait([serving, ending], return_when=asyncio.FIRST_COMPLETED)
+            await node.hold("the node ends")
             ending.cancel()
             serving.cancel()
-            await asyncio.gather(serving, ending, return_exceptions=True)
             await lane.close()
+            with suppress(asyncio.CancelledError):
+                await serving
     finally:
         await bus.close()
+
+
+def _when_input_ends(act: Callable[[], None]) -> None:
+    """Calls `act` once when standard input ends, or anything more arrives on it."""
+    loop, descriptor = asyncio.get_running_loop(), sys.stdin.fileno()
+
+    def readable() -> None:
+        loop.remove_reader(descriptor)  # the end of a file stays readable
+        act()
+
+    loop.add_reader(descriptor, readable)

@@ -11,8 +11,9 @@ from typing import Annotated, Any
 import msgspec
 
 from pcmrs.bus import BusSettings
+from pcmrs.bus.keys import cell_prefix
 from pcmrs.config import read_config
-from pcmrs.errors import ConfigurationError
+from pcmrs.errors import ConfigurationError, PayloadError
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.workflows.settings import ProcedureSettings
@@ -45,7 +46,7 @@ class CellSettings(Table, frozen=True, forbid_unknown_fields=True):
     def path(self) -> Path:
         """The folder as a path."""
         if self.folder:
-            return Path(self.folder)
+            return Path(self.folder).expanduser()
         state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
         return Path(state) / "pcmrs" / f"{self.site}-{self.name}"
 
@@ -104,6 +105,10 @@ def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Se
         ConfigurationError: A key is unknown or a value cannot be used; the text says which and what to do.
     """
     settings = read_config(Settings, file, overrides)
+    try:
+        cell_prefix(settings.cell.site, settings.cell.name)
+    except PayloadError as error:
+        raise ConfigurationError(f"cell.site and cell.name: {error.text}", **error.fields) from None
     if settings.robot.model not in ARMS:
         text = f"robot.model is {settings.robot.model!r}; known arms are {', '.join(ARMS)}."
         raise ConfigurationError(text, model=settings.robot.model)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from pcmrs.errors import ConfigurationError
+from pcmrs.errors import ConfigurationError, GeometryError
 from pcmrs.spatial import Transform
 
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
@@ -16,10 +16,20 @@ Triple = tuple[float, float, float]
 
 
 class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``a_from_b`` in configuration: translation in m and unit quaternion."""
+    """``a_from_b`` in configuration: translation in m and unit quaternion.
+
+    Raises:
+        ValueError: It is no pose.
+    """
 
     position: Triple = (0.0, 0.0, 0.0)
     quat_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        try:
+            _ = self.transform
+        except GeometryError as error:
+            raise ValueError(error.text) from None  # to which msgspec adds the key
 
     @property
     def transform(self) -> Transform:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Final
 
 Call = Callable[[], None]
@@ -34,7 +34,7 @@ class Bridge:
         self._loop = loop
         self._capacity = capacity
         self._ordered: deque[Call] = deque()
-        self._newest: dict[str, Call] = {}
+        self._newest: dict[Hashable, Call] = {}
         self._lock = threading.Lock()
         self._scheduled = False
         self._closed = False
@@ -48,7 +48,7 @@ class Bridge:
             self._schedule()
             return True
 
-    def post_newest(self, key: str, call: Call) -> None:
+    def post_newest(self, key: Hashable, call: Call) -> None:
         """Queues a call in place of the one of the same key that has not run yet."""
         with self._lock:
             if not self._closed:

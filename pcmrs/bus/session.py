@@ -87,6 +87,7 @@ class Bus:
             refuse: Called in place of `handler` for a malformed message; without it, that is logged.
         """
         data = class_of(key)
+        subscription = len(self._receivers)
 
         def deliver(sample: zenoh.Sample) -> None:
             received = str(sample.key_expr).removeprefix(f"{self.prefix}/")
@@ -100,7 +101,7 @@ class Bus:
         def receive(sample: zenoh.Sample) -> None:
             call = partial(deliver, sample)
             if data.newest_only:
-                self._bridge.post_newest(str(sample.key_expr), call)
+                self._bridge.post_newest((subscription, str(sample.key_expr)), call)
             elif not self._bridge.post(call):
                 _log.warning("Dropped a message on %s: too many wait", sample.key_expr)
 

@@ -9,7 +9,7 @@ from typing import Any, get_type_hints
 import msgspec
 import structlog
 
-from pcmrs.clock import SystemClock
+from pcmrs.clock import Clock
 from pcmrs.devices.link import Link
 from pcmrs.devices.protocols import Pointer, Robot, RobotDriver, Scene, TrackerDriver
 from pcmrs.errors import PayloadError, PcmrsError
@@ -25,6 +25,9 @@ BEAT_PERIOD = 0.05
 BEAT_TIMEOUT = 0.5
 """A robot in motion is held when no heartbeat of the daemon has come for so long, s of the machine."""
 
+HOLD_TIME = 1.0
+"""A robot stands still so long after it was told to hold, s of the machine."""
+
 
 class DeviceNode:
     """Serves the opened devices of one driver.
@@ -32,13 +35,14 @@ class DeviceNode:
     Args:
         link: The bus.
         devices: Device name to device, as the driver has opened them.
+        clock: The machine's clock: heartbeats do not run faster with a simulated cell.
     """
 
-    def __init__(self, link: Link, devices: Mapping[str, Any]) -> None:
+    def __init__(self, link: Link, devices: Mapping[str, Any], clock: Clock) -> None:
         self._link = link
         self._devices = devices
-        self._real = SystemClock()
-        self._last_beat = self._real.monotonic()
+        self._clock = clock
+        self._last_beat = clock.monotonic()
         self._moving = False
         self._holds: set[asyncio.Task[None]] = set()
 
@@ -55,12 +59,26 @@ class DeviceNode:
                 robot: RobotDriver = self._devices["robot"]
                 self._link.subscribe("dev/robot/beat", Beat, self._hear_beat)
                 tasks.create_task(self._publish_joints(robot))
-                tasks.create_task(self._watch_beat(robot))
+                tasks.create_task(self._watch_beat())
 
     def stop(self, source: str) -> None:
         """Holds the robot at once, whatever the daemon does; called on the lane of Stop."""
-        if "robot" in self._devices:
-            self._hold(self._devices["robot"], f"stop by {source}")
+        task = asyncio.get_running_loop().create_task(self.hold(f"stop by {source}"))
+        self._holds.add(task)
+        task.add_done_callback(self._holds.discard)
+
+    async def hold(self, why: str) -> None:
+        """Holds the robot, if there is one here; a hold that is not confirmed is logged."""
+        if "robot" not in self._devices:
+            return
+        robot: RobotDriver = self._devices["robot"]
+        try:
+            async with self._clock.timeout(HOLD_TIME):
+                await robot.hold()
+        except PcmrsError as error:
+            log.warning("hold_failed", why=why, reason=error.text)
+        except TimeoutError:
+            log.warning("hold_failed", why=why, reason=f"not confirmed within {HOLD_TIME:g} s")
 
     def _serve(self, name: str, device: Any) -> None:
         methods = {method: get_type_hints(getattr(PROTOCOLS[name], method)) for method in _methods(PROTOCOLS[name])}
@@ -82,7 +100,7 @@ class DeviceNode:
                 self._link.publish(f"dev/{name}/beat", Beat(number=number))
                 if number % 20 == 1:
                     self._link.publish(f"dev/{name}/state", DeviceHealth(device=name, connected=True))
-            await self._real.sleep(BEAT_PERIOD)
+            await self._clock.sleep(BEAT_PERIOD)
 
     async def _publish_frames(self, tracker: TrackerDriver) -> None:
         async for frame in tracker.frames():
@@ -95,27 +113,16 @@ class DeviceNode:
             self._link.publish("state/joints", state)
 
     def _hear_beat(self, _key: str, _beat: Beat) -> None:
-        self._last_beat = self._real.monotonic()
+        self._last_beat = self._clock.monotonic()
 
-    async def _watch_beat(self, robot: RobotDriver) -> None:
+    async def _watch_beat(self) -> None:
         while True:
-            await self._real.sleep(BEAT_PERIOD)
-            silence = self._real.monotonic() - self._last_beat
+            await self._clock.sleep(BEAT_PERIOD)
+            silence = self._clock.monotonic() - self._last_beat
             if self._moving and silence > BEAT_TIMEOUT:
                 log.warning("held_by_node", reason="no heartbeat of the daemon", silence=round(silence, 3))
-                self._hold(robot, "no heartbeat")
-                self._last_beat = self._real.monotonic()
-
-    def _hold(self, robot: Robot, why: str) -> None:
-        async def hold() -> None:
-            try:
-                await robot.hold()
-            except PcmrsError as error:
-                log.warning("hold_failed", why=why, reason=error.text)
-
-        task = asyncio.get_running_loop().create_task(hold())
-        self._holds.add(task)
-        task.add_done_callback(self._holds.discard)
+                await self.hold("no heartbeat")
+                self._last_beat = self._clock.monotonic()
 
 
 def _methods(protocol: type) -> list[str]:

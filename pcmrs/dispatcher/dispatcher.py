@@ -13,16 +13,24 @@ import structlog
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.admission import check_fresh, find_operation, read_payload
 from pcmrs.dispatcher.attempt import Attempt, locks_for
+from pcmrs.dispatcher.decisions import Conclusion, Decisions, reason_for
 from pcmrs.dispatcher.lanes import Lanes
 from pcmrs.dispatcher.memory import Memory
-from pcmrs.dispatcher.perform import Ending, consequence, reason_of, refusal, take_steps
+from pcmrs.dispatcher.perform import (
+    Ending,
+    consequence,
+    reason_of,
+    refusal,
+    take_steps,
+    take_steps_at_once,
+)
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import JournalError, PcmrsError, ReentrancyError
-from pcmrs.fsm import Change, Closure, Denial
-from pcmrs.messages import Command, Decision, DeviceEvent, Reason, Running, Snapshot, Verdict
+from pcmrs.fsm import Closure, Denial
+from pcmrs.messages import Command, DeviceEvent, Reason, Running, Snapshot, Verdict
 
 log = structlog.get_logger(__name__)
 
@@ -59,6 +67,7 @@ class Dispatcher(Generic[C, D]):
         self._publish = publish
         self._lanes = Lanes(workflow.blueprint.revokers)
         self._memory = Memory(recorder)
+        self._decisions = Decisions(self.procedure, recorder, self._memory, self._settle, self._break)
         self._broken: Reason | None = None
         self._tasks: set[asyncio.Task[Any]] = set()
 
@@ -95,7 +104,7 @@ class Dispatcher(Generic[C, D]):
         reason = reason or Reason(code="stopped", text=f"Stopped by {source}.", fields={"source": source})
         holding = self._spawn(self._hold_confirmed())
         self.procedure.latch()
-        ending = [attempt.task for attempt in self._lanes.running if attempt.task is not None]
+        ending = [attempt.verdict for attempt in self._lanes.running]
         for attempt in self._lanes.running:
             attempt.stop(reason)
         for attempt in self._lanes.take_waiting():
@@ -113,16 +122,16 @@ class Dispatcher(Generic[C, D]):
         else:
             self._publish(event)
             await self._record_event(event)
-        joint = self.procedure.joint()
         for name, branch in self._workflow.blueprint.branches.items():
             operation = branch.operations.get(event.code)
-            if operation is not None and operation.event and branch.valid_in(event.code, joint[name]):
+            if operation is not None and operation.event:
                 command_id = f"{event.code}-{uuid.uuid4().hex}"
                 source = f"device:{event.device}"
                 await self.submit(Command(id=command_id, branch=name, operation=event.code, source=source))
 
     async def close(self) -> None:
-        """Ends the procedure; whatever runs is stopped first, so that motion is held."""
+        """Ends the procedure: nothing more is accepted, and whatever runs is stopped, so that motion is held."""
+        self._broken = self._broken or Reason(code="ending", text="The daemon is ending.")
         if self._lanes.running or self._lanes.waiting:
             await self.stop("shutdown")
         while self._tasks:
@@ -135,7 +144,7 @@ class Dispatcher(Generic[C, D]):
             verdict, is_new = self._memory.verdict_of(command)
         except JournalError as error:
             verdict, is_new = asyncio.get_running_loop().create_future(), False
-            self._spawn(self._break_off(command, verdict, "rejected", error))
+            self._decisions.break_off(Conclusion(command, verdict, "rejected"), error)
         if is_new:
             self._admit(command, verdict)
         return verdict
@@ -160,6 +169,13 @@ class Dispatcher(Generic[C, D]):
         else:
             self._start(attempt)
 
+    def _too_old(self, attempt: Attempt) -> Reason | None:
+        try:
+            check_fresh(self._clock, attempt.command)
+        except PcmrsError as error:
+            return reason_of(error)
+        return None
+
     def _barred(self, attempt: Attempt) -> Reason | None:
         if self._broken is None and attempt.moves and self.procedure.latched:
             text = f"{attempt.name} would move, but Stop is latched: acknowledge with robot.acknowledge first."
@@ -168,14 +184,17 @@ class Dispatcher(Generic[C, D]):
 
     def _start(self, attempt: Attempt) -> None:
         self._lanes.running.append(attempt)
-        attempt.task = self._spawn(self._perform(attempt))
+        if self._touches_world(attempt):
+            attempt.task = self._spawn(self._perform(attempt))
+        else:
+            self._perform_at_once(attempt)
 
     def _start_waiting(self) -> None:
         """Asks again for everything that waited: it starts, waits on, or is rejected."""
         for attempt in self._lanes.take_waiting():
             answer = self.procedure.ask(attempt.command.branch, attempt.command.operation)
             attempt.locks = locks_for(self._workflow.blueprint, attempt.command, answer)
-            reason = self._barred(attempt) or _denied(answer)
+            reason = self._barred(attempt) or self._too_old(attempt) or _denied(answer)
             if self._lanes.blocked(attempt):
                 self._lanes.waiting.append(attempt)
             elif reason is not None:
@@ -183,43 +202,41 @@ class Dispatcher(Generic[C, D]):
             else:
                 self._start(attempt)
 
-    # -- from attempt to verdict -----------------------------------------------------------------------
+    # -- from attempt to conclusion --------------------------------------------------------------------
+
+    def _perform_at_once(self, attempt: Attempt) -> None:
+        """Performs an operation that touches nothing outside, from its checks to its conclusion."""
+        attempt.begun = attempt.ending = True
+        performing = _performing.set(id(self))
+        run = self._run_of(attempt)
+        try:
+            refused = refusal(self._workflow.registry, attempt.spec, run)
+            ending = None if refused else take_steps_at_once(self._workflow.registry, attempt.spec, run)
+        finally:
+            _performing.reset(performing)
+        self._conclude(attempt, run, refused, ending)
 
     async def _perform(self, attempt: Attempt) -> None:
+        """Performs an operation that touches the world, as a task of its own."""
         _performing.set(id(self))
         run = self._run_of(attempt)
         try:
             refused = refusal(self._workflow.registry, attempt.spec, run)
-            if refused is not None:
-                attempt.ending = True
-                await self._decide(attempt.command, attempt.verdict, "rejected", refused)
-            else:
-                await self._end(attempt, run, await self._steps(attempt, run))
+            ending = None if refused else await self._steps(attempt, run)
         except Exception as error:
-            log.exception("dispatcher_broken", command=attempt.command.id)
             attempt.end_steps()
-            await self._break_off(attempt.command, attempt.verdict, "unknown", error)
-        finally:
-            self._lanes.running.remove(attempt)
-            self._start_waiting()
-        if attempt.verdict.result().decision == "accepted":
-            self._submit_posts(attempt.command, run)
-
-    def _run_of(self, attempt: Attempt) -> Run[C, D]:
-        def show(fraction: float) -> None:
-            attempt.progress = fraction
-            self._publish(self.snapshot())
-
-        states, data = self.procedure.joint(), self.procedure.data
-        return Run(attempt.command, attempt.payload, states, self._cell, self._clock, data, show)
+            unknown: Conclusion[C, D] = Conclusion(attempt.command, attempt.verdict, "unknown", attempt=attempt)
+            self._decisions.break_off(unknown, error)
+        else:
+            attempt.end_steps()
+            self._conclude(attempt, run, refused, ending)
 
     async def _steps(self, attempt: Attempt, run: Run[C, D]) -> Ending:
-        """Takes the steps, after the intent is durable where they touch the world; holds what failed to move."""
+        """Takes the steps after the intent is durable; holds what has failed to move."""
         attempt.begun = True
         try:
-            if self._touches_world(attempt):
-                self._publish(self.snapshot())
-                await asyncio.shield(self._recorder.intent(attempt.command, run.states))
+            self._publish(self.snapshot())
+            await asyncio.shield(self._recorder.intent(attempt.command, run.states))
             ending = Ending("failed", reason=attempt.stopped)
             if attempt.stopped is None:
                 ending = await take_steps(self._workflow.registry, attempt.spec, run)
@@ -231,80 +248,51 @@ class Dispatcher(Generic[C, D]):
             return Ending("unknown", reason=ending.reason)
         return ending
 
-    async def _end(self, attempt: Attempt, run: Run[C, D], ending: Ending) -> None:
-        """Gives the verdict that the ending declares."""
-        closure = self.procedure.ask(attempt.command.branch, attempt.command.operation)
-        if isinstance(closure, Denial):
-            raise PcmrsError(f"{closure.text} It was allowed when {attempt.name} began.")
-        decision, change, reason = consequence(closure, ending, attempt.name)
-        await self._decide(attempt.command, attempt.verdict, decision, reason, attempt, run, change)
-
-    async def _decide(
-        self,
-        command: Command,
-        verdict: asyncio.Future[Verdict],
-        decision: Decision,
-        reason: Reason | None,
-        attempt: Attempt | None = None,
-        run: Run[C, D] | None = None,
-        change: Change | None = None,
-    ) -> None:
-        """Journals a decision, then commits it, then publishes it and answers."""
-        accepted = decision == "accepted"
-        changes = run.changes if run is not None and accepted else {}
-        with_intent = attempt is not None and not self._touches_world(attempt)
-        sequence = self.procedure.sequence if decision == "rejected" else self.procedure.reserve(change)
-        states = self.procedure.joint() | (dict(change.states) if change is not None else {})
-        answer = self._verdict(command, decision, reason, states=states, sequence=sequence, run=run)
-        try:
-            promised = self.procedure.promised()
-            await self._recorder.decision(command, answer, promised, changes, with_intent=with_intent)
-            if decision != "rejected":
-                # A Stop that came while this was journalled is not acknowledged by it.
-                unlatch = accepted and attempt is not None and attempt.spec.unlatches and attempt.stopped is None
-                self.procedure.commit(sequence, change, changes, unlatch=unlatch)
-        except Exception as error:
-            await self._break_off(command, verdict, "rejected" if decision == "rejected" else "unknown", error)
-        else:
-            self._answer(verdict, answer)
-
-    def _answer(self, verdict: asyncio.Future[Verdict], answer: Verdict) -> None:
-        self._memory.settle(verdict, answer)
-        if answer.decision != "rejected":
+    def _run_of(self, attempt: Attempt) -> Run[C, D]:
+        def show(fraction: float) -> None:
+            attempt.progress = fraction
             self._publish(self.snapshot())
-        self._publish(answer)
 
-    def _verdict(
-        self,
-        command: Command,
-        decision: Decision,
-        reason: Reason | None,
-        *,
-        states: dict[str, str] | None = None,
-        sequence: int | None = None,
-        run: Run[C, D] | None = None,
-    ) -> Verdict:
-        states = states or self.procedure.joint()
-        state = states.get(command.branch, "")
-        return Verdict(
-            id=command.id,
-            branch=command.branch,
-            operation=command.operation,
-            decision=decision,
-            state=state,
-            reason=reason,
-            allowed=self.procedure.allowed(command.branch, states) if state else [],
-            result=run.result if run is not None and run.result else None,
-            sequence=self.procedure.sequence if sequence is None else sequence,
-        )
+        states, data = self.procedure.joint(), self.procedure.data
+        return Run(attempt.command, attempt.payload, states, self._cell, self._clock, data, show)
+
+    def _conclude(self, attempt: Attempt, run: Run[C, D], refused: Reason | None, ending: Ending | None) -> None:
+        """Works out what the refusal or the ending means for the states."""
+        command, verdict = attempt.command, attempt.verdict
+        if ending is None:
+            self._decisions.conclude(Conclusion(command, verdict, "rejected", refused, attempt))
+            return
+        at_once = not self._touches_world(attempt)
+        closure = self.procedure.ask(command.branch, command.operation)
+        if isinstance(closure, Denial):
+            error = PcmrsError(f"{closure.text} It was allowed when {attempt.name} began.")
+            self._decisions.break_off(Conclusion(command, verdict, "unknown", attempt=attempt), error)
+            return
+        decision, change, reason = consequence(closure, ending, attempt.name)
+        self._decisions.conclude(Conclusion(command, verdict, decision, reason, attempt, run, change, at_once))
+
+    def _reject(self, command: Command, verdict: asyncio.Future[Verdict], reason: Reason) -> None:
+        self._decisions.conclude(Conclusion(command, verdict, "rejected", reason))
+
+    def _settle(self, conclusion: Conclusion[C, D], verdict: Verdict) -> None:
+        """The verdict is given: shows it, and lets others have the locks."""
+        loop = asyncio.get_running_loop()
+        loop.call_soon(self._show, verdict)  # those who asked hear of it before those who watch
+        if conclusion.attempt is not None:
+            self._lanes.running.remove(conclusion.attempt)
+            loop.call_soon(self._start_waiting)
+        if conclusion.run is not None and verdict.decision == "accepted":
+            self._submit_posts(conclusion.command, conclusion.run)
+
+    def _show(self, verdict: Verdict) -> None:
+        if verdict.decision != "rejected":
+            self._publish(self.snapshot())
+        self._publish(verdict)
 
     # -- helpers -----------------------------------------------------------------------------------------
 
     def _touches_world(self, attempt: Attempt) -> bool:
         return not self._workflow.registry.worldly.isdisjoint(attempt.spec.steps)
-
-    def _reject(self, command: Command, verdict: asyncio.Future[Verdict], reason: Reason) -> None:
-        self._spawn(self._decide(command, verdict, "rejected", reason))
 
     def _submit_posts(self, parent: Command, run: Run[C, D]) -> None:
         for number, (branch, operation, arguments) in enumerate(run.posts):
@@ -331,25 +319,17 @@ class Dispatcher(Generic[C, D]):
         try:
             await self._recorder.event(event, self.procedure.promised())
         except JournalError as error:
-            await self._break(error)
+            self._break(error)
 
-    async def _break(self, error: Exception) -> None:
+    def _break(self, error: BaseException) -> Reason:
         """Fail-stop: the robot is held and nothing is accepted any more; Stop and status still work."""
         if self._broken is None:
-            code = error.code if isinstance(error, PcmrsError) else "internal_error"
-            text = f"The dispatcher has stopped for safety: {error} Restart the daemon."
-            self._broken = Reason(code=code, text=text)
-            log.critical("fail_stop", reason=text)
+            self._broken = reason_for(error)
+            log.critical("fail_stop", reason=self._broken.text)
             for attempt in self._lanes.running:
                 attempt.stop(self._broken)
-            await self._hold_confirmed()
-
-    async def _break_off(
-        self, command: Command, verdict: asyncio.Future[Verdict], decision: Decision, error: Exception
-    ) -> None:
-        """Answers a command that the dispatcher itself could not bring to its end."""
-        await self._break(error)
-        self._answer(verdict, self._verdict(command, decision, self._broken))
+            self._spawn(self._hold_confirmed())
+        return self._broken
 
     def _spawn(self, work: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
         task = asyncio.get_running_loop().create_task(work)

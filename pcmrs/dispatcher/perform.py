@@ -41,7 +41,7 @@ def refusal(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> Re
 
 
 async def take_steps(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> Ending:
-    """Takes the operation's steps in order; cancellation passes through to the caller."""
+    """Takes the operation's steps in order and in time; cancellation passes through to the caller."""
     step = ""
     try:
         async with run.clock.timeout(spec.timeout_s):
@@ -50,19 +50,34 @@ async def take_steps(registry: Registry[C, D], spec: OperationSpec, run: Run[C, 
                 if inspect.isawaitable(taken):
                     await taken
                 _heed_cancellation()
-    except UnknownOutcomeError as error:
-        return Ending("unknown", reason=reason_of(error, step=step))
-    except PcmrsError as error:
-        return Ending("failed", reason=reason_of(error, step=step))
     except TimeoutError:
         text = f"Step {step} did not end within {spec.timeout_s} s."
         fields = {"step": step, "timeout": spec.timeout_s}
         return Ending("failed", reason=Reason(code="deadline_passed", text=text, fields=fields))
-    except Exception:
-        log.exception("step_raised", step=step, command=run.command.id)
-        text = f"Step {step} raised an error; the log has it."
-        return Ending("failed", reason=Reason(code="step_raised", text=text, fields={"step": step}))
+    except Exception as error:
+        return _ending_by(error, step, run)
     return Ending("done", outcome=run.outcome or START_OUTCOME)
+
+
+def take_steps_at_once(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> Ending:
+    """Takes the steps of an operation that touches nothing outside: there is nothing to wait for."""
+    step = ""
+    try:
+        for step in spec.steps:
+            registry.steps[step](run)
+    except Exception as error:
+        return _ending_by(error, step, run)
+    return Ending("done", outcome=run.outcome or START_OUTCOME)
+
+
+def _ending_by(error: Exception, step: str, run: Run[C, D]) -> Ending:
+    if isinstance(error, UnknownOutcomeError):
+        return Ending("unknown", reason=reason_of(error, step=step))
+    if isinstance(error, PcmrsError):
+        return Ending("failed", reason=reason_of(error, step=step))
+    log.error("step_raised", step=step, command=run.command.id, exc_info=error)
+    text = f"Step {step} raised an error; the log has it."
+    return Ending("failed", reason=Reason(code="step_raised", text=text, fields={"step": step}))
 
 
 def _heed_cancellation() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
@@ -40,14 +41,22 @@ class Registry(Generic[C, D]):
         return function
 
     def step(self, function: F) -> F:
-        """Registers a step that changes the procedure's data only."""
+        """Registers a step that changes the procedure's data only, and so has nothing to wait for.
+
+        Raises:
+            BlueprintError: It is a coroutine function.
+        """
+        if inspect.iscoroutinefunction(function):
+            text = f"{function.__name__} waits, so it touches the world: register it with world_step."
+            raise BlueprintError(text, step=function.__name__)
         self.steps[function.__name__] = function
         return function
 
     def world_step(self, function: F) -> F:
         """Registers a step that touches the world outside: its intent is journalled first."""
         self.worldly.add(function.__name__)
-        return self.step(function)
+        self.steps[function.__name__] = function
+        return function
 
     def check_names(self, blueprint: Blueprint) -> None:
         """Raises `BlueprintError` if the blueprint uses a name that is not registered."""

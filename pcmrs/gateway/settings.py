@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import ipaddress
+from typing import Annotated
 
 import msgspec
 
 from pcmrs.errors import ConfigurationError
+
+Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 
 
 class LinkConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -18,9 +21,9 @@ class LinkConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         stream_port: Streams go to this port of the client's host.
     """
 
-    port: int | None = None
-    reply_port: int | None = None
-    stream_port: int | None = None
+    port: Port | None = None
+    reply_port: Port | None = None
+    stream_port: Port | None = None
 
 
 class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -46,7 +49,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     visualization: LinkConfig = LinkConfig(port=8077, reply_port=8069, stream_port=8079)
     mixed_reality: LinkConfig = LinkConfig(reply_port=28051, stream_port=8051)
     mep: LinkConfig = LinkConfig(port=8085)
-    tcp_port: int | None = 8058
+    tcp_port: Port | None = 8058
     stream_rate_hz: float = 100.0
     unsigned_peers: tuple[str, ...] = ("127.0.0.1", "::1")
 

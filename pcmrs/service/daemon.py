@@ -123,20 +123,23 @@ class Daemon:
         def connected() -> bool:
             return dispatcher.procedure.joint()["robot"] == "1"
 
-        watch = RobotWatch(bus, connected, dispatcher.report)
-        heard = asyncio.Event()
+        watch = RobotWatch(bus.publish, connected, dispatcher.report, SystemClock())
+        heard: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
         def take_pose(_key: str, pose: BodyPose) -> None:
             cell.poses.update(pose)
-            if cell.joints is not None:
-                heard.set()
+            if cell.joints is not None and not heard.done():
+                heard.set_result(None)
 
         def take_joints(_key: str, state: JointState) -> None:
             cell.update_joints(state)
             watch.hear()
 
         def lose(devices: list[str]) -> None:
-            if "robot" in devices:
+            if not heard.done():
+                text = f"The node of {', '.join(devices)} ended while it started; the log says why."
+                heard.set_exception(DeviceError(text, devices=devices))
+            elif "robot" in devices:
                 self._spawn(watch.lose("The robot's node has ended."))
 
         bus.subscribe("state/pose/*", BodyPose, take_pose)
@@ -147,7 +150,7 @@ class Daemon:
         self._spawn(watch.run())
         try:
             async with asyncio.timeout(DEVICES_TIME):
-                await heard.wait()
+                await heard
         except TimeoutError:
             text = f"Robot and tracker were not heard within {DEVICES_TIME:g} s; the log says why."
             raise DeviceError(text) from None

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 
-from pcmrs.bus import Bus
-from pcmrs.clock import SystemClock
+from pcmrs.clock import Clock
 from pcmrs.messages import Beat, DeviceEvent
 
 PERIOD = 0.05
@@ -19,26 +18,34 @@ class RobotWatch:
     """Beats for the robot's node and listens for the robot's joints.
 
     Args:
-        bus: The bus.
+        publish: `Bus.publish`.
         connected: Whether the workflow holds the robot for connected.
         report: `Dispatcher.report`.
+        clock: The machine's clock.
     """
 
     def __init__(
-        self, bus: Bus, connected: Callable[[], bool], report: Callable[[DeviceEvent], Awaitable[None]]
+        self,
+        publish: Callable[[str, Beat], None],
+        connected: Callable[[], bool],
+        report: Callable[[DeviceEvent], Awaitable[None]],
+        clock: Clock,
     ) -> None:
-        self._bus = bus
+        self._publish = publish
         self._connected = connected
         self._report = report
-        self._clock = SystemClock()
-        self._heard = self._clock.monotonic()
+        self._clock = clock
+        self._heard = clock.monotonic()
 
     async def run(self) -> None:
-        """Beats and watches until cancelled."""
+        """Beats and watches until cancelled.
+
+        While a loss is being dealt with it does not beat: the node then holds the robot by itself, too.
+        """
         number = 0
         while True:
             number += 1
-            self._bus.publish("dev/robot/beat", Beat(number=number))
+            self._publish("dev/robot/beat", Beat(number=number))
             silence = self._clock.monotonic() - self._heard
             if silence > SILENCE and self._connected():
                 await self.lose(f"The robot has not reported its joints for {silence:.1f} s.")

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import msgspec
 
+from pcmrs.errors import GeometryError
 from pcmrs.spatial import Transform
 
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
@@ -15,13 +16,23 @@ Seven = tuple[float, float, float, float, float, float, float]
 
 
 class PoseSetting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``a_from_b`` as configured: translation in m and unit quaternion."""
+    """``a_from_b`` as configured: translation in m and unit quaternion.
+
+    Raises:
+        ValueError: It is no pose.
+    """
 
     position: Triple = (0.0, 0.0, 0.0)
     quat_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
 
+    def __post_init__(self) -> None:
+        try:
+            self.transform()
+        except GeometryError as error:
+            raise ValueError(error.text) from None  # to which msgspec adds the key
+
     def transform(self) -> Transform:
-        """The same as a `Transform`. Raises `GeometryError` when it is no pose."""
+        """The same as a `Transform`."""
         return Transform.from_quat_wxyz(self.position, self.quat_wxyz)
 
 
@@ -88,6 +99,9 @@ class PlacementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
         standoff_tolerance_mm: How far from the plan's standoff a retreat may end to count as there.
         nudge_limit_mm: Largest total nudge.
         nudge_limit_deg: The same for its rotation.
+
+    Raises:
+        ValueError: `confirm_offset` is not below `standoff`: confirming would lead away from the body.
     """
 
     standoff: Positive = 0.070
@@ -100,6 +114,10 @@ class PlacementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     standoff_tolerance_mm: Positive = 5.0
     nudge_limit_mm: Positive = 20.0
     nudge_limit_deg: Positive = 10.0
+
+    def __post_init__(self) -> None:
+        if not self.confirm_offset < self.standoff:
+            raise ValueError(f"confirm_offset is {self.confirm_offset:g} m, but standoff is only {self.standoff:g} m")
 
 
 class ProcedureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import msgspec
+import pytest
 from clock import ManualClock, settle
 from ratms_oracle import BLUEPRINT, INITIAL, Joint, all_operations, expected
 
@@ -77,14 +79,26 @@ class Script:
         if error is not None:
             raise error
 
-    async def step(self, run: Run[Any, Notes]) -> None:
+    async def world_step(self, run: Run[Any, Notes]) -> None:
+        self._note(run)
+        if _name(run) in self.steps:
+            await self.steps[_name(run)](run)
+
+    def data_step(self, run: Run[Any, Notes]) -> None:
+        """A step that touches nothing outside and so has nothing to wait for."""
+        self._note(run)
+        if _name(run) in self.steps:
+            action = self.steps[_name(run)](run).__await__()
+            with suppress(StopIteration):
+                next(action)
+                pytest.fail(f"{_name(run)} touches nothing outside: its step cannot wait")
+
+    def _note(self, run: Run[Any, Notes]) -> None:
         name = _name(run)
         self.entered.append(name)
         run.outcome = _usual_outcome(run)
         if name not in run.data.marks[-1:]:
             run.keep(marks=(*run.data.marks, name))
-        if name in self.steps:
-            await self.steps[name](run)
 
 
 def _name(run: Run[Any, Notes]) -> str:
@@ -105,14 +119,17 @@ def _settle(data: Notes, states: Mapping[str, str], effects: Sequence[Effect]) -
     return msgspec.structs.replace(data, effects=tuple(f"{e.kind} {e.branch} {e.target}" for e in effects))
 
 
-def make_workflow(script: Script, blueprint: Blueprint = RATMS) -> Workflow[Any, Notes]:
+def make_workflow(
+    script: Script, blueprint: Blueprint = RATMS, worldly_branches: Collection[str] = WORLDLY_BRANCHES
+) -> Workflow[Any, Notes]:
     """The blueprint with every name in it registered as the script's check or step."""
     registry: Registry[Any, Notes] = Registry()
     for branch_name, branch in blueprint.branches.items():
         for spec in branch.operations.values():
             registry.checks |= dict.fromkeys(spec.checks, script.check)
-            registry.steps |= dict.fromkeys(spec.steps, script.step)
-            if branch_name in WORLDLY_BRANCHES:
+            worldly = branch_name in worldly_branches
+            registry.steps |= dict.fromkeys(spec.steps, script.world_step if worldly else script.data_step)
+            if worldly:
                 registry.worldly.update(spec.steps)
             if spec.payload != "none":
                 registry.payload(spec.payload, Numbers)
@@ -182,7 +199,7 @@ class Bench:
         holds: How often the robot was held; `hold_error` is raised by each of them.
     """
 
-    def __init__(self, blueprint: Blueprint = RATMS) -> None:
+    def __init__(self, blueprint: Blueprint = RATMS, worldly_branches: Collection[str] = WORLDLY_BRANCHES) -> None:
         self.script = Script()
         self.clock = ManualClock()
         self.recorder = MemoryRecorder()
@@ -190,7 +207,7 @@ class Bench:
         self.holds = 0
         self.hold_error: Exception | None = None
         self._ids = itertools.count(1)
-        workflow = make_workflow(self.script, blueprint)
+        workflow = make_workflow(self.script, blueprint, worldly_branches)
         self.dispatcher = Dispatcher(workflow, None, self.clock, self.recorder, self._hold, self.published.append)
 
     async def _hold(self) -> None:

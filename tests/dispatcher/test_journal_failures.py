@@ -65,6 +65,7 @@ async def test_a_failing_recall_runs_nothing(bench: Bench) -> None:
     bench.script.entered.clear()
     bench.recorder.failing.add("recall")
     verdict = await bench.do("placement.approach")
+    await settle()
     assert (verdict.decision, bench.script.entered, bench.holds) == ("rejected", [], 1)
     assert answered(bench, verdict)
     await check_fail_stop(bench, RETRACTED)
@@ -75,6 +76,7 @@ async def test_an_event_that_cannot_be_written(bench: Bench, danger: bool) -> No
     await bench.go(PLACED)
     bench.recorder.failing.add("event")
     await bench.dispatcher.report(DeviceEvent(device="tracker", code="reference_moved", text="Moved.", danger=danger))
+    await settle()
     assert bench.holds == 1 + danger
     assert bench.dispatcher.snapshot().latched == danger
     await check_fail_stop(bench, PLACED)
@@ -114,6 +116,7 @@ async def test_a_bug_in_the_data_of_a_commit_is_fail_stop(bench: Bench) -> None:
 
     bench.script.steps["toolplan.plan"] = keep_nonsense
     verdict = await bench.do("toolplan.plan")
+    await settle()
     assert (verdict.decision, bench.joint[2], bench.holds) == ("unknown", "0", 1)
     assert verdict.reason is not None
     assert verdict.reason.code == "internal_error"

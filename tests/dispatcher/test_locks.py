@@ -24,20 +24,20 @@ def code(verdict: Verdict) -> str:
     return verdict.reason.code
 
 
-async def test_disjoint_operations_are_in_their_steps_at_once(bench: Bench) -> None:
+async def test_disjoint_operations_are_in_their_steps_at_once(worldly_bench: Bench) -> None:
     """Each waits for the other: only together can they end."""
-    await bench.go(PLANNED)
+    await worldly_bench.go(PLANNED)
     names = ("digitization.digitize_all", "toolplan.plan", "robot.connect")
     together = asyncio.Barrier(len(names))
 
     async def meet(run: Run[Any, Notes]) -> None:
         await together.wait()
 
-    bench.script.steps |= dict.fromkeys(names, meet)
-    tasks = [await bench.begin(name) for name in names]
+    worldly_bench.script.steps |= dict.fromkeys(names, meet)
+    tasks = [await worldly_bench.begin(name) for name in names]
     await settle()
     assert [(await task).decision for task in tasks] == ["accepted"] * 3
-    assert bench.joint == ("110", "1", "1", "1", "unknown")
+    assert worldly_bench.joint == ("110", "1", "1", "1", "unknown")
 
 
 async def test_the_journal_has_the_states_after_each_of_two_parallel_commits(bench: Bench) -> None:
@@ -65,11 +65,11 @@ async def test_conflicting_operations_do_not_overlap_and_keep_their_order(bench:
     assert [v.sequence for v in verdicts] == [2, 3, 4, 4]
 
 
-async def test_a_newcomer_does_not_overtake_one_that_waits(bench: Bench) -> None:
+async def test_a_newcomer_does_not_overtake_one_that_waits(worldly_bench: Bench) -> None:
     """What the third writes is free, but the second, which waits for the first, needs it unchanged."""
-    await bench.go(RETRACTED)
-    gate = bench.script.hang("toolplan.plan")
-    tasks = [await bench.begin(name) for name in ("toolplan.plan", "toolplan.reinit", "placement.reinit")]
+    await worldly_bench.go(RETRACTED)
+    gate = worldly_bench.script.hang("toolplan.plan")
+    tasks = [await worldly_bench.begin(name) for name in ("toolplan.plan", "toolplan.reinit", "placement.reinit")]
     assert [task.done() for task in tasks] == [False] * 3
     gate.set()
     verdicts = [await task for task in tasks]
@@ -94,16 +94,16 @@ async def test_a_requirement_is_locked_for_reading(bench: Bench) -> None:
     assert (await task).state == "standoff"
 
 
-async def test_revocation_is_locked_too(bench: Bench) -> None:
+async def test_revocation_is_locked_too(worldly_bench: Bench) -> None:
     """A plan that would revoke the placement waits for nothing that moves it."""
-    await bench.go(STANDOFF)
-    gate = bench.script.hang("toolplan.plan")
-    plan = await bench.begin("toolplan.plan")
+    await worldly_bench.go(STANDOFF)
+    gate = worldly_bench.script.hang("toolplan.plan")
+    plan = await worldly_bench.begin("toolplan.plan")
     for name in ("home", "confirm", "nudge", "back_off"):
-        assert code(await bench.do(f"placement.{name}")) == "busy"
+        assert code(await worldly_bench.do(f"placement.{name}")) == "busy"
     gate.set()
     assert (await plan).decision == "accepted"
-    assert bench.joint[4] == "held"
+    assert worldly_bench.joint[4] == "held"
 
 
 async def test_motions_never_wait(bench: Bench) -> None:
@@ -129,10 +129,10 @@ async def test_a_disconnection_waits_for_the_motion_and_is_then_asked_again(benc
     assert code(await disconnect) == "tool_near_patient"
 
 
-async def test_the_queue_is_bounded(bench: Bench) -> None:
-    gate = bench.script.hang("toolplan.plan")
-    tasks = [await bench.begin("toolplan.plan") for _ in range(1 + MAX_WAITING)]
-    verdict = await bench.do("toolplan.clear")
+async def test_the_queue_is_bounded(worldly_bench: Bench) -> None:
+    gate = worldly_bench.script.hang("toolplan.plan")
+    tasks = [await worldly_bench.begin("toolplan.plan") for _ in range(1 + MAX_WAITING)]
+    verdict = await worldly_bench.do("toolplan.clear")
     assert (verdict.decision, code(verdict)) == ("rejected", "queue_full")
     gate.set()
     assert {(await task).decision for task in tasks} == {"accepted"}

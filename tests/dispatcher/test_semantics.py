@@ -446,7 +446,7 @@ async def test_event_operations_are_for_devices_detectors_and_timers(bench: Benc
         await bench.do("robot.connect")
 
 
-async def test_data_of_parallel_operations_is_merged(bench: Bench) -> None:
+async def test_data_of_parallel_operations_is_merged(worldly_bench: Bench) -> None:
     async def keep_plan(run: Run[Any, Notes]) -> None:
         run.keep(plan_id="p1")
 
@@ -456,12 +456,12 @@ async def test_data_of_parallel_operations_is_merged(bench: Bench) -> None:
         await gate.wait()
         run.keep(registration_id="r1")
 
-    bench.script.steps |= {"toolplan.plan": keep_plan, "registration.use_previous": keep_registration}
-    task = await bench.begin("registration.use_previous")
-    await bench.do("toolplan.plan")
+    worldly_bench.script.steps |= {"toolplan.plan": keep_plan, "registration.use_previous": keep_registration}
+    task = await worldly_bench.begin("registration.use_previous")
+    await worldly_bench.do("toolplan.plan")
     gate.set()
     await task
-    shown = bench.dispatcher.snapshot()
+    shown = worldly_bench.dispatcher.snapshot()
     assert (shown.plan, shown.registration) == ("p1", "r1")
 
 

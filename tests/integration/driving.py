@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import aclosing, asynccontextmanager, suppress
 
 import numpy as np
 from daemon_process import PATIENCE, PLAN, ServeProcess
@@ -12,7 +12,7 @@ from daemon_process import PATIENCE, PLAN, ServeProcess
 from pcmrs.bus import Bus
 from pcmrs.client import Client
 from pcmrs.errors import PcmrsError
-from pcmrs.messages import JointState, Verdict
+from pcmrs.messages import JointState, Snapshot, Verdict
 
 AT_REST = 1e-3
 """Joint velocity below which the simulated arm counts as standing, rad/s."""
@@ -39,6 +39,29 @@ async def register(client: Client) -> None:
     await accepted(client, "toolplan.plan", **PLAN["poses"][0])
 
 
+async def start_anew(client: Client) -> None:
+    """Takes the cell to where a daemon begins, whatever an earlier test has left."""
+    state = await client.state()
+    if state.branches["robot"] == "1":
+        if state.latched:
+            await accepted(client, "robot.acknowledge")
+        if state.branches["placement"] == "held":
+            await accepted(client, "placement.back_off")
+        if (await client.state()).branches["placement"] in ("standoff", "placed"):
+            await accepted(client, "placement.home")
+        await accepted(client, "robot.disconnect")
+    await accepted(client, "registration.reinit")
+    await accepted(client, "toolplan.reinit")
+
+
+async def until(client: Client, **branches: str) -> None:
+    """Waits until branches are in these states."""
+    async with asyncio.timeout(PATIENCE), aclosing(client.watch()) as events:
+        async for event in events:
+            if isinstance(event, Snapshot) and branches.items() <= event.branches.items():
+                return
+
+
 @asynccontextmanager
 async def approaching(daemon: ServeProcess, client: Client) -> AsyncIterator[asyncio.Task[Verdict]]:
     """An approach in the middle of which the arm moves; its verdict must have come when the context ends."""
@@ -47,9 +70,9 @@ async def approaching(daemon: ServeProcess, client: Client) -> AsyncIterator[asy
         moves = _moving(bus)
         verdict = asyncio.create_task(client.call("placement.approach", timeout=PATIENCE))
         try:
-            async with asyncio.timeout(PATIENCE):
-                await moves.wait()
+            await asyncio.wait([verdict, moves], timeout=PATIENCE, return_when=asyncio.FIRST_COMPLETED)
             assert not verdict.done(), verdict.result()
+            assert moves.done(), "the arm does not move"
             yield verdict
             await asyncio.wait([verdict])
         finally:
@@ -70,12 +93,12 @@ async def stands_still(client: Client) -> bool:
     return bool(np.abs(state["velocities"]).max() < AT_REST)
 
 
-def _moving(bus: Bus) -> asyncio.Event:
-    moves = asyncio.Event()
+def _moving(bus: Bus) -> asyncio.Future[None]:
+    moves: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def look(_key: str, state: JointState) -> None:
-        if np.abs(state.velocities).max() > MOVES:
-            moves.set()
+        if not moves.done() and np.abs(state.velocities).max() > MOVES:
+            moves.set_result(None)
 
     bus.subscribe("state/joints", JointState, look)
     return moves

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from daemon_process import PLAN, ServeProcess
+from driving import start_anew
 
 from pcmrs.client import Client
 from pcmrs.planner import Planner
@@ -9,6 +10,7 @@ from pcmrs.planner import Planner
 async def test_an_external_planner_completes_the_procedure_over_udp(
     daemon: ServeProcess, planner: Planner, client: Client
 ) -> None:
+    await start_anew(client)
     await planner.connect()
     await planner.plan_landmarks([landmark["position"] for landmark in PLAN["landmarks"]])
     await planner.digitize_all()

@@ -1,0 +1,155 @@
+"""From how a command ended to its verdict: journalled, then committed, then answered, then shown."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Generic
+
+import structlog
+
+from pcmrs.dispatcher.attempt import Attempt
+from pcmrs.dispatcher.memory import Memory
+from pcmrs.dispatcher.procedure import Procedure
+from pcmrs.dispatcher.recorder import Recorder
+from pcmrs.dispatcher.run import C, D, Run
+from pcmrs.errors import PcmrsError
+from pcmrs.fsm import Change
+from pcmrs.messages import Command, Decision, Reason, Verdict
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Conclusion(Generic[C, D]):
+    """How a command ended.
+
+    Attributes:
+        attempt: Its attempt; None for a command that never became one.
+        run: What its checks and steps left behind; None when there were none.
+        change: What is to be committed, if anything.
+        with_intent: Its intent is journalled together with the decision.
+    """
+
+    command: Command
+    verdict: asyncio.Future[Verdict]
+    decision: Decision
+    reason: Reason | None = None
+    attempt: Attempt | None = None
+    run: Run[C, D] | None = None
+    change: Change | None = None
+    with_intent: bool = False
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """Changes of the procedure's data; only an accepted command has any."""
+        return self.run.changes if self.run is not None and self.decision == "accepted" else {}
+
+    @property
+    def unlatches(self) -> bool:
+        """Whether it releases the latch; a Stop that came while it was journalled is not acknowledged by it."""
+        attempt = self.attempt
+        accepted = self.decision == "accepted"
+        return accepted and attempt is not None and attempt.spec.unlatches and attempt.stopped is None
+
+
+class Decisions(Generic[C, D]):
+    """Makes conclusions durable and true, one after the other.
+
+    Args:
+        procedure: Where they are committed.
+        recorder: Where they are journalled.
+        memory: Where those who asked wait.
+        settled: Called with the conclusion and its verdict once the verdict is given.
+        broken: Called when a conclusion cannot be journalled or committed; the verdict is already given.
+    """
+
+    def __init__(
+        self,
+        procedure: Procedure[C, D],
+        recorder: Recorder,
+        memory: Memory,
+        settled: Callable[[Conclusion[C, D], Verdict], None],
+        broken: Callable[[BaseException], Reason],
+    ) -> None:
+        self._procedure = procedure
+        self._recorder = recorder
+        self._memory = memory
+        self._settled = settled
+        self._broken = broken
+
+    def conclude(self, conclusion: Conclusion[C, D]) -> None:
+        """Journals a decision; as soon as that is durable, it is committed and answered."""
+        procedure, rejected = self._procedure, conclusion.decision == "rejected"
+        try:
+            sequence = procedure.sequence if rejected else procedure.reserve(conclusion.change)
+            states = procedure.joint() | (dict(conclusion.change.states) if conclusion.change is not None else {})
+            verdict = self._verdict(conclusion, conclusion.decision, conclusion.reason, states, sequence)
+            written = self._recorder.decision(
+                conclusion.command,
+                verdict,
+                procedure.promised(),
+                conclusion.changes,
+                with_intent=conclusion.with_intent,
+            )
+            durable: asyncio.Future[Any] = asyncio.ensure_future(written)
+        except Exception as error:
+            self.break_off(conclusion, error)
+            return
+        if durable.done():
+            self._commit(conclusion, verdict, durable)
+        else:
+            durable.add_done_callback(partial(self._commit, conclusion, verdict))
+
+    def break_off(self, conclusion: Conclusion[C, D], error: BaseException) -> None:
+        """Answers a command that the dispatcher itself could not bring to its end."""
+        log.error("dispatcher_broken", command=conclusion.command.id, exc_info=error)
+        reason = self._broken(error)
+        decision: Decision = "rejected" if conclusion.decision == "rejected" else "unknown"
+        self._answer(conclusion, self._verdict(conclusion, decision, reason, self._procedure.joint()))
+
+    def _commit(self, conclusion: Conclusion[C, D], verdict: Verdict, durable: asyncio.Future[Any]) -> None:
+        try:
+            durable.result()
+            if conclusion.decision != "rejected":
+                self._procedure.commit(
+                    verdict.sequence, conclusion.change, conclusion.changes, unlatch=conclusion.unlatches
+                )
+        except (Exception, asyncio.CancelledError) as error:
+            self.break_off(conclusion, error)
+        else:
+            self._answer(conclusion, verdict)
+
+    def _answer(self, conclusion: Conclusion[C, D], verdict: Verdict) -> None:
+        self._memory.settle(conclusion.verdict, verdict)
+        self._settled(conclusion, verdict)
+
+    def _verdict(
+        self,
+        conclusion: Conclusion[C, D],
+        decision: Decision,
+        reason: Reason | None,
+        states: dict[str, str],
+        sequence: int | None = None,
+    ) -> Verdict:
+        command, run = conclusion.command, conclusion.run
+        state = states.get(command.branch, "")
+        return Verdict(
+            id=command.id,
+            branch=command.branch,
+            operation=command.operation,
+            decision=decision,
+            state=state,
+            reason=reason,
+            allowed=self._procedure.allowed(command.branch, states) if state else [],
+            result=run.result if run is not None and run.result and decision != "rejected" else None,
+            sequence=self._procedure.sequence if sequence is None else sequence,
+        )
+
+
+def reason_for(error: BaseException) -> Reason:
+    """Why nothing is accepted any more after `error`."""
+    code = error.code if isinstance(error, PcmrsError) else "internal_error"
+    return Reason(code=code, text=f"The dispatcher has stopped for safety: {error} Restart the daemon.")

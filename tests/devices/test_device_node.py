@@ -1,0 +1,257 @@
+"""A device behind its node: typed calls both ways, and the node's own hold."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+
+import pytest
+from clock import ManualClock, settle
+from memory_link import MemoryLink
+
+from pcmrs.devices.node import BEAT_PERIOD, BEAT_TIMEOUT, DeviceNode
+from pcmrs.devices.remote import ANSWER_TIME, MOTION_MARGIN, RemotePointer, RemoteRobot, RemoteScene
+from pcmrs.errors import DeviceError, UnknownOutcomeError
+from pcmrs.messages import (
+    Beat,
+    BodyPose,
+    DeviceReply,
+    DeviceRequest,
+    JointState,
+    JointTrajectory,
+    LandmarkPrompt,
+    MotionResult,
+)
+
+STATE = JointState(captured=1.0, sent=1.0, positions=[0.1] * 7, velocities=[0.0] * 7, torques=[0.0] * 7)
+TRAJECTORY = JointTrajectory(period=0.005, positions=[[0.0] * 7, [0.1] * 7])
+
+
+class FakeRobot:
+    """Does as told and remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.error: Exception | None = None
+        self.followed: list[JointTrajectory] = []
+        self.holds = 0
+        self.stream: asyncio.Queue[JointState] = asyncio.Queue()
+
+    async def connect(self) -> JointState:
+        if self.error is not None:
+            raise self.error
+        return STATE
+
+    async def disconnect(self) -> None:
+        await asyncio.sleep(0)
+
+    async def joints(self) -> JointState:
+        return STATE
+
+    async def follow(self, trajectory: JointTrajectory) -> MotionResult:
+        self.followed.append(trajectory)
+        return MotionResult(outcome="done", positions=trajectory.positions[-1])
+
+    async def hold(self) -> JointState:
+        self.holds += 1
+        if self.error is not None:
+            raise self.error
+        return STATE
+
+    async def states(self) -> AsyncIterator[JointState]:
+        while True:
+            yield await self.stream.get()
+
+
+class FakeTracker:
+    def __init__(self) -> None:
+        self.stream: asyncio.Queue[Sequence[BodyPose]] = asyncio.Queue()
+
+    async def frames(self) -> AsyncIterator[Sequence[BodyPose]]:
+        while True:
+            yield await self.stream.get()
+
+
+class FakeHand:
+    """A pointer and a scene in one."""
+
+    def __init__(self) -> None:
+        self.calls: list[Any] = []
+
+    async def touch(self, prompt: LandmarkPrompt) -> None:
+        self.calls.append(prompt)
+
+    async def release(self) -> None:
+        self.calls.append("release")
+
+    async def displace_touch(self, index: int, offset_in_image: tuple[float, float, float]) -> None:
+        self.calls.append((index, offset_in_image))
+
+    async def reseed(self, seed: int) -> None:
+        self.calls.append(seed)
+
+
+class Bench:
+    def __init__(self) -> None:
+        self.clock = ManualClock()
+        self.link = MemoryLink()
+        self.robot_device, self.tracker, self.hand = FakeRobot(), FakeTracker(), FakeHand()
+        devices = {"robot": self.robot_device, "tracker": self.tracker, "pointer": self.hand, "scene": self.hand}
+        self.node = DeviceNode(self.link, devices, self.clock)
+        self.robot = RemoteRobot(self.link, self.clock)
+        self.pointer = RemotePointer(self.link, self.clock, touch_timeout=30.0)
+        self.scene = RemoteScene(self.link, self.clock)
+
+    async def raw(self, device: str, method: str, **arguments: Any) -> DeviceReply:
+        request = DeviceRequest(method=method, arguments=arguments)
+        return await self.link.request(f"dev/{device}/cmd", request, DeviceReply, 1.0)
+
+
+@asynccontextmanager
+async def _open_bench() -> AsyncIterator[Bench]:
+    bench = Bench()
+    serving = asyncio.create_task(bench.node.run())
+    await settle()
+    yield bench
+    serving.cancel()
+    with suppress(asyncio.CancelledError):
+        await serving
+
+
+@pytest.fixture
+async def bench() -> AsyncIterator[Bench]:
+    async with _open_bench() as opened:
+        yield opened
+
+
+async def test_calls_and_results_keep_their_types(bench: Bench) -> None:
+    assert await bench.robot.connect() == STATE
+    await bench.robot.disconnect()
+    result = await bench.robot.follow(TRAJECTORY)
+    assert result == MotionResult(outcome="done", positions=[0.1] * 7)
+    assert bench.robot_device.followed == [TRAJECTORY]
+    prompt = LandmarkPrompt(index=2, name="nasion", position_in_image=(0.0, 0.1, 0.2))
+    await bench.pointer.touch(prompt)
+    await bench.scene.displace_touch(3, (0.01, 0.0, 0.0))
+    assert bench.hand.calls == [prompt, (3, (0.01, 0.0, 0.0))]
+
+
+async def test_a_device_that_refuses_is_a_device_error_with_its_text(bench: Bench) -> None:
+    bench.robot_device.error = DeviceError("The brakes are on.", joint=3)
+    with pytest.raises(DeviceError, match="The brakes are on") as failed:
+        await bench.robot.connect()
+    assert failed.value.fields == {"joint": 3, "code": "device_failed"}
+
+
+async def test_a_device_that_does_not_know_is_unknown(bench: Bench) -> None:
+    bench.robot_device.error = UnknownOutcomeError("The cabinet is silent.")
+    with pytest.raises(UnknownOutcomeError, match="The cabinet is silent"):
+        await bench.robot.hold()
+
+
+@pytest.mark.parametrize(
+    ("method", "arguments", "text"),
+    [
+        ("explode", {}, "no method 'explode'"),
+        ("states", {}, "no method 'states'"),
+        ("__init__", {}, "no method '__init__'"),
+        ("follow", {}, r"follow takes \['trajectory'\]"),
+        ("joints", {"fast": True}, r"joints takes \[\]"),
+        ("follow", {"trajectory": {"period": "soon", "positions": []}}, "Expected `float`"),
+    ],
+)
+async def test_a_call_that_the_protocol_does_not_have_is_answered_with_what_it_has(
+    bench: Bench, method: str, arguments: dict[str, Any], text: str
+) -> None:
+    reply = await bench.raw("robot", method, **arguments)
+    assert reply.failure is not None
+    assert reply.failure.code == "malformed"
+    with pytest.raises(AssertionError, match=text):
+        raise AssertionError(reply.failure.text)
+
+
+async def test_silence_is_unknown_not_failed(bench: Bench) -> None:
+    bench.link.silent = True
+    with pytest.raises(UnknownOutcomeError):
+        await bench.robot.joints()
+
+
+@pytest.mark.parametrize(
+    ("method", "within"), [("joints", ANSWER_TIME), ("follow", 2 * TRAJECTORY.period + MOTION_MARGIN)]
+)
+async def test_an_answer_that_does_not_come_in_time_is_unknown(method: str, within: float) -> None:
+    clock, link = ManualClock(), MemoryLink()
+
+    async def never(_key: str, _request: DeviceRequest) -> DeviceReply:
+        await asyncio.Event().wait()
+        raise AssertionError
+
+    link.serve("dev/robot/cmd", DeviceRequest, never)
+    robot = RemoteRobot(link, clock)
+    asking = asyncio.create_task(robot.joints() if method == "joints" else robot.follow(TRAJECTORY))
+    await settle()
+    await clock.advance(within - 0.001)
+    assert not asking.done()
+    await clock.advance(0.002)
+    with pytest.raises(UnknownOutcomeError, match=f"robot.{method} was not answered within"):
+        await asking
+
+
+async def test_an_answer_of_another_type_is_unknown() -> None:
+    link = MemoryLink()
+
+    async def nonsense(_key: str, _request: DeviceRequest) -> DeviceReply:
+        return DeviceReply(result={"positions": "all fine"})
+
+    link.serve("dev/robot/cmd", DeviceRequest, nonsense)
+    with pytest.raises(UnknownOutcomeError, match="something unexpected"):
+        await RemoteRobot(link, ManualClock()).joints()
+
+
+async def test_streams_are_published_under_their_keys(bench: Bench) -> None:
+    pose = BodyPose(body="coil", frame_number=1, captured=0.0, sent=0.0, valid=True)
+    hidden = BodyPose(body="pointer", frame_number=1, captured=0.0, sent=0.0, valid=False)
+    bench.tracker.stream.put_nowait([pose, hidden])
+    bench.robot_device.stream.put_nowait(STATE)
+    await settle()
+    assert bench.link.published["state/pose/coil"] == [pose]
+    assert bench.link.published["state/pose/pointer"] == [hidden]
+    assert bench.link.published["state/joints"] == [STATE]
+
+
+async def test_the_node_beats_for_every_device(bench: Bench) -> None:
+    await bench.clock.advance(1.0)
+    for device in ("robot", "tracker", "pointer", "scene"):
+        numbers = [beat.number for beat in bench.link.published[f"dev/{device}/beat"]]
+        assert numbers == list(range(1, len(numbers) + 1))
+        assert len(numbers) >= 1.0 / BEAT_PERIOD
+        assert bench.link.published[f"dev/{device}/state"][0].connected
+
+
+async def test_a_moving_robot_is_held_when_the_daemon_falls_silent(bench: Bench) -> None:
+    moving = JointState(
+        captured=1.0, sent=1.0, positions=[0.1] * 7, velocities=[0.2] * 7, torques=[0.0] * 7, moving=True
+    )
+    bench.robot_device.stream.put_nowait(moving)
+    for number in range(20):
+        bench.link.hear("dev/robot/beat", Beat(number=number))
+        await bench.clock.advance(0.1)
+    assert bench.robot_device.holds == 0
+    await bench.clock.advance(BEAT_TIMEOUT + 2 * BEAT_PERIOD)
+    assert bench.robot_device.holds == 1
+
+
+async def test_a_resting_robot_is_left_alone_by_a_silent_daemon(bench: Bench) -> None:
+    bench.robot_device.stream.put_nowait(STATE)
+    await bench.clock.advance(10.0)
+    assert bench.robot_device.holds == 0
+
+
+async def test_stop_is_heard_by_the_node_itself_even_when_the_hold_fails(bench: Bench) -> None:
+    bench.robot_device.error = DeviceError("The brakes are worn.")
+    bench.node.stop("bus:nurse")
+    await settle()
+    bench.node.stop("bus:nurse")
+    await settle()
+    assert bench.robot_device.holds == 2

@@ -1,0 +1,90 @@
+"""``pcmrs`` on a running daemon, and daemons that must not start."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from daemon_process import ServeProcess, as_words, free_port, own_settings, run_pcmrs
+
+
+def test_call_prints_the_verdict_and_its_status_tells_it(daemon: ServeProcess) -> None:
+    accepted = daemon.pcmrs("call", "toolplan.clear")
+    assert accepted.returncode == 0, accepted.stderr
+    assert accepted.stdout.startswith("accepted: toolplan.clear")
+    rejected = daemon.pcmrs("call", "placement.confirm", "--json")
+    assert rejected.returncode == 1
+    verdict = json.loads(rejected.stdout)
+    assert verdict["decision"] == "rejected"
+    assert verdict["reason"]["text"]
+    assert "confirm" not in verdict["allowed"]
+    unknown = daemon.pcmrs("call", "registration.explode")
+    assert unknown.returncode == 1
+    assert "explode" in unknown.stdout
+    for ended in (accepted, rejected, unknown):
+        assert ended.stderr == ""
+
+
+@pytest.mark.parametrize("words", [["robot.connect", "{"], ["robot.connect", "[]"], ["robot"], ["Robot.connect"]])
+def test_a_call_that_is_none_is_refused_in_one_line(daemon: ServeProcess, words: list[str]) -> None:
+    ended = daemon.pcmrs("call", *words)
+    assert ended.returncode == 2
+    assert ended.stdout == ""
+    assert len(ended.stderr.splitlines()) == 1
+
+
+def test_the_state_has_its_keys(daemon: ServeProcess) -> None:
+    state = json.loads(daemon.pcmrs("state", "--json").stdout)
+    assert set(state) == {"sequence", "branches", "flags", "running", "latched", "plan", "registration", "blueprint"}
+    assert list(state["branches"]) == ["registration", "digitization", "toolplan", "robot", "placement"]
+    assert state["blueprint"]["id"] == "ratms"
+    text = daemon.pcmrs("state").stdout
+    assert "registration" in text
+    assert "sequence" in text
+
+
+def test_the_keys_are_listed(daemon: ServeProcess) -> None:
+    ended = daemon.pcmrs("keys", "--json")
+    assert json.loads(ended.stdout)["prefix"] == daemon.ready.prefix
+
+
+def test_another_cell_on_the_same_bus_is_not_this_one(daemon: ServeProcess) -> None:
+    ended = run_pcmrs("state", "--endpoint", daemon.ready.endpoint, "--site", "test", "--cell", "elsewhere")
+    assert ended.returncode == 3
+    assert "elsewhere" in ended.stderr
+
+
+def _starts_not(settings: list[str], status: int, word: str) -> None:
+    ended = run_pcmrs("serve", *as_words(settings))
+    assert ended.returncode == status, ended.stderr
+    assert ended.stdout == ""
+    (line,) = ended.stderr.splitlines()
+    assert word in line
+
+
+def test_a_second_daemon_on_the_same_bus_endpoint_is_refused(daemon: ServeProcess, tmp_path: Path) -> None:
+    endpoint = daemon.ready.endpoint
+    _starts_not([*own_settings(tmp_path), f"cell.endpoint={endpoint}"], 3, endpoint)
+
+
+def test_a_second_daemon_of_the_same_cell_is_refused(daemon: ServeProcess) -> None:
+    other = f"cell.endpoint=tcp/127.0.0.1:{free_port()}"
+    _starts_not([*daemon.settings, other], 4, daemon.ready.folder)
+
+
+def test_a_second_daemon_on_the_same_link_is_refused(daemon: ServeProcess, tmp_path: Path) -> None:
+    _, port = daemon.ready.links["planner"]
+    _starts_not([*own_settings(tmp_path), f"gateway.planner={{port={port}}}"], 4, str(port))
+
+
+def test_a_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    _starts_not(own_settings(file / "cell"), 4, "file")
+
+
+def test_a_driver_that_refuses_to_start_ends_the_daemon_at_once(tmp_path: Path) -> None:
+    settings = [*own_settings(tmp_path), "sim.arm.home=[9, 9, 9, 9, 9, 9, 9]"]
+    ended = run_pcmrs("serve", *as_words(settings))
+    assert ended.returncode in (0, 2)

@@ -1,0 +1,94 @@
+"""What the daemon journals, and what it makes of an earlier run that ended in the middle."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+from clock import ManualClock
+
+from pcmrs.journal import Journal, JournalRow
+from pcmrs.messages import BlueprintTag, Command, DeviceEvent, PoseMessage, Verdict
+from pcmrs.service.recorder import JournalRecorder
+
+TAG = BlueprintTag(id="ratms", version="1.0.0", hash="abc")
+COMMAND = Command(
+    id="c1", branch="placement", operation="approach", source="udp:planner", arguments={"speed": 0.5}, parent="c0"
+)
+STATES = {"robot": "1", "placement": "retracted"}
+
+
+@pytest.fixture
+async def journal(tmp_path: Path) -> AsyncIterator[Journal]:
+    opened = Journal.open(tmp_path / "journal.sqlite", durable=False)
+    yield opened
+    await opened.close()
+
+
+def _recorder(journal: Journal, session: str = "s1") -> JournalRecorder:
+    return JournalRecorder(journal, ManualClock(), session, TAG)
+
+
+def _rows(journal: Journal) -> list[JournalRow]:
+    return [stored.row for stored in journal.reader.read(after=0)]
+
+
+def _verdict(decision: str = "accepted") -> Verdict:
+    return Verdict(id="c1", branch="placement", operation="approach", decision=decision, state="standoff", sequence=3)  # type: ignore[arg-type]
+
+
+async def test_a_row_holds_all_that_is_needed_to_decide_again(journal: Journal) -> None:
+    recorder = _recorder(journal)
+    pose = PoseMessage(position=(0.0, 0.1, 0.2), quat_wxyz=(1.0, 0.0, 0.0, 0.0))
+    await recorder.intent(COMMAND, STATES)
+    await recorder.decision(COMMAND, _verdict(), STATES, {"plan": pose}, with_intent=False)
+    intent, outcome = _rows(journal)
+    assert (intent.kind, outcome.kind) == ("intent", "outcome")
+    for row in (intent, outcome):
+        assert (row.command_id, row.source, row.parent) == ("c1", "udp:planner", "c0")
+        assert (row.branch, row.operation, row.arguments) == ("placement", "approach", {"speed": 0.5})
+        assert row.states == STATES
+        assert (row.session_id, row.blueprint) == ("s1", TAG)
+        assert row.boot_id
+        assert row.wall == ManualClock().wall()
+        assert row.monotonic == ManualClock().monotonic()
+    assert outcome.verdict == _verdict()
+    assert outcome.result == {"plan": {"position": [0.0, 0.1, 0.2], "quat_wxyz": [1.0, 0.0, 0.0, 0.0]}}
+
+
+async def test_intent_and_outcome_may_share_a_commit(journal: Journal) -> None:
+    await _recorder(journal).decision(COMMAND, _verdict(), STATES, {}, with_intent=True)
+    assert [row.kind for row in _rows(journal)] == ["intent", "outcome"]
+
+
+async def test_device_events_are_journalled_with_their_values(journal: Journal) -> None:
+    event = DeviceEvent(device="robot", code="link_lost", text="Silent.", danger=True, fields={"silence": 1.2})
+    await _recorder(journal).event(event, STATES)
+    (row,) = _rows(journal)
+    assert (row.kind, row.source, row.operation) == ("device", "robot", "link_lost")
+    assert row.result == {"text": "Silent.", "danger": True, "fields": {"silence": 1.2}}
+
+
+async def test_a_verdict_is_recalled_by_source_and_id_also_from_an_earlier_run(journal: Journal) -> None:
+    await _recorder(journal, "s1").decision(COMMAND, _verdict(), STATES, {}, with_intent=True)
+    later = _recorder(journal, "s2")
+    assert later.recall("udp:planner", "c1") == _verdict()
+    assert later.recall("bus:local", "c1") is None
+    assert later.recall("udp:planner", "c2") is None
+
+
+async def test_what_an_earlier_run_had_begun_is_closed_as_unknown_once(journal: Journal) -> None:
+    earlier = _recorder(journal, "s1")
+    await earlier.intent(COMMAND, STATES)
+    finished = Command(id="c9", branch="robot", operation="connect", source="bus:local")
+    await earlier.intent(finished, STATES)
+    done = Verdict(id="c9", branch="robot", operation="connect", decision="accepted", state="1", sequence=4)
+    await earlier.decision(finished, done, STATES, {}, with_intent=False)
+    later = _recorder(journal, "s2")
+    (unknown,) = await later.close_unfinished()
+    assert (unknown.id, unknown.decision, unknown.state) == ("c1", "unknown", "retracted")
+    assert unknown.reason is not None
+    assert unknown.reason.code == "daemon_ended"
+    assert later.recall("udp:planner", "c1") == unknown
+    assert await _recorder(journal, "s3").close_unfinished() == []

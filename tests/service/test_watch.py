@@ -1,0 +1,83 @@
+"""When the robot counts as lost."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+
+import pytest
+from clock import ManualClock, settle
+
+from pcmrs.messages import Beat, DeviceEvent
+from pcmrs.service.watch import PERIOD, SILENCE, RobotWatch
+
+
+class Bench:
+    def __init__(self) -> None:
+        self.clock = ManualClock()
+        self.connected = True
+        self.events: list[DeviceEvent] = []
+        self.beats: list[int] = []
+        self.reporting = asyncio.Event()
+        self.reporting.set()
+        self.watch = RobotWatch(self._beat, lambda: self.connected, self._report, self.clock)
+
+    def _beat(self, key: str, beat: Beat) -> None:
+        assert key == "dev/robot/beat"
+        self.beats.append(beat.number)
+
+    async def _report(self, event: DeviceEvent) -> None:
+        self.events.append(event)
+        await self.reporting.wait()
+        self.connected = False
+
+
+@pytest.fixture
+async def bench() -> AsyncIterator[Bench]:
+    made = Bench()
+    running = asyncio.create_task(made.watch.run())
+    yield made
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
+
+
+async def _hear_for(bench: Bench, seconds: float) -> None:
+    for _ in range(round(seconds / PERIOD)):
+        bench.watch.hear()
+        await bench.clock.advance(PERIOD)
+
+
+async def test_it_beats_while_the_robot_is_heard(bench: Bench) -> None:
+    await _hear_for(bench, 5.0)
+    assert bench.beats == list(range(1, len(bench.beats) + 1))
+    assert len(bench.beats) == pytest.approx(5.0 / PERIOD, abs=2)
+    assert bench.events == []
+
+
+async def test_a_silent_robot_is_lost_once(bench: Bench) -> None:
+    await _hear_for(bench, 1.0)
+    await bench.clock.advance(SILENCE + 2 * PERIOD)
+    (event,) = bench.events
+    assert (event.device, event.code, event.danger) == ("robot", "link_lost", True)
+    await bench.clock.advance(10.0)
+    assert len(bench.events) == 1
+
+
+async def test_a_robot_that_is_not_connected_may_be_silent(bench: Bench) -> None:
+    bench.connected = False
+    await bench.clock.advance(10.0)
+    await bench.watch.lose("Its node has ended.")
+    assert bench.events == []
+
+
+async def test_while_a_loss_is_dealt_with_the_node_hears_no_beat_and_holds_too(bench: Bench) -> None:
+    bench.reporting.clear()
+    await bench.clock.advance(SILENCE + 2 * PERIOD)
+    assert len(bench.events) == 1
+    before = len(bench.beats)
+    await bench.clock.advance(1.0)
+    assert len(bench.beats) == before
+    bench.reporting.set()
+    await settle()
+    await bench.clock.advance(1.0)
+    assert len(bench.beats) > before

@@ -1,0 +1,249 @@
+"""The real procedure on the simulated devices in one process, in time that passes only when everybody waits."""
+
+from __future__ import annotations
+
+import asyncio
+import heapq
+import itertools
+import json
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from clock import ManualClock, settle
+
+from pcmrs.devices.poses import PoseFeed
+from pcmrs.devices.protocols import RobotDriver, Scene, TrackerDriver
+from pcmrs.dispatcher import Dispatcher
+from pcmrs.kinematics.arms import ARMS
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
+from pcmrs.spatial import Transform
+from pcmrs.workflows import open_workflow
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData, as_transform
+from pcmrs.workflows.settings import ProcedureSettings
+from sim.cell import open_devices
+
+PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "ratms_plan.json").read_text())
+LANDMARKS = PLAN["landmarks"]
+POSES = PLAN["poses"]
+AT_REST = 1e-3
+"""Joint velocity below which the simulated arm counts as standing, rad/s."""
+
+QUICK_SIM: dict[str, Any] = {"digitization": {"reach_time": 0.05, "rest_time": 0.05}}
+QUICK_PROCEDURE: dict[str, Any] = {
+    "registration": {"samples": 4},
+    "motion": {"joint_speed_fraction": 1.0, "joint_acceleration": 5.0, "linear_velocity": 0.5},
+    "placement": {"frames": 4, "settle_time": 0.1},
+}
+
+
+class FlyingClock(ManualClock):
+    """Jumps to the next deadline whenever nothing else is to be done."""
+
+    async def fly(self) -> None:
+        """Lets time pass until cancelled."""
+        while True:
+            await settle()
+            if self._due:
+                self._now, _, wake = heapq.heappop(self._due)
+                wake()
+
+
+class ListRecorder:
+    """A journal in memory that takes only what a journal could keep.
+
+    Attributes:
+        rows: Kind and name of the operation or event, in order.
+        verdicts: As they were decided.
+    """
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[str, str]] = []
+        self.verdicts: list[Verdict] = []
+
+    async def intent(self, command: Command, states: Mapping[str, str]) -> None:
+        self.rows.append(("intent", command.operation))
+
+    async def decision(
+        self,
+        command: Command,
+        verdict: Verdict,
+        states: Mapping[str, str],
+        changes: Mapping[str, Any],
+        *,
+        with_intent: bool,
+    ) -> None:
+        msgspec.json.encode([verdict, dict(changes)])
+        self.rows.append(("outcome", command.operation))
+        self.verdicts.append(verdict)
+
+    async def event(self, event: DeviceEvent, states: Mapping[str, str]) -> None:
+        self.rows.append(("event", event.code))
+
+    def recall(self, source: str, command_id: str) -> Verdict | None:
+        return None
+
+
+class WorkflowBench:
+    """A dispatcher with the real workflow, its cell, and the simulation's own hands on the scene.
+
+    Attributes:
+        published: Snapshots, verdicts and events in order.
+    """
+
+    def __init__(self, devices: Mapping[str, Any], settings: ProcedureSettings, clock: ManualClock) -> None:
+        self.clock = clock
+        self.robot: RobotDriver = devices["robot"]
+        self.scene: Scene = devices["scene"]
+        self.tracker: TrackerDriver = devices["tracker"]
+        self.recorder = ListRecorder()
+        self.published: list[Snapshot | Verdict | DeviceEvent] = []
+        self.cell = Cell(
+            robot=devices["robot"],
+            pointer=devices["pointer"],
+            poses=PoseFeed(clock, settings.max_pose_age),
+            arm=ArmModel(ARMS["iiwa14"]),
+            clock=clock,
+            settings=settings,
+        )
+        workflow = open_workflow("ratms")
+        self.dispatcher = Dispatcher(workflow, self.cell, clock, self.recorder, self.robot.hold, self.published.append)
+        self._ids = itertools.count(1)
+
+    @property
+    def states(self) -> dict[str, str]:
+        return self.dispatcher.snapshot().branches
+
+    @property
+    def data(self) -> PlacementData:
+        return self.dispatcher.procedure.data
+
+    async def do(self, name: str, **arguments: Any) -> Verdict:
+        """Submits a command and waits for its verdict."""
+        branch, operation = name.split(".")
+        command = Command(
+            id=f"c{next(self._ids)}", branch=branch, operation=operation, source="test:user", arguments=arguments
+        )
+        return await self.dispatcher.submit(command)
+
+    async def accept(self, name: str, **arguments: Any) -> Verdict:
+        """A command that must be accepted."""
+        verdict = await self.do(name, **arguments)
+        assert verdict.decision == "accepted", f"{name}: {verdict.reason}"
+        return verdict
+
+    async def refuse(self, name: str, code: str, decision: str = "rejected", **arguments: Any) -> Verdict:
+        """A command that must not be accepted, for the reason `code`; when rejected, nothing has changed."""
+        before = self.states, self.data
+        verdict = await self.do(name, **arguments)
+        assert verdict.reason is not None, f"{name} was accepted"
+        assert (verdict.decision, verdict.reason.code) == (decision, code), verdict.reason
+        if decision == "rejected":
+            assert (self.states, self.data) == before
+        return verdict
+
+    async def connect(self) -> None:
+        """Connects the robot and waits until the arm has been located."""
+        await self.accept("robot.connect")
+        await self.until(lambda: self.states["placement"] != "unknown" and not self.dispatcher.snapshot().running)
+
+    async def register(self) -> Verdict:
+        """To a connected robot, a registered head and the first pose planned."""
+        await self.connect()
+        await self.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+        await self.accept("digitization.digitize_all")
+        registered = await self.accept("registration.register")
+        await self.accept("toolplan.plan", **POSES[0])
+        return registered
+
+    async def to_standoff(self) -> None:
+        await self.register()
+        await self.accept("placement.approach")
+
+    async def to_placed(self) -> Verdict:
+        await self.to_standoff()
+        return await self.accept("placement.confirm")
+
+    @asynccontextmanager
+    async def moving(self, name: str, **arguments: Any) -> AsyncIterator[asyncio.Task[Verdict]]:
+        """A motion in the middle of which the arm moves."""
+        task = asyncio.create_task(self.do(name, **arguments))
+        await self.until(lambda: task.done() or self.speed() > 0.05)
+        assert not task.done(), task.result()
+        yield task
+        await task
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        """Waits for what needs time to pass."""
+        for _ in range(10_000):
+            if condition():
+                return
+            await self.clock.sleep(0.005)
+        raise AssertionError("it did not come true in 50 s of the cell")
+
+    def speed(self) -> float:
+        """The greatest joint velocity last measured, rad/s."""
+        return 0.0 if self.cell.joints is None else float(np.abs(self.cell.joints.velocities).max())
+
+    async def true_height(self) -> float:
+        """Where the coil truly is along its axis above the plan mapped by the registration, m."""
+        truth = await self.scene.truth()
+        assert self.data.plan is not None
+        assert self.data.registered is not None
+        image_from_body_ref = as_transform(self.data.registered.body_ref_from_image).inverse()
+        body_ref_from_coil = as_transform(truth.tracker_from_body_ref).inverse() @ as_transform(truth.tracker_from_coil)
+        plan_from_coil: Transform = as_transform(self.data.plan).inverse() @ image_from_body_ref @ body_ref_from_coil
+        return float(plan_from_coil.translation[2])
+
+    async def pump(self) -> None:
+        """Takes what robot and tracker report, as the daemon does."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._take_joints())
+            tasks.create_task(self._take_poses())
+
+    async def _take_joints(self) -> None:
+        async for state in self.robot.states():
+            self.cell.update_joints(state)
+
+    async def _take_poses(self) -> None:
+        async for frame in self.tracker.frames():
+            for pose in frame:
+                self.cell.poses.update(pose)
+
+
+@asynccontextmanager
+async def open_bench(
+    procedure: Mapping[str, Any] | None = None, sim: Mapping[str, Any] | None = None
+) -> AsyncIterator[WorkflowBench]:
+    """A bench with quick motions and touches, and with what the test sets itself, table by table."""
+    settings = msgspec.convert(_merged(QUICK_PROCEDURE, procedure or {}), ProcedureSettings)
+    clock = FlyingClock()
+    async with _background(clock.fly()):
+        devices = open_devices(("robot", "tracker", "pointer", "scene"), {"sim": _merged(QUICK_SIM, sim or {})}, clock)
+        async with devices as opened:
+            bench = WorkflowBench(opened, settings, clock)
+            async with _background(bench.pump()):
+                await bench.until(lambda: bench.cell.poses.seen("coil") and bench.cell.joints is not None)
+                yield bench
+                await bench.dispatcher.close()
+
+
+def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    tables = {key: {**base[key], **over[key]} for key in base.keys() & over.keys()}
+    return {**base, **over, **tables}
+
+
+@asynccontextmanager
+async def _background(work: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
+    task = asyncio.create_task(work)
+    try:
+        yield
+    finally:
+        task.cancel()
+        with suppress(asyncio.CancelledError):
+            await task
