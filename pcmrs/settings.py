@@ -33,14 +33,14 @@ class CellSettings(Table, frozen=True, forbid_unknown_fields=True):
         site: First part of its name on the bus.
         name: Second part.
         endpoint: Where the daemon's bus router listens.
-        rate: Seconds of the cell per second of the machine; other than 1 only with simulated devices.
+        rate: Seconds of the cell per second of the machine; more than 1 only with simulated devices.
         folder: Where journal and records are kept; empty for ``pcmrs/<site>-<name>`` in the user's state folder.
     """
 
     site: str = "lab"
     name: str = "cell1"
     endpoint: str = "tcp/127.0.0.1:7447"
-    rate: Annotated[float, msgspec.Meta(gt=0.0, le=50.0)] = 1.0
+    rate: Annotated[float, msgspec.Meta(ge=1.0, le=50.0)] = 1.0
     folder: str = ""
 
     def path(self) -> Path:

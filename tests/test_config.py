@@ -102,7 +102,7 @@ def test_the_configuration_as_a_table_reads_back(tmp_path: Path) -> None:
     [
         ("robot.model=iiwa9", ("iiwa9", "iiwa14")),
         ("robot.driver=kst", ("kst", "sim")),
-        ("cell.rate=0", ("cell.rate",)),
+        ("cell.rate=0.5", ("cell.rate", "1.0")),
         ("cell.rate=51", ("cell.rate", "50")),
         ("cell.name=Cell One", ("Cell One", "lower-case")),
         ("cell.site=a/b", ("a/b",)),

@@ -18,7 +18,6 @@ from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
 
 DEFAULT_RATE = 5.0
 NARROWEST = 100
-EXAMPLE_PLAN = Path("examples/ratms_plan.json")
 
 
 def experiment_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -30,9 +29,7 @@ def experiment_options(function: Callable[..., Any]) -> Callable[..., Any]:
             "--plan",
             "plan_file",
             type=click.Path(path_type=Path),
-            default=EXAMPLE_PLAN,
-            show_default=True,
-            help="Landmarks and poses.",
+            help="Landmarks and poses; by default the example's, examples/ratms_plan.json.",
         ),
         click.option(
             "--rate", default=DEFAULT_RATE, show_default=True, help="Speed of the simulation against real time."
@@ -58,7 +55,7 @@ def placements(
     workflow: str,
     seed: int,
     rate: float,
-    plan_file: Path,
+    plan_file: Path | None,
     overrides: tuple[str, ...],
     picture: Path | None,
     trials: int,
@@ -76,7 +73,7 @@ def failures(
     workflow: str,
     seed: int,
     rate: float,
-    plan_file: Path,
+    plan_file: Path | None,
     overrides: tuple[str, ...],
     picture: Path | None,
     as_json: bool,
@@ -87,12 +84,17 @@ def failures(
     """
     from pcmrs.cli.tables import failure_table
     from pcmrs.experiment.failures import run_failures
-    from pcmrs.experiment.plan import read_plan
+    from pcmrs.experiment.plan import example_plan, read_plan
 
     with _progress() as progress:
         report = run(
             run_failures(
-                read_plan(plan_file), workflow=workflow, seed=seed, rate=rate, overrides=overrides, progress=progress
+                read_plan(plan_file or example_plan(workflow)),
+                workflow=workflow,
+                seed=seed,
+                rate=rate,
+                overrides=overrides,
+                progress=progress,
             )
         )
     if as_json:
@@ -107,7 +109,7 @@ def failures(
 @experiment_options
 @readable_errors
 def demo(
-    workflow: str, seed: int, rate: float, plan_file: Path, overrides: tuple[str, ...], picture: Path | None
+    workflow: str, seed: int, rate: float, plan_file: Path | None, overrides: tuple[str, ...], picture: Path | None
 ) -> None:
     """Run a whole procedure on the simulated cell: plan, digitize, register, and 12 placements."""
     click.echo(
@@ -121,7 +123,7 @@ def _placements(
     workflow: str,
     seed: int,
     rate: float,
-    plan_file: Path,
+    plan_file: Path | None,
     overrides: tuple[str, ...],
     picture: Path | None,
     trials: int,
@@ -130,12 +132,12 @@ def _placements(
 ) -> None:
     from pcmrs.cli.tables import placement_table
     from pcmrs.experiment.placements import run_placements
-    from pcmrs.experiment.plan import read_plan
+    from pcmrs.experiment.plan import example_plan, read_plan
 
     with _progress() as progress:
         report = run(
             run_placements(
-                read_plan(plan_file),
+                read_plan(plan_file or example_plan(workflow)),
                 workflow=workflow,
                 seed=seed,
                 trials=trials,

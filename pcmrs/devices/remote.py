@@ -22,10 +22,10 @@ from pcmrs.messages import (
 T = TypeVar("T")
 
 ANSWER_TIME = 2.0
-"""A device that is not moving answers within this, s of the cell's clock."""
+"""A device that is not moving answers within this, s."""
 
 MOTION_MARGIN = 3.0
-"""A motion may take so much longer than its trajectory, s of the cell's clock."""
+"""A motion may take so much longer than its trajectory, s."""
 
 
 class RemoteDevice:
@@ -34,7 +34,7 @@ class RemoteDevice:
     Args:
         link: The bus.
         device: Name of the device: ``robot``, ``tracker``, ``pointer`` or ``scene``.
-        clock: The cell's clock, by which calls time out.
+        clock: The machine's clock, by which calls time out.
     """
 
     def __init__(self, link: Link, device: str, clock: Clock) -> None:

@@ -18,6 +18,13 @@ class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     poses: tuple[ToolPose, ...]
 
 
+def example_plan(workflow: str) -> Path:
+    """The example's plan for a workflow: in the installed package, or in the folder of examples beside it."""
+    package = Path(__file__).parents[1]
+    name = f"examples/{workflow}_plan.json"
+    return next((folder / name for folder in (package, package.parent) if (folder / name).exists()), Path(name))
+
+
 def read_plan(path: Path) -> Plan:
     """Reads a plan file.
 

@@ -174,9 +174,11 @@ class Daemon:
 
 def _open_cell(settings: Settings, bus: Bus, clock: SystemClock) -> Cell:
     procedure = settings.procedure
+    # Answers are waited for by the machine's clock: a fast simulation may fall behind its own.
+    machine = SystemClock()
     return Cell(
-        robot=RemoteRobot(bus, clock),
-        pointer=RemotePointer(bus, clock, procedure.registration.touch_timeout_s),
+        robot=RemoteRobot(bus, machine),
+        pointer=RemotePointer(bus, machine, procedure.registration.touch_timeout_s),
         poses=PoseFeed(clock, procedure.max_pose_age),
         arm=ArmModel(ARMS[settings.robot.model]),
         clock=clock,

@@ -130,12 +130,13 @@ class Transform:
     @property
     def quat_wxyz(self) -> Floats:
         """Unit quaternion w x y z with w >= 0, (4,)."""
-        return np.roll(self.quat_xyzw, 1)
+        return np.array(_quaternion(self.rotation))
 
     @property
     def quat_xyzw(self) -> Floats:
         """Unit quaternion x y z w with w >= 0, (4,)."""
-        return np.asarray(Rotation.from_matrix(self.rotation).as_quat(canonical=True))
+        w, x, y, z = _quaternion(self.rotation)
+        return np.array((x, y, z, w))
 
     @property
     def rotvec(self) -> Floats:
@@ -197,6 +198,28 @@ def _unit_quaternion(quat: npt.ArrayLike) -> tuple[float, float, float, float]:
             tolerance=UNIT_QUATERNION_TOLERANCE,
         )
     return a / norm, b / norm, c / norm, d / norm
+
+
+def _quaternion(rotation: Floats) -> tuple[float, float, float, float]:
+    """Unit quaternion w x y z with w >= 0 of a rotation matrix (3, 3).
+
+    Computed from its largest component, so that no digits are lost (Shepperd, Quaternion from Rotation Matrix, 1978).
+    In plain floats: every published pose comes this way.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    squares = (1.0 + a + e + i, 1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i)  # four times w^2, x^2, y^2, z^2
+    largest = max(squares)
+    if largest == squares[0]:
+        quat = (largest, h - f, c - g, d - b)
+    elif largest == squares[1]:
+        quat = (h - f, largest, b + d, c + g)
+    elif largest == squares[2]:
+        quat = (c - g, b + d, largest, f + h)
+    else:
+        quat = (d - b, c + g, f + h, largest)
+    scale = math.copysign(0.5 / math.sqrt(largest), quat[0])
+    w, x, y, z = (scale * component for component in quat)
+    return w, x, y, z
 
 
 def _array(values: npt.ArrayLike, shape: tuple[int, ...], what: str) -> Floats:

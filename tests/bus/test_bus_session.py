@@ -80,6 +80,18 @@ async def test_of_a_stream_a_busy_loop_gets_the_newest_and_of_events_all() -> No
         assert frames == sorted(set(frames))
 
 
+async def test_two_subscribers_of_one_process_do_not_take_each_others_messages() -> None:
+    async with open_pair() as (router, client):
+        heard: list[list[int]] = [[], [], []]
+        for numbers, key in zip(heard, ("state/pose/coil", "state/pose/coil", "state/pose/*"), strict=True):
+            client.subscribe(key, BodyPose, lambda _, message, numbers=numbers: numbers.append(message.frame_number))
+        await sync(router, client)
+        for number in range(5):
+            router.publish("state/pose/coil", pose(number))
+            await sync(router, client)
+        assert heard == [[0, 1, 2, 3, 4]] * 3
+
+
 async def test_a_malformed_message_is_ignored_and_the_next_one_heard() -> None:
     async with open_pair() as (router, _):
         received: asyncio.Queue[int] = asyncio.Queue()

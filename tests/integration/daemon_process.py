@@ -30,15 +30,18 @@ PATIENCE = 20.0
 """Seconds that anything may take before a test gives up."""
 
 TUNED = (
-    "cell.rate=10",
-    # At ten times real time a quarter of a second is 25 ms of a busy test machine.
+    "cell.rate=5",
+    # At five times real time a quarter of a second is 50 ms of a busy test machine.
     "procedure.max_pose_age=5",
+    "procedure.motion.joint_speed_fraction=1.0",
+    "procedure.motion.joint_acceleration=5.0",
+    "procedure.motion.linear_velocity=0.5",
     "procedure.placement.frames=5",
     "procedure.registration.samples=5",
     "sim.digitization.reach_time=0.1",
     "sim.digitization.rest_time=0.1",
 )
-SLOW = ("cell.rate=5", "procedure.motion.linear_velocity=0.02")
+SLOW = ("procedure.motion.linear_velocity=0.02",)
 """Settings under which every motion lasts for seconds of the machine, so that a test can act in the middle of it."""
 
 

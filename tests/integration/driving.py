@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import aclosing, asynccontextmanager, suppress
 
 import numpy as np
@@ -56,9 +56,14 @@ async def start_anew(client: Client) -> None:
 
 async def until(client: Client, **branches: str) -> None:
     """Waits until branches are in these states."""
+    await until_shown(client, lambda snapshot: branches.items() <= snapshot.branches.items())
+
+
+async def until_shown(client: Client, condition: Callable[[Snapshot], bool]) -> None:
+    """Waits for a snapshot of which the condition holds."""
     async with asyncio.timeout(PATIENCE), aclosing(client.watch()) as events:
         async for event in events:
-            if isinstance(event, Snapshot) and branches.items() <= event.branches.items():
+            if isinstance(event, Snapshot) and condition(event):
                 return
 
 

@@ -82,9 +82,3 @@ def test_a_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
     _starts_not(own_settings(file / "cell"), 4, "file")
-
-
-def test_a_driver_that_refuses_to_start_ends_the_daemon_at_once(tmp_path: Path) -> None:
-    settings = [*own_settings(tmp_path), "sim.arm.home=[9, 9, 9, 9, 9, 9, 9]"]
-    ended = run_pcmrs("serve", *as_words(settings))
-    assert ended.returncode in (0, 2)

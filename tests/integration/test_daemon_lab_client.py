@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 
 import pytest
 from daemon_process import PLAN, ServeProcess
-from driving import accepted, start_anew, until
+from driving import accepted, start_anew, until, until_shown
 
 from pcmrs.client import Client
 
@@ -133,6 +133,7 @@ async def test_after_a_refused_plan_no_motion_goes_to_the_old_target(daemon: Ser
         assert state.running == []
         for command in _plan_of_pose(1):
             await lab.tell("planner", command)
+        await until_shown(client, lambda snapshot: snapshot.plan != plan)
         await lab.tell("robot", "execute_motionxx;")
         await until(client, placement="standoff")
         await lab.tell("robot", "execute_homexxxx;")
