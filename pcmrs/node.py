@@ -6,7 +6,7 @@ import asyncio
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import AsyncExitStack, suppress
 from importlib.metadata import entry_points
 
 from pcmrs.bus import Bus
@@ -39,23 +39,22 @@ async def serve_devices(settings: Settings, driver: str, devices: Sequence[str],
     (point,) = entry_points(group=DRIVERS, name=driver)
     open_driver: OpenDriver = point.load()
     clock = SystemClock(settings.cell.rate)
-    bus = await Bus.open(settings.bus("client"))
-    try:
-        async with open_driver(devices, as_table(settings), clock) as opened:
-            node = DeviceNode(bus, opened, SystemClock())
-            lane = await StopLane.open(settings.bus("client"), node.stop)
-            bus.alive(f"node-{driver}")
-            serving = asyncio.create_task(node.run())
-            ending = asyncio.create_task(ended.wait())
-            await asyncio.wait([serving, ending], return_when=asyncio.FIRST_COMPLETED)
-            await node.hold("the node ends")
-            ending.cancel()
-            serving.cancel()
-            await lane.close()
-            with suppress(asyncio.CancelledError):
-                await serving
-    finally:
-        await bus.close()
+    async with AsyncExitStack() as stack:
+        bus = await Bus.open(settings.bus("client"))
+        stack.push_async_callback(bus.close)
+        opened = await stack.enter_async_context(open_driver(devices, as_table(settings), clock))
+        node = DeviceNode(bus, opened, SystemClock())
+        lane = await StopLane.open(settings.bus("client"), node.stop)
+        stack.push_async_callback(lane.close)
+        bus.alive(f"node-{driver}")
+        serving = asyncio.create_task(node.run())
+        ending = asyncio.create_task(ended.wait())
+        await asyncio.wait([serving, ending], return_when=asyncio.FIRST_COMPLETED)
+        await node.hold("the node ends")
+        ending.cancel()
+        serving.cancel()
+        with suppress(asyncio.CancelledError):
+            await serving
 
 
 def _when_input_ends(act: Callable[[], None]) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from pcmrs.errors import CommandRefusedError, ConfigurationError
-from pcmrs.experiment.placements import Progress
+from pcmrs.experiment.placements import Progress, at_rate
 from pcmrs.experiment.plan import Plan
 from pcmrs.experiment.private import Bench, private_bench
 from pcmrs.experiment.published import PUBLISHED, FailureRun
@@ -80,7 +80,8 @@ async def run_failures(
     runs = PUBLISHED[workflow].failures
     results: list[FailureResult] = []
     progress("starting the daemon", 0, len(runs))
-    async with private_bench([f"workflow={workflow}", f"cell.rate={rate}", *overrides]) as bench:
+    settings = [*at_rate(rate), *overrides]
+    async with private_bench([f"workflow={workflow}", *settings]) as bench:
         await bench.planner.connect()
         for done, run in enumerate(runs):
             progress(f"run {run.run}: {run.injection.replace('_', ' ')}", done, len(runs))
@@ -94,7 +95,7 @@ async def run_failures(
         workflow=workflow,
         seed=seed,
         rate=rate,
-        settings=list(overrides),
+        settings=settings,
         simulated=True,
         residual_limit_mm=limit,
         runs=results,

@@ -17,6 +17,9 @@ from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.workflows.data import Registered, as_message, as_transform
 from pcmrs.workflows.toolplan import ToolPose
 
+MAX_POSE_AGE = 0.25
+"""As configured by default, s of the machine."""
+
 Progress = Callable[[str, int, int], None]
 """Told what is being done, and how many of how many steps are done."""
 
@@ -104,7 +107,8 @@ async def run_placements(
         raise ConfigurationError(f"There is no experiment with {workflow!r}; there is {', '.join(PUBLISHED)}.")
     steps = 3 + trials
     progress("starting the daemon", 0, steps)
-    async with private_bench([f"workflow={workflow}", f"sim.seed={seed}", f"cell.rate={rate}", *overrides]) as bench:
+    settings = [*at_rate(rate), *overrides]
+    async with private_bench([f"workflow={workflow}", f"sim.seed={seed}", *settings]) as bench:
         progress("planning and digitizing the landmarks", 1, steps)
         await bench.planner.connect()
         await bench.planner.plan_landmarks([landmark.position for landmark in plan.landmarks])
@@ -122,12 +126,20 @@ async def run_placements(
         workflow=workflow,
         seed=seed,
         rate=rate,
-        settings=list(overrides),
+        settings=settings,
         simulated=True,
         residual_mm=residual_mm,
         trials=done,
         summary=_summary(workflow, done),
     )
+
+
+def at_rate(rate: float) -> list[str]:
+    """Settings of a simulated cell `rate` times as fast as real time.
+
+    A pose is as long on the bus as ever, which is `rate` times as long for the cell: it may be so much older.
+    """
+    return [f"cell.rate={rate:g}", f"procedure.max_pose_age={MAX_POSE_AGE * rate:g}"]
 
 
 async def _place(bench: Bench, number: int, pose: ToolPose, body_ref_from_image: Transform) -> Trial:

@@ -47,6 +47,9 @@ class Bench:
 async def private_bench(overrides: Sequence[str]) -> AsyncIterator[Bench]:
     """Starts a daemon, waits until it is ready, and ends it with the context.
 
+    Args:
+        overrides: Settings of the daemon, ``key=value`` each.
+
     Raises:
         DeviceError: It did not start; the text has its last words.
     """
