@@ -73,9 +73,8 @@ async def serve(endpoint: str, folder: Path, durable: bool) -> None:
     blueprint = workflow.blueprint
     tag = BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash)
     settings = ProcedureSettings()
-    cell = Cell(
-        RemoteRobot(bus, clock), RemotePointer(bus, clock, 1.0), PoseFeed(clock, 0.2), ArmModel(ARMS["iiwa14"]), clock, settings
-    )
+    robot, pointer = RemoteRobot(bus, clock), RemotePointer(bus, clock, 1.0)
+    cell = Cell(robot, pointer, PoseFeed(clock, 0.2), ArmModel(ARMS["iiwa14"]), clock, settings)
     recorder = JournalRecorder(journal, clock, "benchmark", tag)
     dispatcher = Dispatcher(workflow, cell, clock, recorder, cell.robot.hold, Publishing(bus).publish)
     edge = await CommandEdge.open(bus, dispatcher.submit, lambda _source: None)
@@ -121,13 +120,13 @@ def measure_query(session: zenoh.Session, key: str, payloads: list[bytes]) -> li
         begin = time.perf_counter_ns()
         for reply in session.get(key, payload=payload, timeout=2.0):
             if reply.ok is None:
-                raise SystemExit(f"{key}: {reply.err.payload.to_string()}")
+                raise SystemExit(f"{key}: {reply.err}")
         times.append((time.perf_counter_ns() - begin) / 1000.0)
     return times[WARM_UP:]
 
 
-def plan_datagrams(count: int) -> list[bytes]:
-    """Alternately the two halves of a plan; only the second is a command for the dispatcher."""
+def register_datagrams(count: int) -> list[bytes]:
+    """Commands that the workflow rejects, each with an id of its own."""
     return [format_command("start_registrati", client_id=str(10_000 + n)) for n in range(count)]
 
 
@@ -194,10 +193,15 @@ def compare(durable: bool, count: int) -> None:
     with tempfile.TemporaryDirectory(dir=os.environ.get("BENCHMARK_FOLDER")) as name:
         folder = Path(name)
         with server(endpoint, folder, durable) as ports:
-            print(f"journal {'with' if durable else 'without'} fsync      p50, p99, max in µs; ratio of p50 to the bare one")
+            kind = "with" if durable else "without"
+            print(f"journal {kind} fsync: p50, p99, max in µs; ratio of p50 to the bare one")
             echo = measure_udp(ports["echo"], [b"x" * 30] * (count + WARM_UP))
             row("UDP, bare asyncio echo (uvloop)", echo)
-            row("UDP command → verdict, rejected", measure_udp(ports["planner"], plan_datagrams(count + WARM_UP)), echo)
+            row(
+                "UDP command → verdict, rejected",
+                measure_udp(ports["planner"], register_datagrams(count + WARM_UP)),
+                echo,
+            )
             plans = measure_plans(ports["planner"], count + WARM_UP)
             row("UDP command → verdict, accepted and committed", plans, echo)
             config = zenoh.Config()
@@ -216,7 +220,9 @@ def compare(durable: bool, count: int) -> None:
                 commit = measure_commit(folder, count)
                 row("one SQLite commit with fsync, alone", commit, echo)
                 aim = median(echo) + median(commit) + 100.0
-                print(f"  aim for an accepted UDP command: echo + commit + 100 = {aim:.0f} µs, found {median(plans):.0f} µs")
+                print(
+                    f"  aim for an accepted command: echo + commit + 100 = {aim:.0f} µs, found {median(plans):.0f} µs"
+                )
 
 
 def main() -> None:
@@ -230,7 +236,8 @@ def main() -> None:
         with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
             runner.run(serve(endpoint, Path(folder), arguments.durable))
         return
-    print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, {arguments.count} commands each")
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    print(f"{machine}, {arguments.count} commands each")
     for durable in (False, True):
         compare(durable, arguments.count)
 

@@ -31,8 +31,6 @@ PATIENCE = 20.0
 
 TUNED = (
     "cell.rate=5",
-    # At five times real time a quarter of a second is 50 ms of a busy test machine.
-    "procedure.max_pose_age=5",
     "procedure.motion.joint_speed_fraction=1.0",
     "procedure.motion.joint_acceleration=5.0",
     "procedure.motion.linear_velocity=0.5",

@@ -49,6 +49,12 @@ def _events(daemon: ServeProcess) -> Iterator[Events]:
         yield Events(session, daemon.ready.prefix)
 
 
+def _answer(session: zenoh.Session, key: str, payload: str | None = None) -> Any:
+    (reply,) = session.get(key, payload=payload, timeout=PATIENCE)
+    assert reply.ok is not None
+    return json.loads(reply.ok.payload.to_bytes())
+
+
 async def _first(events: AsyncIterator[Event], kind: type[Event], **fields: Any) -> Any:
     async with asyncio.timeout(PATIENCE):
         async for event in events:
@@ -115,11 +121,9 @@ def test_what_is_no_command_is_refused_readably_and_changes_nothing(
 def test_a_query_in_json_is_answered_in_json(daemon: ServeProcess) -> None:
     with daemon.plain_session() as session:
         key = f"{daemon.ready.prefix}/cmd/operator/toolplan/clear"
-        (reply,) = session.get(key, payload='{"id": "asked-1"}', timeout=PATIENCE)
-        verdict = json.loads(reply.ok.payload.to_bytes())
+        verdict = _answer(session, key, '{"id": "asked-1"}')
         assert (verdict["id"], verdict["decision"]) == ("asked-1", "accepted")
-        (reply,) = session.get(f"{daemon.ready.prefix}/svc/snapshot", timeout=PATIENCE)
-        assert json.loads(reply.ok.payload.to_bytes())["sequence"] >= verdict["sequence"]
+        assert _answer(session, f"{daemon.ready.prefix}/svc/snapshot")["sequence"] >= verdict["sequence"]
 
 
 async def test_a_repeated_id_runs_nothing_and_gets_the_recorded_verdict(client: Client) -> None:
@@ -135,7 +139,7 @@ async def test_a_repeated_id_runs_nothing_and_gets_the_recorded_verdict(client: 
 def test_every_process_of_the_cell_is_alive_on_the_bus(daemon: ServeProcess) -> None:
     with daemon.plain_session() as session:
         replies = session.liveliness().get(f"{daemon.ready.prefix}/alive/*", timeout=PATIENCE)
-        alive = {str(reply.ok.key_expr).rpartition("/")[2] for reply in replies}
+        alive = {str(reply.ok.key_expr).rpartition("/")[2] for reply in replies if reply.ok is not None}
     assert alive == {"daemon", "node-sim"}
 
 
