@@ -7,11 +7,11 @@ from typing import Any
 
 import msgspec
 
-from pcmrs.errors import CommandRefusedError, ConfigurationError
+from pcmrs.errors import CommandRefusedError
 from pcmrs.experiment.placements import Progress, at_rate
 from pcmrs.experiment.plan import Plan
 from pcmrs.experiment.private import Bench, private_bench
-from pcmrs.experiment.published import PUBLISHED, FailureRun
+from pcmrs.experiment.published import FailureRun, published
 
 NEXT_STATE = {"000": "100", "100": "110", "110": "111"}
 """The way of the registration: what could not be reached from where it stayed."""
@@ -75,9 +75,7 @@ async def run_failures(
         CommandRefusedError: The daemon refused what must be accepted.
         DeviceError: The daemon did not start.
     """
-    if workflow not in PUBLISHED:
-        raise ConfigurationError(f"There is no experiment with {workflow!r}; there is {', '.join(PUBLISHED)}.")
-    runs = PUBLISHED[workflow].failures
+    runs = published(workflow).failures
     results: list[FailureResult] = []
     progress("starting the daemon", 0, len(runs))
     settings = [*at_rate(rate), *overrides]

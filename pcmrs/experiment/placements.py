@@ -11,7 +11,7 @@ import numpy as np
 from pcmrs.errors import ConfigurationError
 from pcmrs.experiment.plan import Plan
 from pcmrs.experiment.private import Bench, private_bench
-from pcmrs.experiment.published import PUBLISHED
+from pcmrs.experiment.published import published
 from pcmrs.messages import PoseMessage, SceneTruth
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.workflows.data import Registered, as_message, as_transform
@@ -103,8 +103,7 @@ async def run_placements(
         raise ConfigurationError(
             f"{trials} trials of {len(plan.poses)} poses: at least 2 trials and 1 pose are needed."
         )
-    if workflow not in PUBLISHED:
-        raise ConfigurationError(f"There is no experiment with {workflow!r}; there is {', '.join(PUBLISHED)}.")
+    published(workflow)
     steps = 3 + trials
     progress("starting the daemon", 0, steps)
     settings = [*at_rate(rate), *overrides]
@@ -184,7 +183,7 @@ def _summary(workflow: str, trials: Sequence[Trial]) -> PlacementSummary:
         values = np.array([getattr(trial, field) for trial in trials])
         return Spread(float(values.mean()), float(values.std(ddof=1)))
 
-    published = PUBLISHED[workflow]
+    paper = published(workflow)
     return PlacementSummary(
         trials=len(trials),
         translation_error_mm=spread("translation_error_mm"),
@@ -192,6 +191,6 @@ def _summary(workflow: str, trials: Sequence[Trial]) -> PlacementSummary:
         true_translation_error_mm=spread("true_translation_error_mm"),
         true_rotation_error_deg=spread("true_rotation_error_deg"),
         target_registration_error_mm=spread("target_registration_error_mm"),
-        published_translation_error_mm=published.translation_error_mm,
-        published_rotation_error_deg=published.rotation_error_deg,
+        published_translation_error_mm=paper.translation_error_mm,
+        published_rotation_error_deg=paper.rotation_error_deg,
     )

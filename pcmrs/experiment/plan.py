@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 
 from pcmrs.errors import ConfigurationError
+from pcmrs.experiment.published import published
 from pcmrs.workflows.data import Landmark
 from pcmrs.workflows.toolplan import ToolPose
 
@@ -19,7 +20,12 @@ class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def example_plan(workflow: str) -> Path:
-    """The example's plan for a workflow: in the installed package, or in the folder of examples beside it."""
+    """The example's plan for a workflow: in the installed package, or in the folder of examples beside it.
+
+    Raises:
+        ConfigurationError: There is no experiment with the workflow.
+    """
+    published(workflow)
     package = Path(__file__).parents[1]
     name = f"examples/{workflow}_plan.json"
     return next((folder / name for folder in (package, package.parent) if (folder / name).exists()), Path(name))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from pcmrs.errors import ConfigurationError
+
 Injection = Literal["none", "missing_landmark_plan", "missing_landmark", "large_digitization_error"]
 
 
@@ -55,3 +57,11 @@ PUBLISHED = {
         ),
     ),
 }
+
+
+def published(workflow: str) -> Published:
+    """What was published of a workflow. Raises `ConfigurationError` when nothing was."""
+    if workflow not in PUBLISHED:
+        text = f"There is no experiment with {workflow!r}; there is {', '.join(PUBLISHED)}."
+        raise ConfigurationError(text, workflow=workflow)
+    return PUBLISHED[workflow]

@@ -75,7 +75,7 @@ async def approaching(daemon: ServeProcess, client: Client) -> AsyncIterator[asy
         moves = _moving(bus)
         verdict = asyncio.create_task(client.call("placement.approach", timeout=PATIENCE))
         try:
-            await asyncio.wait([verdict, moves], timeout=PATIENCE, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait((verdict, moves), timeout=PATIENCE, return_when=asyncio.FIRST_COMPLETED)
             assert not verdict.done(), verdict.result()
             assert moves.done(), "the arm does not move"
             yield verdict

@@ -1,0 +1,72 @@
+"""The paper's experiments as a user runs them: `pcmrs experiment …` with a daemon of its own."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+
+from pcmrs.experiment.published import PUBLISHED
+
+pytestmark = pytest.mark.slow
+
+
+def run_experiment(*words: str) -> dict[str, Any]:
+    command = [sys.executable, "-m", "pcmrs.cli", "experiment", *words, "--json"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert "Traceback" not in ended.stderr
+    report: dict[str, Any] = json.loads(ended.stdout)
+    return report
+
+
+def test_placements_are_as_accurate_as_promised() -> None:
+    report = run_experiment("placements", "--trials", "3", "--seed", "4")
+    summary = report["summary"]
+    assert summary["trials"] == len(report["trials"]) == 3
+    assert summary["translation_error_mm"]["mean"] <= 0.25
+    assert summary["rotation_error_deg"]["mean"] <= 0.08
+    for trial in report["trials"]:
+        # The table's error is the tracker's own measurement, never the truth: both are there, and they differ.
+        assert 0.0 < trial["translation_error_mm"] != trial["true_translation_error_mm"] > 0.0
+        assert trial["target_registration_error_mm"] > trial["true_translation_error_mm"]
+    assert (report["workflow"], report["seed"], report["simulated"]) == ("ratms", 4, True)
+    assert "cell.rate=5" in report["settings"]
+
+
+def test_every_injected_error_is_rejected_where_the_paper_says() -> None:
+    report = run_experiment("failures", "--seed", "2")
+    published = {run.run: run for run in PUBLISHED["ratms"].failures}
+    assert [run["run"] for run in report["runs"]] == list(published)
+    limit = report["residual_limit_mm"]
+    for run in report["runs"]:
+        paper = published[run["run"]]
+        assert run["rejected_at"] == paper.rejected_at
+        assert run["outcome"] == ("completed" if paper.rejected_at is None else "rejected")
+        assert (run["residual_mm"] is None) == (paper.residual_mm is None)
+        if run["residual_mm"] is not None:
+            assert (run["residual_mm"] > limit) == (paper.rejected_at == "111")
+        assert run["motion_refused"] is (None if paper.rejected_at is None else True)
+    summary = report["summary"]
+    assert summary == {"runs": 10, "as_published": 10, "controls_completed": 3, "injections_rejected": 7}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("placements", "--workflow", "no_such"), "There is no experiment with 'no_such'"),
+        (("placements", "--trials", "1"), "at least 2 trials"),
+        (("placements", "--plan", "/no/such/file"), "cannot be read"),
+        (("failures", "--set", "robot.wheels=4", "--rate", "9"), "wheels"),
+    ],
+)
+def test_bad_requests_are_refused_in_one_line(words: tuple[str, ...], said: str) -> None:
+    command = [sys.executable, "-m", "pcmrs.cli", "experiment", *words, "--json"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode != 0
+    assert ended.stdout == ""
+    assert said in ended.stderr
+    assert "Traceback" not in ended.stderr
