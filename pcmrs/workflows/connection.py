@@ -35,7 +35,7 @@ async def locate_arm(run: Run) -> None:
     cell = run.cell
     cell.update_joints(await cell.robot.joints())
     cell.arm.check_limits(cell.posture())
-    await cell.poses.collect(["coil", "body_ref"], FRAMES_TO_LOCATE, timeout=2.0)
+    await cell.poses.collect(["coil", "body_ref"], FRAMES_TO_LOCATE, timeout=5.0)
     cell.frames(run.data)
     tracked = cell.poses.recent(["coil", "body_ref"], FRAMES_TO_LOCATE, since=cell.resting_since)
     distance = float(np.linalg.norm(tracked["coil"].translation - tracked["body_ref"].translation))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Iterator
 
 import pytest
-from daemon_process import SLOW, ServeProcess, own_settings, running_daemon
+from daemon_process import ServeProcess, own_settings, running_daemon
 
 from pcmrs.client import Client
 from pcmrs.planner import Planner
@@ -16,14 +16,6 @@ def shared_daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServePro
     folder = tmp_path_factory.mktemp("cell")
     with running_daemon(own_settings(folder), folder) as daemon:
         yield daemon
-
-
-@pytest.fixture(scope="session")
-def slow_daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeProcess]:
-    folder = tmp_path_factory.mktemp("slow")
-    with running_daemon([*own_settings(folder), *SLOW], folder) as daemon:
-        yield daemon
-        assert "Traceback" not in daemon.log
 
 
 @pytest.fixture

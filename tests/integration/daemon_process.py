@@ -40,7 +40,7 @@ TUNED = (
     "sim.digitization.reach_time=0.1",
     "sim.digitization.rest_time=0.1",
 )
-SLOW = ("procedure.motion.linear_velocity=0.02",)
+SLOW = ("procedure.motion.linear_velocity=0.03",)
 """Settings under which every motion lasts for seconds of the machine, so that a test can act in the middle of it."""
 
 

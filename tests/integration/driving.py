@@ -37,6 +37,8 @@ async def register(client: Client) -> None:
         await accepted(client, "digitization.digitize_all")
         await accepted(client, "registration.register")
     await accepted(client, "toolplan.plan", **PLAN["poses"][0])
+    if (await client.state()).branches["placement"] == "unknown":  # the tracker was late when the robot connected
+        await accepted(client, "placement.locate")
 
 
 async def start_anew(client: Client) -> None:
@@ -84,12 +86,6 @@ async def approaching(daemon: ServeProcess, client: Client) -> AsyncIterator[asy
             verdict.cancel()
             with suppress(asyncio.CancelledError, PcmrsError):
                 await verdict
-
-
-async def recover(client: Client) -> None:
-    """Releases the latch and takes the tool away from the body."""
-    await accepted(client, "robot.acknowledge")
-    await accepted(client, "placement.back_off")
 
 
 async def stands_still(client: Client) -> bool:

@@ -144,14 +144,23 @@ def test_every_process_of_the_cell_is_alive_on_the_bus(daemon: ServeProcess) -> 
 
 
 async def test_the_streams_carry_joints_and_poses(daemon: ServeProcess) -> None:
+    joints: list[JointState] = []
+    poses: dict[str, BodyPose] = {}
+    complete = asyncio.Event()
+
+    def take_joints(_key: str, state: JointState) -> None:
+        joints.append(state)
+
+    def take_pose(_key: str, pose: BodyPose) -> None:
+        poses[pose.body] = pose
+        if len(poses) == 3 and joints:
+            complete.set()
+
     async with daemon.bus() as bus:
-        joints: asyncio.Queue[JointState] = asyncio.Queue()
-        poses: dict[str, BodyPose] = {}
-        bus.subscribe("state/joints", JointState, lambda _, state: joints.put_nowait(state))
-        bus.subscribe("state/pose/*", BodyPose, lambda _, pose: poses.update({pose.body: pose}))
+        bus.subscribe("state/joints", JointState, take_joints)
+        bus.subscribe("state/pose/*", BodyPose, take_pose)
         async with asyncio.timeout(PATIENCE):
-            while len(poses) < 3 or joints.empty():
-                await joints.get()
+            await complete.wait()
     assert poses["coil"].valid
     assert poses["body_ref"].valid
     assert not poses["pointer"].valid

@@ -59,7 +59,7 @@ def _starts_not(settings: list[str], status: int, word: str) -> None:
     ended = run_pcmrs("serve", *as_words(settings))
     assert ended.returncode == status, ended.stderr
     assert ended.stdout == ""
-    (line,) = [line for line in ended.stderr.splitlines() if line.startswith("main serve:")]
+    (line,) = [line for line in ended.stderr.splitlines() if "pcmrs.cli serve: " in line]
     assert word in line
     assert "Traceback" not in ended.stderr
 

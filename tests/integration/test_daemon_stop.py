@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
+from pathlib import Path
 
-import pytest
-from daemon_process import ServeProcess
-from driving import approaching, recover, stands_still
+from daemon_process import SLOW, ServeProcess, own_settings, running_daemon
+from driving import accepted, approaching, stands_still
 
 from pcmrs.client import Client
 
@@ -32,27 +32,29 @@ async def stop_by_command_line(daemon: ServeProcess, client: Client) -> None:
     assert ended.returncode == 0, ended.stderr
 
 
-@pytest.fixture
-async def slow_client(slow_daemon: ServeProcess) -> AsyncIterator[Client]:
-    async with slow_daemon.client() as client:
-        yield client
+async def test_stop_from_every_edge_holds_a_moving_arm_and_latches(tmp_path: Path) -> None:
+    with running_daemon([*own_settings(tmp_path), *SLOW], tmp_path) as daemon:
+        async with daemon.client() as client:
+            for stop in (stop_by_udp, stop_by_query, stop_by_put, stop_by_command_line):
+                await _stop_and_recover(daemon, client, stop)
+        assert "Traceback" not in daemon.log
 
 
-@pytest.mark.parametrize("stop", [stop_by_udp, stop_by_query, stop_by_put, stop_by_command_line])
-async def test_stop_holds_a_moving_arm_and_latches(slow_daemon: ServeProcess, slow_client: Client, stop: Stop) -> None:
-    async with approaching(slow_daemon, slow_client) as approach:
-        await stop(slow_daemon, slow_client)
+async def _stop_and_recover(daemon: ServeProcess, client: Client, stop: Stop) -> None:
+    async with approaching(daemon, client) as approach:
+        await stop(daemon, client)
         verdict = await approach
     assert verdict.decision == "failed"
     assert verdict.state == "held"
     # The node hears Stop by itself too, and may have ended the motion first.
     assert verdict.reason is not None
     assert verdict.reason.code in ("stopped", "motion_stopped")
-    assert await stands_still(slow_client)
-    assert (await slow_client.state()).latched
-    refused = await slow_client.call("placement.back_off")
+    assert await stands_still(client)
+    assert (await client.state()).latched
+    refused = await client.call("placement.back_off")
     assert refused.decision == "rejected"
     assert refused.reason is not None
     assert refused.reason.code == "latched"
-    await recover(slow_client)
-    assert (await slow_client.state()).branches["placement"] == "retracted"
+    await accepted(client, "robot.acknowledge")
+    await accepted(client, "placement.back_off")
+    assert (await client.state()).branches["placement"] == "retracted"

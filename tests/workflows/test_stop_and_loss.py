@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from workflow_bench import AT_REST, POSES, WorkflowBench
+from workflow_bench import AT_REST, POSES, WorkflowBench, open_bench
 
 from pcmrs.messages import DeviceEvent
 
@@ -121,3 +121,17 @@ async def test_a_motion_stopped_at_the_robot_itself_is_held(bench: WorkflowBench
     assert not bench.dispatcher.snapshot().latched
     await bench.clock.sleep(0.2)
     assert (await bench.accept("placement.back_off")).state == "standoff"
+
+
+async def test_backing_off_leads_home_where_a_joint_limit_cuts_the_straight_way_short() -> None:
+    """Joint 6 is a hundredth of a radian before its limit, and the straight way back would turn it farther."""
+    at_limit = {"arm": {"home": [0.035, -0.194, -0.017, -0.74, -0.014, 2.085, -1.561]}}
+    async with open_bench(sim=at_limit) as bench:
+        await bench.connect()
+        async with bench.moving("placement.to_initial"):
+            await bench.dispatcher.stop("test")
+        assert bench.states["placement"] == "held"
+        await bench.accept("robot.acknowledge")
+        assert (await bench.accept("placement.back_off")).state == "retracted"
+        assert bench.cell.joints is not None
+        assert bench.cell.joints.positions == pytest.approx(bench.cell.settings.home, abs=2e-3)
