@@ -1,6 +1,7 @@
 """Bus: real Zenoh sessions on a port of their own."""
 
 import asyncio
+from collections.abc import Callable
 import json
 import sys
 from contextlib import suppress
@@ -83,8 +84,12 @@ async def test_of_a_stream_a_busy_loop_gets_the_newest_and_of_events_all() -> No
 async def test_two_subscribers_of_one_process_do_not_take_each_others_messages() -> None:
     async with open_pair() as (router, client):
         heard: list[list[int]] = [[], [], []]
+
+        def into(numbers: list[int]) -> Callable[[str, BodyPose], None]:
+            return lambda _, message: numbers.append(message.frame_number)
+
         for numbers, key in zip(heard, ("state/pose/coil", "state/pose/coil", "state/pose/*"), strict=True):
-            client.subscribe(key, BodyPose, lambda _, message, numbers=numbers: numbers.append(message.frame_number))
+            client.subscribe(key, BodyPose, into(numbers))
         await sync(router, client)
         for number in range(5):
             router.publish("state/pose/coil", pose(number))
