@@ -1,9 +1,9 @@
 """Bus: real Zenoh sessions on a port of their own."""
 
 import asyncio
-from collections.abc import Callable
 import json
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 
 import msgspec
