@@ -50,6 +50,7 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.settings import ProcedureSettings
 
 WARM_UP = 300
+PAUSE = 0.0005  # s between commands, as planners leave far more: what is measured is latency, not throughput
 PLAN = {"position": [0.0, 0.05, 0.1], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
 
 
@@ -111,6 +112,7 @@ def measure_udp(port: int, datagrams: list[bytes]) -> list[float]:
             client.send(datagram)
             client.recv(2048)
             times.append((time.perf_counter_ns() - begin) / 1000.0)
+            time.sleep(PAUSE)
     return times[WARM_UP:]
 
 
@@ -122,6 +124,7 @@ def measure_query(session: zenoh.Session, key: str, payloads: list[bytes]) -> li
             if reply.ok is None:
                 raise SystemExit(f"{key}: {reply.err}")
         times.append((time.perf_counter_ns() - begin) / 1000.0)
+        time.sleep(PAUSE)
     return times[WARM_UP:]
 
 
@@ -139,6 +142,7 @@ def measure_plans(port: int, count: int) -> list[float]:
         for n in range(count):
             client.send(format_command("target_rotxxxxxx", 0.0, 0.0, 0.0, 1.0, client_id=str(10**6 + 2 * n)))
             client.recv(2048)
+            time.sleep(PAUSE)
             datagram = format_command("target_tslxxxxxx", 0.0, 0.05, 0.1, client_id=str(10**6 + 2 * n + 1))
             begin = time.perf_counter_ns()
             client.send(datagram)
@@ -146,6 +150,7 @@ def measure_plans(port: int, count: int) -> list[float]:
             times.append((time.perf_counter_ns() - begin) / 1000.0)
             if b"accepted" not in answer:
                 raise SystemExit(f"not accepted: {answer!r}")
+            time.sleep(PAUSE)
     return times[WARM_UP:]
 
 
