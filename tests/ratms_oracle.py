@@ -156,8 +156,8 @@ def _placement(joint: Joint, operation: str) -> Endings | None:
     if operation == "nudge" and here in ("standoff", "placed") and ready:
         motion = {here: joint}
     if operation == "back_off" and here in ("standoff", "placed", "held") and connected:
-        # Without a valid plan and registration there is no standoff to be at: the arm is merely retracted.
-        motion = {"retracted": at("retracted")} | ({"standoff": at("standoff")} if ready else {})
+        # Without a valid plan and registration there is no standoff to be at: the arm is clear of the body or not.
+        motion = {"retracted": at("retracted"), "held": at("held")} | ({"standoff": at("standoff")} if ready else {})
     if operation in ("home", "to_initial") and here in ("retracted", "standoff", "placed") and connected:
         motion = {"done": at("retracted")}
     return None if motion is None else motion | {"failed": at("held"), "unknown": at("unknown")}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Mapping
 from typing import Any, get_type_hints
 
@@ -18,6 +19,12 @@ from pcmrs.messages import Beat, DeviceHealth, DeviceReply, DeviceRequest, Reaso
 log = structlog.get_logger(__name__)
 
 PROTOCOLS: dict[str, type] = {"robot": Robot, "pointer": Pointer, "scene": Scene}
+
+STREAMING = ("robot", "tracker")
+"""Devices that send by themselves, and are not well when they do not."""
+
+STREAM_TIMEOUT = 1.0
+"""A streaming device that has sent nothing for so long is not connected, s of the machine."""
 
 BEAT_PERIOD = 0.05
 """Seconds of the machine between heartbeats."""
@@ -44,6 +51,7 @@ class DeviceNode:
         self._clock = clock
         self._last_beat = clock.monotonic()
         self._moving = False
+        self._heard: dict[str, float] = {}
         self._holds: set[asyncio.Task[None]] = set()
 
     async def run(self) -> None:
@@ -99,17 +107,25 @@ class DeviceNode:
             for name in self._devices:
                 self._link.publish(f"dev/{name}/beat", Beat(number=number))
                 if number % 20 == 1:
-                    self._link.publish(f"dev/{name}/state", DeviceHealth(device=name, connected=True))
+                    self._link.publish(f"dev/{name}/state", self._health(name))
             await self._clock.sleep(BEAT_PERIOD)
+
+    def _health(self, name: str) -> DeviceHealth:
+        silence = self._clock.monotonic() - self._heard.get(name, -math.inf)
+        if name in STREAMING and silence > STREAM_TIMEOUT:
+            return DeviceHealth(device=name, connected=False, text="The device sends nothing.")
+        return DeviceHealth(device=name, connected=True)
 
     async def _publish_frames(self, tracker: TrackerDriver) -> None:
         async for frame in tracker.frames():
+            self._heard["tracker"] = self._clock.monotonic()
             for pose in frame:
                 self._link.publish(f"state/pose/{pose.body}", pose)
 
     async def _publish_joints(self, robot: RobotDriver) -> None:
         async for state in robot.states():
             self._moving = state.moving
+            self._heard["robot"] = self._clock.monotonic()
             self._link.publish("state/joints", state)
 
     def _hear_beat(self, _key: str, _beat: Beat) -> None:

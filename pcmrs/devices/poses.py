@@ -17,6 +17,10 @@ HISTORY = 256
 """Frames kept per body: over four seconds at 60 Hz."""
 
 
+RESTART_TIME = 2.0
+"""A tracker that begins to count anew after so long a silence was restarted, s of the clock."""
+
+
 @dataclass(frozen=True, slots=True)
 class Sighting:
     """A valid pose.
@@ -48,6 +52,7 @@ class PoseFeed:
         self._clock = clock
         self._max_age = max_age
         self._sightings: dict[str, deque[Sighting]] = {}
+        self._arrivals: dict[str, float] = {}
         self._last_reason: dict[str, str] = {}
         self._arrived = asyncio.Event()
 
@@ -119,7 +124,11 @@ class PoseFeed:
         age = pose.sent - pose.captured
         if not 0.0 <= age < math.inf:
             return None, "stamp_reversed"
+        now = self._clock.monotonic()
+        silence, self._arrivals[pose.body] = now - self._arrivals.get(pose.body, now), now
         known = self._sightings.get(pose.body)
+        if known and pose.frame_number < known[-1].frame_number and silence > RESTART_TIME:
+            known.clear()  # the tracker was restarted and counts anew; a frozen one repeats its number
         if known and pose.frame_number <= known[-1].frame_number:
             return None, "frame_not_advancing"
         if known and pose.captured <= known[-1].exposed:

@@ -15,6 +15,9 @@ from pcmrs.messages import Command
 
 EVENT_SOURCES = ("device:", "detector:", "timer:", "operation:")
 
+CLOCK_TOLERANCE = 5.0
+"""A sender's wall clock may be so far ahead of ours, s."""
+
 
 def find_operation(workflow: Workflow[Any, Any], command: Command) -> OperationSpec:
     """The operation a command names.
@@ -61,13 +64,25 @@ def read_payload(workflow: Workflow[Any, Any], command: Command, spec: Operation
 
 
 def check_fresh(clock: Clock, command: Command) -> None:
-    """Raises `RefusalError` for a command that arrives later than its sender wanted."""
-    if command.sent is None or command.ttl is None:
+    """Refuses a command that arrives later than its sender wanted, or of which nobody can say whether it does.
+
+    Raises:
+        RefusalError: ``expired``: it is older than its `ttl`, or was sent in the future. ``bad_arguments``:
+            its `ttl` is no limit.
+    """
+    sent, ttl = command.sent, command.ttl
+    if ttl is not None and (sent is None or not 0.0 <= ttl < math.inf):
+        text = f"A ttl of {ttl} s with sent = {sent} sets no limit: give both, ttl finite and not negative."
+        raise RefusalError("bad_arguments", text, ttl=str(ttl), sent=str(sent))
+    if sent is None:
         return
-    age = clock.wall() - command.sent
-    if age > command.ttl:
-        text = f"The command is {age:.3f} s old; its sender set a limit of {command.ttl:.3f} s. Send it anew."
-        raise RefusalError("expired", text, age=age, limit=command.ttl)
+    age = clock.wall() - sent
+    if not age >= -CLOCK_TOLERANCE:
+        text = f"The command was sent {-age:.3f} s in the future, more than {CLOCK_TOLERANCE:g} s: set its clock."
+        raise RefusalError("expired", text, age=str(age), limit=CLOCK_TOLERANCE)
+    if ttl is not None and age > ttl:
+        text = f"The command is {age:.3f} s old; its sender set a limit of {ttl:.3f} s. Send it anew."
+        raise RefusalError("expired", text, age=age, limit=ttl)
 
 
 def _numbers(value: Any, path: str) -> list[tuple[str, float]]:

@@ -47,6 +47,9 @@ class Dispatcher(Generic[C, D]):
         recorder: The journal.
         hold: Holds the robot and returns when it stands still; raises when that is not confirmed.
         publish: Called in the event loop with every new snapshot, verdict and device event.
+
+    Attributes:
+        in_doubt: A stop's hold has not been confirmed, and nobody has acknowledged the stop since.
     """
 
     def __init__(
@@ -69,6 +72,9 @@ class Dispatcher(Generic[C, D]):
         self._memory = Memory(recorder)
         self._decisions = Decisions(self.procedure, recorder, self._memory, self._settle, self._break)
         self._broken: Reason | None = None
+        self._stop_listeners: list[Callable[[], None]] = []
+        self._holding: asyncio.Task[bool] | None = None
+        self.in_doubt = False
         self._tasks: set[asyncio.Task[Any]] = set()
 
     # -- what the edges of the system call -----------------------------------------------------------
@@ -96,14 +102,20 @@ class Dispatcher(Generic[C, D]):
             raise ReentrancyError(f"{command.branch}.{command.operation} was awaited by a running operation: post it.")
         return await asyncio.shield(self._verdict_of(command))
 
-    async def stop(self, source: str, reason: Reason | None = None) -> None:
+    def on_stop(self, callback: Callable[[], None]) -> None:
+        """Has `callback` called synchronously at every stop, whatever way it came."""
+        self._stop_listeners.append(callback)
+
+    async def stop(self, source: str, reason: Reason | None = None) -> bool:
         """Stops everything: never queues, wins in every state, latches until acknowledged.
 
-        Returns when every running operation has ended and the hold is confirmed or has failed.
+        Returns when every running operation has ended: whether the robot has confirmed that it stands.
         """
         reason = reason or Reason(code="stopped", text=f"Stopped by {source}.", fields={"source": source})
         holding = self._spawn(self._hold_confirmed())
         self.procedure.latch()
+        for callback in self._stop_listeners:
+            callback()
         ending = [attempt.verdict for attempt in self._lanes.running]
         for attempt in self._lanes.running:
             attempt.stop(reason)
@@ -114,6 +126,10 @@ class Dispatcher(Generic[C, D]):
         self._publish(self.snapshot())
         await self._record_event(event)
         await asyncio.wait([holding, *ending])
+        confirmed = holding.result()
+        if not confirmed:
+            await self._doubt(source)
+        return confirmed
 
     async def report(self, event: DeviceEvent) -> None:
         """Takes a device's event: danger goes the way of Stop; then its event operations are submitted."""
@@ -128,6 +144,10 @@ class Dispatcher(Generic[C, D]):
                 command_id = f"{event.code}-{uuid.uuid4().hex}"
                 source = f"device:{event.device}"
                 await self.submit(Command(id=command_id, branch=name, operation=event.code, source=source))
+
+    def report_later(self, event: DeviceEvent) -> None:
+        """Reports an event without waiting until it is durable."""
+        self._spawn(self.report(event))
 
     async def close(self) -> None:
         """Ends the procedure: nothing more is accepted, and whatever runs is stopped, so that motion is held."""
@@ -277,6 +297,7 @@ class Dispatcher(Generic[C, D]):
     def _settle(self, conclusion: Conclusion[C, D], verdict: Verdict) -> None:
         """The verdict is given: shows it, and lets others have the locks."""
         loop = asyncio.get_running_loop()
+        self.in_doubt = self.in_doubt and not conclusion.unlatches
         loop.call_soon(self._show, verdict)  # those who asked hear of it before those who watch
         if conclusion.attempt is not None:
             self._lanes.running.remove(conclusion.attempt)
@@ -308,12 +329,27 @@ class Dispatcher(Generic[C, D]):
             )
 
     async def _hold_confirmed(self) -> bool:
-        try:
-            await self._hold()
-        except Exception as error:
-            log.warning("hold_not_confirmed", reason=str(error))
-            return False
-        return True
+        """Holds the robot; those who ask while a hold is under way wait for that one."""
+
+        async def hold() -> bool:
+            try:
+                await self._hold()
+            except Exception as error:
+                log.warning("hold_not_confirmed", reason=str(error))
+                return False
+            return True
+
+        if self._holding is None or self._holding.done():
+            self._holding = self._spawn(hold())
+        return await asyncio.shield(self._holding)
+
+    async def _doubt(self, source: str) -> None:
+        """Tells everybody that a stopped robot has not confirmed that it stands."""
+        self.in_doubt = True
+        text = "The robot has not confirmed that it stands: look at it, use its own emergency stop."
+        event = DeviceEvent(device=source, code="hold_not_confirmed", text=text, danger=True)
+        self._publish(event)
+        await self._record_event(event)
 
     async def _record_event(self, event: DeviceEvent) -> None:
         try:

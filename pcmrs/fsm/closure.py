@@ -126,8 +126,13 @@ def unmet(states: Mapping[str, str], requires: Requirement, code: str, what: str
 
 
 def _examined(blueprint: Blueprint, branch: str, spec: OperationSpec) -> frozenset[str]:
-    """Branches whose state decides on the operation: requirements and parents."""
-    examined = set(spec.requires).union(*(ending.requires for ending in spec.endings.values()))
+    """Branches whose state decides on the operation: requirements and parents.
+
+    Nothing on other branches may keep a retreat waiting: which of its outcomes can be taken is seen when it ends.
+    """
+    examined = set(spec.requires)
+    if spec.motion != "retreat":
+        examined.update(*(ending.requires for ending in spec.endings.values()))
     parent = blueprint.branches[branch].parent
     while parent is not None:
         examined.add(parent.branch)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.errors import RefusalError
-from pcmrs.messages import Command, Snapshot, Verdict
+from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
@@ -20,8 +22,11 @@ class GatewayCore:
     async def submit(self, command: Command) -> Verdict:
         return await self._dispatcher.submit(command)
 
-    async def stop(self, source: str) -> None:
-        await self._dispatcher.stop(source)
+    async def stop(self, source: str) -> bool:
+        return await self._dispatcher.stop(source)
+
+    def on_stop(self, callback: Callable[[], None]) -> None:
+        self._dispatcher.on_stop(callback)
 
     def snapshot(self) -> Snapshot:
         return self._dispatcher.snapshot()
@@ -32,8 +37,12 @@ class GatewayCore:
 
     def remember_initial_joints(self) -> list[float] | None:
         joints = self.joints()
-        if joints is not None:
-            self._cell.initial_joints = joints
+        if joints is None or self._dispatcher.procedure.joint()["placement"] != "retracted":
+            return None  # a posture near the body is no place to return to
+        self._cell.initial_joints = joints
+        text = "The present joints are the initial ones from now on."
+        event = DeviceEvent(device="gateway", code="initial_joints", text=text, fields={"joints": joints})
+        self._dispatcher.report_later(event)
         return joints
 
     def flange_pose(self) -> Transform | None:

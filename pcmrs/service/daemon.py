@@ -7,6 +7,7 @@ import fcntl
 import uuid
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +91,7 @@ class Daemon:
             recorder = JournalRecorder(journal, clock, uuid.uuid4().hex, tag)
             for verdict in await recorder.close_unfinished():
                 log.warning("unknown_outcome", command=verdict.id, operation=f"{verdict.branch}.{verdict.operation}")
+            workflow = replace(workflow, initial=recorder.previous())
             cell = _open_cell(settings, bus, clock)
             dispatcher = _open_dispatcher(bus, workflow, cell, clock, recorder)
             await self._start_devices(stack, bus, cell, dispatcher)
@@ -123,7 +125,7 @@ class Daemon:
         def connected() -> bool:
             return dispatcher.procedure.joint()["robot"] == "1"
 
-        watch = RobotWatch(bus.publish, connected, dispatcher.report, SystemClock())
+        watch = RobotWatch(bus.publish, connected, lambda: dispatcher.in_doubt, dispatcher.report, SystemClock())
         heard: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
         def take_pose(_key: str, pose: BodyPose) -> None:

@@ -11,6 +11,10 @@ import msgspec
 from pcmrs.clock import Clock
 from pcmrs.journal import Journal, JournalRow, Kind
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Verdict
+from pcmrs.workflows.data import PlacementData
+
+TAKEN_BACK = ("previous", "previous_landmarks", "previous_digitized")
+"""Data that outlives a run of the daemon: only `use_previous` and its kind make use of it, after their checks."""
 
 
 class JournalRecorder:
@@ -86,6 +90,14 @@ class JournalRecorder:
             await self._journal.append([row])
             verdicts.append(verdict)
         return verdicts
+
+    def previous(self) -> PlacementData:
+        """What earlier runs registered and digitized last, for explicit operations to take back."""
+        changes: dict[str, Any] = {}
+        for stored in self._journal.reader.read(kind="outcome"):
+            kept = stored.row.result or {}
+            changes |= {field: kept[field] for field in TAKEN_BACK if kept.get(field)}
+        return msgspec.convert(changes, PlacementData)
 
     def _of_command(self, kind: Kind, command: Command, states: Mapping[str, str], **more: Any) -> JournalRow:
         return self._row(

@@ -20,6 +20,8 @@ class RobotWatch:
     Args:
         publish: `Bus.publish`.
         connected: Whether the workflow holds the robot for connected.
+        in_doubt: Whether a stopped robot has not confirmed that it stands: it is then left without beats, so
+            that its node holds it by itself, too.
         report: `Dispatcher.report`.
         clock: The machine's clock.
     """
@@ -28,11 +30,13 @@ class RobotWatch:
         self,
         publish: Callable[[str, Beat], None],
         connected: Callable[[], bool],
+        in_doubt: Callable[[], bool],
         report: Callable[[DeviceEvent], Awaitable[None]],
         clock: Clock,
     ) -> None:
         self._publish = publish
         self._connected = connected
+        self._in_doubt = in_doubt
         self._report = report
         self._clock = clock
         self._heard = clock.monotonic()
@@ -45,7 +49,8 @@ class RobotWatch:
         number = 0
         while True:
             number += 1
-            self._publish("dev/robot/beat", Beat(number=number))
+            if not self._in_doubt():
+                self._publish("dev/robot/beat", Beat(number=number))
             silence = self._clock.monotonic() - self._heard
             if silence > SILENCE and self._connected():
                 await self.lose(f"The robot has not reported its joints for {silence:.1f} s.")

@@ -106,6 +106,20 @@ class Cell:
         self.base_from_body_ref = graph.get(Frame.ROBOT_BASE, Frame.BODY_REF)
         return graph
 
+    def image_from_coil(self, data: PlacementData) -> Transform:
+        """Where the tool is in the image: as the tracker sees it, or by the joints and where the body was last seen.
+
+        Raises:
+            RefusalError: There is no registration, or the body has never been seen.
+        """
+        try:
+            return self.frames(data).get(Frame.IMAGE, Frame.COIL)
+        except RefusalError:
+            if data.registered is None or self.base_from_body_ref is None:
+                raise
+        base_from_image = self.base_from_body_ref @ as_transform(data.registered.body_ref_from_image)
+        return base_from_image.inverse() @ self.arm.forward(self.posture()) @ self.flange_from_coil
+
     def flange_for(self, robot_base_from_coil: Transform) -> Transform:
         """``robot_base_from_flange`` that brings the coil to the pose."""
         return robot_base_from_coil @ self.flange_from_coil.inverse()

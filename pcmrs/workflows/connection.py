@@ -9,6 +9,7 @@ from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.paths import distance_from_body
 
 Run = AnyRun[Cell, PlacementData]
 
@@ -36,12 +37,18 @@ async def locate_arm(run: Run) -> None:
     cell.update_joints(await cell.robot.joints())
     cell.arm.check_limits(cell.posture())
     await cell.poses.collect(["coil", "body_ref"], FRAMES_TO_LOCATE, timeout=5.0)
-    cell.frames(run.data)
-    tracked = cell.poses.recent(["coil", "body_ref"], FRAMES_TO_LOCATE, since=cell.resting_since)
-    distance = float(np.linalg.norm(tracked["coil"].translation - tracked["body_ref"].translation))
-    clearance = cell.settings.placement.clearance
-    run.outcome = "retracted" if distance > clearance else "held"
+    run.outcome = where_clear(run)
+
+
+def where_clear(run: Run) -> str:
+    """``retracted`` where the tool is seen clear of the body, otherwise ``held``."""
+    clearance = run.cell.settings.placement.clearance
+    try:
+        distance = distance_from_body(run.cell, run.data)
+    except RefusalError:
+        return "held"
     run.result |= {"distance": distance, "clearance": clearance}
+    return "retracted" if distance > clearance else "held"
 
 
 def register_connection_operations(registry: Registry[Cell, PlacementData]) -> None:

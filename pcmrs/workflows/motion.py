@@ -13,9 +13,10 @@ from pcmrs.kinematics.trajectory import straight_motion
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Frame, Transform, distance, mean_transform, rotation_angle
 from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.connection import where_clear
 from pcmrs.workflows.data import PlacementData, as_transform
 from pcmrs.workflows.paths import along_axis
-from pcmrs.workflows.placement import NOTHING, at_present_plan, nudges_with, planned
+from pcmrs.workflows.placement import NOTHING, at_present_plan, nudges_with, planned, target
 
 Run = AnyRun[Cell, PlacementData]
 
@@ -47,7 +48,7 @@ async def correct_from_tracker(run: Run) -> None:
     cell, limits = run.cell, run.cell.settings.placement
     commanded: JointTrajectory = run.prepared
     image_from_measured = await measure_coil(run)
-    measured_from_desired = image_from_measured.inverse() @ _target(run)
+    measured_from_desired = image_from_measured.inverse() @ target(run.data, limits.confirm_offset)
     shift = float(np.linalg.norm(measured_from_desired.translation)) * 1000.0
     turn = math.degrees(float(np.linalg.norm(measured_from_desired.rotvec)))
     run.result |= {"correction_mm": shift, "correction_deg": turn}
@@ -67,13 +68,13 @@ async def measure_placement(run: Run) -> None:
     """Measures the pose of the tool and its errors against the plan, both by the tracker.
 
     Translation error ‖R_mᵀ(t_m − t_p) − s·e_z‖ for measured m, planned p and offset s along the tool's z axis;
-    rotation error is the angle of R_pᵀR_m.
+    rotation error is the angle of R_pᵀR_m. What the operator has nudged on purpose is part of the plan here.
     """
-    measured, plan = await measure_coil(run), planned(run.data)
-    offset = np.array([0.0, 0.0, run.cell.settings.placement.confirm_offset])
-    error = measured.rotation.T @ (measured.translation - plan.translation) - offset
+    offset = run.cell.settings.placement.confirm_offset
+    measured, plan = await measure_coil(run), target(run.data, offset) @ along_axis(-offset)
+    error = measured.rotation.T @ (measured.translation - plan.translation) - np.array([0.0, 0.0, offset])
     run.result |= {
-        "planned": _as_result(plan),
+        "planned": _as_result(planned(run.data)),
         "measured": _as_result(measured),
         "translation_error": float(np.linalg.norm(error)),
         "rotation_error": rotation_angle(plan, measured),
@@ -81,8 +82,8 @@ async def measure_placement(run: Run) -> None:
 
 
 async def find_where_retreat_ended(run: Run) -> None:
-    """At the standoff of the plan in force, or merely away from the body."""
-    run.outcome = "standoff" if _at_standoff(run) else "retracted"
+    """At the standoff of the plan in force, clear of the body, or neither: then it is held where it is."""
+    run.outcome = "standoff" if _at_standoff(run) else where_clear(run)
 
 
 async def measure_coil(run: Run) -> Transform:
@@ -101,10 +102,6 @@ async def _follow(run: Run, trajectory: JointTrajectory) -> None:
     if ended.outcome != "done":
         raise RefusalError("motion_stopped", f"The motion was stopped: {ended.reason or 'held'}.")
     await run.clock.sleep(run.cell.settings.placement.settle_time)
-
-
-def _target(run: Run) -> Transform:
-    return planned(run.data) @ along_axis(run.cell.settings.placement.confirm_offset)
 
 
 def _at_standoff(run: Run) -> bool:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 
 import numpy as np
 
 from pcmrs.errors import RefusalError
 from pcmrs.messages import JointTrajectory
-from pcmrs.spatial import Floats, Transform
+from pcmrs.spatial import Floats, Frame, Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
 
 CHECK_EVERY = 8
 """Every so manyth sample of a trajectory is looked at: 40 ms apart."""
+
+CLEAR_MARGIN = 0.010
+"""A retreat until clear of the body goes so much farther, m."""
 
 TOLERANCE = 0.001
 """Shrinking by less than this (m) is noise of the measured posture."""
@@ -37,6 +41,39 @@ def middle_of_body(cell: Cell, data: PlacementData) -> Floats:
     centre: Floats = np.mean([landmark.position for landmark in data.registered.landmarks], axis=0)
     centre_in_body_ref = as_transform(data.registered.body_ref_from_image) @ centre
     return cell.base_from_body_ref @ centre_in_body_ref
+
+
+def distance_from_body(cell: Cell, data: PlacementData) -> float:
+    """Distance of the coil from the middle of the body now, m.
+
+    Raises:
+        RefusalError: Tool and body are not seen together.
+    """
+    base_from_coil = cell.frames(data).get(Frame.ROBOT_BASE, Frame.COIL)
+    return float(np.linalg.norm(base_from_coil.translation - middle_of_body(cell, data)))
+
+
+def length_until_clear(cell: Cell, data: PlacementData) -> float:
+    """How far the coil must go along its +z axis to be clear of the body, m; 0 where it already is."""
+    base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
+    offset = base_from_coil.translation - middle_of_body(cell, data)
+    outwards = float(offset @ base_from_coil.rotation[:, 2])
+    radius = cell.settings.placement.clearance + CLEAR_MARGIN
+    # The root of |offset + length z| = radius that lies ahead.
+    inside = radius**2 - float(offset @ offset)
+    return max(0.0, -outwards + math.sqrt(outwards**2 + inside)) if inside > 0.0 else 0.0
+
+
+def check_ends_clear(cell: Cell, trajectory: JointTrajectory, data: PlacementData) -> None:
+    """Refuses a way that does not end clear of the body. Raises `RefusalError`."""
+    end = float(distances(cell, trajectory, middle_of_body(cell, data))[-1])
+    clearance = cell.settings.placement.clearance
+    if end <= clearance:
+        text = (
+            f"The way would end {end * 1000:.0f} mm from the middle of the body, which is not clear of it "
+            f"(more than {clearance * 1000:.0f} mm). Choose another posture."
+        )
+        raise RefusalError("not_clear", text, distance=end, limit=clearance)
 
 
 def distances(cell: Cell, trajectory: JointTrajectory, middle: Floats) -> Floats:

@@ -16,7 +16,13 @@ from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Frame, Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, as_transform
-from pcmrs.workflows.paths import along_axis, check_only_grows, check_passes_clear
+from pcmrs.workflows.paths import (
+    along_axis,
+    check_ends_clear,
+    check_only_grows,
+    check_passes_clear,
+    length_until_clear,
+)
 from pcmrs.workflows.toolplan import check_reachable
 
 Run = AnyRun[Cell, PlacementData]
@@ -45,7 +51,7 @@ def approach_possible(run: Run) -> None:
 
 def confirm_possible(run: Run) -> None:
     """Plans the straight way along the tool's axis to the target."""
-    run.prepared = straight_to(run, planned(run.data) @ along_axis(run.cell.settings.placement.confirm_offset))
+    run.prepared = straight_to(run, target(run.data, run.cell.settings.placement.confirm_offset))
 
 
 def nudge_possible(run: Run) -> None:
@@ -61,13 +67,15 @@ def nudge_possible(run: Run) -> None:
         )
         raise RefusalError("nudge_too_large", text, translation=length, rotation_deg=turned)
     height = limits.standoff if run.states["placement"] == "standoff" else limits.confirm_offset
-    run.prepared = straight_to(run, planned(run.data) @ along_axis(height) @ nudge_of(translation, rotation))
+    nudged = msgspec.structs.replace(run.data, nudge_translation=translation, nudge_rotation_zyx=rotation)
+    run.prepared = straight_to(run, target(nudged, height))
 
 
 def retreat_possible(run: Run) -> None:
-    """Plans the straight way back along the tool's axis, up to the standoff; where it is cut short, on to home.
+    """Plans the straight way back along the tool's axis: to the standoff it belongs to, or clear of the body.
 
-    Backing off is the only way out of `held`, so a joint limit on the straight line must not refuse it.
+    Where the arm cannot follow that line to its end it goes on home: backing off is the only way out of `held`,
+    so a joint limit on the line must not refuse it.
     """
     cell = run.cell
     way, complete = _back_off(run)
@@ -93,6 +101,11 @@ def planned(data: PlacementData) -> Transform:
     if data.plan is None:
         raise RefusalError("no_plan", "No tool pose is planned: plan one first.")
     return as_transform(data.plan)
+
+
+def target(data: PlacementData, height: float) -> Transform:
+    """``image_from_coil`` of the plan with all nudges, `height` (m) away along the tool's axis."""
+    return planned(data) @ along_axis(height) @ nudge_of(data.nudge_translation, data.nudge_rotation_zyx)
 
 
 def nudge_of(translation: Point, rotation_zyx: Point) -> Transform:
@@ -125,6 +138,7 @@ def _retreat_to(run: Run, posture: list[float]) -> JointTrajectory:
     trajectory = joint_motion(cell.arm, start, posture, cell.motion_limits())
     trajectory = trajectory if way is None else concatenate(way, trajectory)
     check_only_grows(cell, trajectory, run.data)
+    check_ends_clear(cell, trajectory, run.data)
     return trajectory
 
 
@@ -148,19 +162,23 @@ def _straight_away(run: Run, length: float) -> JointTrajectory:
 
 
 def _length_of_retreat(run: Run) -> float:
-    placement, data = run.cell.settings.placement, run.data
-    if run.states["placement"] == "standoff":
-        return 0.0
-    if run.states["placement"] == "placed":
-        return placement.standoff - placement.confirm_offset
-    if data.plan is None or data.registered is None or not at_present_plan(data):
-        return placement.standoff
+    """To the standoff the tool belongs to, where it is on its axis; otherwise until it is clear of the body."""
     try:
-        image_from_coil = run.cell.frames(data).get(Frame.IMAGE, Frame.COIL)
-    except RefusalError:
-        return placement.standoff
-    height = (planned(data).inverse() @ image_from_coil).translation[2]
-    return float(np.clip(placement.standoff - height, 0.0, placement.standoff))
+        way = _way_to_standoff(run)
+        return length_until_clear(run.cell, run.data) if way is None else way
+    except RefusalError:  # neither tool nor body is seen, nor has been
+        return run.cell.settings.placement.standoff
+
+
+def _way_to_standoff(run: Run) -> float | None:
+    placement, data = run.cell.settings.placement, run.data
+    if data.plan is None or data.registered is None or not at_present_plan(data):
+        return None
+    x, y, height = (planned(data).inverse() @ run.cell.image_from_coil(data)).translation
+    tolerance = placement.standoff_tolerance_mm / 1000.0
+    if math.hypot(x, y) > tolerance or height > placement.standoff + tolerance:
+        return None
+    return max(0.0, float(placement.standoff - height))
 
 
 def at_present_plan(data: PlacementData) -> bool:

@@ -226,7 +226,12 @@ async def test_the_node_beats_for_every_device(bench: Bench) -> None:
         numbers = [beat.number for beat in bench.link.published[f"dev/{device}/beat"]]
         assert numbers == list(range(1, len(numbers) + 1))
         assert len(numbers) >= 1.0 / BEAT_PERIOD
-        assert bench.link.published[f"dev/{device}/state"][0].connected
+    devices = ("robot", "tracker", "pointer", "scene")
+    health = {device: bench.link.published[f"dev/{device}/state"][-1].connected for device in devices}
+    assert health == {"robot": False, "tracker": False, "pointer": True, "scene": True}, "two have sent nothing yet"
+    bench.robot_device.stream.put_nowait(JointState(captured=1, sent=1, positions=[], velocities=[], torques=[]))
+    await bench.clock.advance(1.0)
+    assert bench.link.published["dev/robot/state"][-1].connected
 
 
 async def test_a_moving_robot_is_held_when_the_daemon_falls_silent(bench: Bench) -> None:

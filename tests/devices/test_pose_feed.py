@@ -13,7 +13,7 @@ from clock import ManualClock, settle
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.devices.poses import HISTORY, PoseFeed
+from pcmrs.devices.poses import HISTORY, RESTART_TIME, PoseFeed
 from pcmrs.errors import RefusalError
 from pcmrs.messages import BodyPose
 
@@ -182,3 +182,14 @@ def test_only_the_newest_frames_are_kept() -> None:
         feed.update(_pose(number, position=(float(number), 0.0, 0.0)))
     oldest = feed.recent(["coil"], 10 * HISTORY, since=0.0)["coil"].translation[0]
     assert oldest == pytest.approx(np.mean(np.arange(11, HISTORY + 11)))
+
+
+async def test_a_tracker_that_was_restarted_is_believed_again() -> None:
+    clock, feed = _feed()
+    feed.update(_pose(1000))
+    await clock.advance(RESTART_TIME / 2)
+    feed.update(_pose(1))
+    assert feed.dropped["frame_not_advancing"] == 1, "it was not silent long enough to have been restarted"
+    await clock.advance(RESTART_TIME + PERIOD)
+    feed.update(_pose(2))
+    assert feed.seen("coil")

@@ -11,6 +11,7 @@ from clock import ManualClock
 from pcmrs.journal import Journal, JournalRow
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, PoseMessage, Verdict
 from pcmrs.service.recorder import JournalRecorder
+from pcmrs.workflows.data import Landmark, PlacementData, Registered
 
 TAG = BlueprintTag(id="ratms", version="1.0.0", hash="abc")
 COMMAND = Command(
@@ -92,3 +93,21 @@ async def test_what_an_earlier_run_had_begun_is_closed_as_unknown_once(journal: 
     assert unknown.reason.code == "daemon_ended"
     assert later.recall("udp:planner", "c1") == unknown
     assert await _recorder(journal, "s3").close_unfinished() == []
+
+
+async def test_what_was_registered_last_can_be_taken_back_after_a_restart(journal: Journal) -> None:
+    landmarks = (Landmark("nasion", (0.0, 0.1, 0.0)),)
+    registered = Registered(
+        id="r1",
+        body_ref_from_image=PoseMessage(position=(0.0, 0.0, 0.1), quat_wxyz=(1.0, 0.0, 0.0, 0.0)),
+        residual=0.002,
+        rms=0.002,
+        landmarks=landmarks,
+        digitized=((0.0, 0.1, 0.1),),
+        patient="phantom",
+        calibration="c",
+    )
+    assert _recorder(journal).previous() == PlacementData()
+    changes = {"previous": registered, "registered": registered, "registration_id": "r1"}
+    await _recorder(journal).decision(COMMAND, _verdict(), STATES, changes, with_intent=True)
+    assert _recorder(journal, "s2").previous() == PlacementData(previous=registered), "and nothing is in force"

@@ -20,7 +20,7 @@ class Bench:
         self.beats: list[int] = []
         self.reporting = asyncio.Event()
         self.reporting.set()
-        self.watch = RobotWatch(self._beat, lambda: self.connected, self._report, self.clock)
+        self.watch = RobotWatch(self._beat, lambda: self.connected, lambda: False, self._report, self.clock)
 
     def _beat(self, key: str, beat: Beat) -> None:
         assert key == "dev/robot/beat"

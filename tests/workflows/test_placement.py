@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 from math import radians
 from typing import Any
 
 import numpy as np
 import pytest
 from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
+
+from pcmrs.spatial import distance
+from pcmrs.workflows.paths import distance_from_body
 
 TURNED_OVER = [0.0, 1.0, 0.0, 0.0]
 
@@ -217,3 +221,46 @@ async def test_the_speed_limits_are_kept() -> None:
                 await bench.clock.sleep(0.02)
         assert (fastest <= 0.1 * bench.cell.arm.velocity * 1.05).all()
         assert fastest.max() > 0.02
+
+
+async def test_what_was_nudged_at_the_standoff_is_kept_by_confirm(bench: WorkflowBench) -> None:
+    await bench.to_standoff()
+    await bench.accept("placement.nudge", translation=[0.005, 0.0, 0.0])
+    verdict = await bench.accept("placement.confirm")
+    assert verdict.result is not None
+    planned, measured = (np.array(verdict.result[pose]["position"]) for pose in ("planned", "measured"))
+    assert np.linalg.norm(measured - planned) == pytest.approx(0.005, abs=0.0005)
+    assert verdict.result["translation_error"] < 0.0005
+    before = bench.cell.image_from_coil(bench.data)
+    await bench.accept("placement.nudge", translation=[0.0, 0.001, 0.0])
+    assert distance(bench.cell.image_from_coil(bench.data), before) == pytest.approx(0.001, abs=0.0005)
+
+
+async def test_retracted_means_clear_of_the_body(bench: WorkflowBench) -> None:
+    """Beside the axis of its plan, and after another plan, a retreat goes on until the tool is clear."""
+    clearance = bench.cell.settings.placement.clearance
+    await bench.to_placed()
+    await bench.accept("placement.nudge", translation=[0.015, 0.0, 0.0])
+    assert (await bench.accept("placement.back_off")).state == "retracted"
+    assert distance_from_body(bench.cell, bench.data) > clearance
+    await bench.accept("placement.approach")
+    await bench.accept("toolplan.plan", **POSES[1])
+    assert bench.states["placement"] == "held"
+    assert (await bench.accept("placement.back_off")).state == "retracted"
+    assert distance_from_body(bench.cell, bench.data) > clearance
+
+
+async def test_a_retreat_ends_clear_of_the_body_or_is_refused(bench: WorkflowBench) -> None:
+    await bench.to_standoff()
+    bench.cell.initial_joints = bench.cell.posture().tolist()
+    await bench.refuse("placement.to_initial", "not_clear")
+    assert bench.states["placement"] == "standoff"
+
+
+async def test_a_retreat_waits_for_nothing_on_other_branches(bench: WorkflowBench) -> None:
+    await bench.to_standoff()
+    await bench.accept("toolplan.plan", **POSES[1])
+    digitizing = asyncio.create_task(bench.do("digitization.digitize_all"))
+    await bench.until(lambda: bool(bench.dispatcher.snapshot().running))
+    assert (await bench.accept("placement.back_off")).state == "retracted"
+    assert (await digitizing).decision == "accepted"

@@ -10,6 +10,7 @@ import pytest
 from workflow_bench import AT_REST, POSES, WorkflowBench, open_bench
 
 from pcmrs.messages import DeviceEvent
+from pcmrs.workflows.data import as_transform
 
 Prepare = Callable[[WorkflowBench], Awaitable[Any]]
 
@@ -127,11 +128,17 @@ async def test_backing_off_leads_home_where_a_joint_limit_cuts_the_straight_way_
     """Joint 6 is a hundredth of a radian before its limit, and the straight way back would turn it farther."""
     at_limit = {"arm": {"home": [0.035, -0.194, -0.017, -0.74, -0.014, 2.085, -1.561]}}
     async with open_bench(sim=at_limit) as bench:
+        truth = await bench.scene.truth()
+        coil, body = as_transform(truth.tracker_from_coil), as_transform(truth.tracker_from_body_ref)
+        arm, flange_from_coil = bench.cell.arm, bench.cell.flange_from_coil
+        base_from_coil = arm.forward(at_limit["arm"]["home"]) @ flange_from_coil
+        home_in_coil = (base_from_coil.inverse() @ arm.forward(bench.cell.settings.home) @ flange_from_coil).translation
+        away_from_home = -0.2 * home_in_coil / np.linalg.norm(home_in_coil)
+        x, y, z = (coil @ away_from_home - body.translation).tolist()
+        await bench.scene.move_body((x, y, z))
+        await bench.clock.sleep(0.5)
         await bench.connect()
-        async with bench.moving("placement.to_initial"):
-            await bench.dispatcher.stop("test")
-        assert bench.states["placement"] == "held"
-        await bench.accept("robot.acknowledge")
+        assert bench.states["placement"] == "held", "the tool is 200 mm from the body"
         assert (await bench.accept("placement.back_off")).state == "retracted"
         assert bench.cell.joints is not None
         assert bench.cell.joints.positions == pytest.approx(bench.cell.settings.home, abs=2e-3)
