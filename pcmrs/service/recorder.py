@@ -13,7 +13,7 @@ from pcmrs.journal import Journal, JournalRow, Kind
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Verdict
 from pcmrs.workflows.data import PlacementData
 
-TAKEN_BACK = ("previous", "previous_landmarks", "previous_digitized")
+TAKEN_BACK = ("previous", "previous_digitization")
 """Data that outlives a run of the daemon: only `use_previous` and its kind make use of it, after their checks."""
 
 

@@ -23,6 +23,15 @@ class Landmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     position: Point
 
 
+class Digitized(msgspec.Struct, frozen=True, kw_only=True):
+    """A complete digitization: for each landmark its point in body_ref, m, and what it rests on."""
+
+    landmarks: tuple[Landmark, ...]
+    points: tuple[Point, ...]
+    patient: str
+    calibration: str
+
+
 class Registered(msgspec.Struct, frozen=True, kw_only=True):
     """An accepted registration and all it rests on.
 
@@ -49,7 +58,7 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
     Attributes:
         landmarks: Planned, in the image, m.
         digitized: For each landmark its point in body_ref, m; None while it is open.
-        previous_digitized: The last complete digitization, and the landmarks it belongs to.
+        previous_digitization: The last complete digitization.
         registered: The registration in force.
         previous: The last accepted registration, in force or not.
         plan: ``image_from_coil`` of the accepted tool plan.
@@ -60,8 +69,7 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
 
     landmarks: tuple[Landmark, ...] = ()
     digitized: tuple[Point | None, ...] = ()
-    previous_landmarks: tuple[Landmark, ...] = ()
-    previous_digitized: tuple[Point, ...] = ()
+    previous_digitization: Digitized | None = None
     registered: Registered | None = None
     previous: Registered | None = None
     plan: PoseMessage | None = None

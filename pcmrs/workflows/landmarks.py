@@ -13,7 +13,7 @@ from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.messages import LandmarkPrompt
 from pcmrs.registration import register_points
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.data import Landmark, PlacementData, Point, Registered, as_message, as_point
+from pcmrs.workflows.data import Digitized, Landmark, PlacementData, Point, Registered, as_message, as_point
 
 Run = AnyRun[Cell, PlacementData]
 
@@ -92,18 +92,20 @@ def reopen_landmark(run: Run) -> None:
 
 
 def previous_digitization_fits(run: Run) -> None:
-    """Refuses a previous digitization that was made for other landmarks."""
-    data = run.data
-    if not data.previous_digitized:
+    """Refuses a previous digitization of other landmarks, of another patient or with another calibration."""
+    previous = run.data.previous_digitization
+    if previous is None:
         raise RefusalError("no_previous_digitization", "No complete digitization was made before: digitize first.")
-    if data.previous_landmarks != data.landmarks:
+    if previous.landmarks != run.data.landmarks:
         text = "The previous digitization was made for other planned landmarks: digitize the present ones."
         raise RefusalError("other_landmarks", text)
+    _check_same_head(run, previous.patient, previous.calibration)
 
 
 def take_previous_digitization(run: Run) -> None:
     """Takes all points of the previous digitization."""
-    _keep_digitized(run, run.data.previous_digitized)
+    previous = run.data.previous_digitization
+    _keep_digitized(run, previous.points if previous is not None else ())
 
 
 def residual_within_limit(run: Run) -> None:
@@ -142,14 +144,19 @@ def keep_registration(run: Run) -> None:
 
 def previous_registration_fits(run: Run) -> None:
     """Refuses a previous registration of another patient or made with another calibration."""
-    previous, cell = run.data.previous, run.cell
+    previous = run.data.previous
     if previous is None:
         raise RefusalError("no_previous_registration", "No registration was accepted before: register first.")
-    if previous.patient != cell.settings.patient:
-        text = f"The previous registration belongs to patient {previous.patient}, not {cell.settings.patient}."
-        raise RefusalError("other_patient", text, patient=previous.patient)
-    if previous.calibration != cell.calibration_id:
-        raise RefusalError("other_calibration", "The calibration has changed since the previous registration.")
+    _check_same_head(run, previous.patient, previous.calibration)
+
+
+def _check_same_head(run: Run, patient: str, calibration: str) -> None:
+    settings = run.cell.settings
+    if patient != settings.patient:
+        text = f"The previous one belongs to patient {patient}, not {settings.patient}: make a new one."
+        raise RefusalError("other_patient", text, patient=patient)
+    if calibration != run.cell.calibration_id:
+        raise RefusalError("other_calibration", "The calibration has changed since the previous one: make a new one.")
 
 
 def take_previous_registration(run: Run) -> None:
@@ -178,7 +185,11 @@ def _keep_digitized(run: Run, points: tuple[Point | None, ...]) -> None:
     run.keep(digitized=points)
     complete = run.data.complete_digitization()
     if complete:
-        run.keep(previous_digitized=complete, previous_landmarks=run.data.landmarks)
+        cell, landmarks = run.cell, run.data.landmarks
+        previous = Digitized(
+            landmarks=landmarks, points=complete, patient=cell.settings.patient, calibration=cell.calibration_id
+        )
+        run.keep(previous_digitization=previous)
     run.result["digitized"] = sum(point is not None for point in points)
 
 

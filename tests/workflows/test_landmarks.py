@@ -1,4 +1,5 @@
-"""Planning, digitizing and registering: what is refused, and what ends a registration."""
+"""Planning, digitizing and registering: what is refused, and what ends a registration."""from pcmrs.workflows.settings import PoseSetting
+
 
 from __future__ import annotations
 
@@ -238,3 +239,17 @@ async def test_the_session_can_be_initiated_anew_and_gone_through_again(bench: W
     assert bench.states["digitization"] == "0"
     assert bench.data.landmarks == ()
     await bench.register()
+
+
+async def test_the_previous_digitization_belongs_to_a_patient_and_a_calibration(bench: WorkflowBench) -> None:
+    await bench.register()
+    await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+    mine = bench.cell.settings
+    bench.cell.settings = msgspec.structs.replace(mine, patient="somebody else")
+    await bench.refuse("digitization.reuse_previous", "other_patient")
+    other_tip = msgspec.structs.replace(mine.calibration, pointer_from_tip=PoseSetting((0.0, 0.0, -0.2)))
+    bench.cell.settings = msgspec.structs.replace(mine, calibration=other_tip)
+    await bench.refuse("digitization.reuse_previous", "other_calibration")
+    bench.cell.settings = mine
+    await bench.accept("digitization.reuse_previous")
+    assert bench.states["registration"] == "110"
