@@ -1,5 +1,4 @@
-"""Planning, digitizing and registering: what is refused, and what ends a registration."""from pcmrs.workflows.settings import PoseSetting
-
+"""Planning, digitizing and registering: what is refused, and what ends a registration."""
 
 from __future__ import annotations
 
@@ -11,6 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
+
+from pcmrs.workflows.settings import PoseSetting
 
 COUNT = len(LANDMARKS)
 
