@@ -72,14 +72,14 @@ def check_fresh(clock: Clock, command: Command) -> None:
     """
     sent, ttl = command.sent, command.ttl
     if ttl is not None and (sent is None or not 0.0 <= ttl < math.inf):
-        text = f"A ttl of {ttl} s with sent = {sent} sets no limit: give both, ttl finite and not negative."
+        text = f"A ttl of {ttl} s with sent at {sent} sets no limit: give both, ttl finite and not negative."
         raise RefusalError("bad_arguments", text, ttl=str(ttl), sent=str(sent))
     if sent is None:
         return
     age = clock.wall() - sent
-    if not age >= -CLOCK_TOLERANCE:
+    if age < -CLOCK_TOLERANCE:
         text = f"The command was sent {-age:.3f} s in the future, more than {CLOCK_TOLERANCE:g} s: set its clock."
-        raise RefusalError("expired", text, age=str(age), limit=CLOCK_TOLERANCE)
+        raise RefusalError("expired", text, age=age, limit=CLOCK_TOLERANCE)
     if ttl is not None and age > ttl:
         text = f"The command is {age:.3f} s old; its sender set a limit of {ttl:.3f} s. Send it anew."
         raise RefusalError("expired", text, age=age, limit=ttl)

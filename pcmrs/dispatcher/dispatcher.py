@@ -126,7 +126,7 @@ class Dispatcher(Generic[C, D]):
         self._publish(self.snapshot())
         await self._record_event(event)
         await asyncio.wait([holding, *ending])
-        confirmed = holding.result()
+        confirmed: bool = holding.result()
         if not confirmed:
             await self._doubt(source)
         return confirmed
@@ -150,10 +150,9 @@ class Dispatcher(Generic[C, D]):
         self._spawn(self.report(event))
 
     async def close(self) -> None:
-        """Ends the procedure: nothing more is accepted, and whatever runs is stopped, so that motion is held."""
+        """Ends the procedure: the robot is held, whatever runs is stopped, and nothing more is accepted."""
         self._broken = self._broken or Reason(code="ending", text="The daemon is ending.")
-        if self._lanes.running or self._lanes.waiting:
-            await self.stop("shutdown")
+        await self.stop("shutdown")
         while self._tasks:
             await asyncio.wait(self._tasks)
 

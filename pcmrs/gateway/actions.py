@@ -9,7 +9,7 @@ from uuid import uuid4
 
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
-from pcmrs.gateway.commands import Action, Plan
+from pcmrs.gateway.commands import Action, Plan, Step
 from pcmrs.gateway.core import Core
 from pcmrs.gateway.grammar import Request
 from pcmrs.gateway.outcome import Outcome, of_verdict
@@ -23,8 +23,13 @@ Job = Callable[[], Awaitable[Outcome]]
 
 @dataclass(frozen=True, slots=True)
 class Services:
-    """What all peers share."""
+    """What all peers share.
 
+    Attributes:
+        run: Unique to one opening of the gateway: the daemon remembers commands for ever, a client's ids start anew.
+    """
+
+    run: str
     core: Core
     clock: Clock
     streams: Streams
@@ -41,11 +46,11 @@ class Actions:
     """
 
     def __init__(self, source: str, services: Services, lock: PlanLock) -> None:
-        self._source = source
+        self.source = source
         self._services = services
         self._core = services.core
         self._lock = lock
-        self._session = uuid4().hex
+        self._stops = 0
         self._landmarks = LandmarkSeries()
         self._pair = PosePair()
         self._handlers: dict[Action, Callable[[Request], Outcome | Job]] = {
@@ -78,6 +83,10 @@ class Actions:
         except RefusalError as refusal:
             return self.rejected(request, refusal.refusal_code)
 
+    def halt(self) -> None:
+        """Ends commands of several steps after the step under way, as Stop demands."""
+        self._stops += 1
+
     def accepted(self, request: Request, *numbers: float) -> Outcome:
         """The acceptance of a command that the gateway itself performs."""
         return Outcome("accepted", request.spec.branch, self._state(request), numbers=numbers)
@@ -102,20 +111,29 @@ class Actions:
     async def _run_steps(self, request: Request, arguments: dict[str, Any]) -> Outcome:
         """Submits the operations in order; the first that is not accepted ends the command."""
         outcome = self.accepted(request)
-        for number, step in enumerate(request.spec.steps):
-            if step.only_in is None or self._core.snapshot().branches.get(step.branch) in step.only_in:
-                outcome = await self._operate(request, number, step.branch, step.operation, arguments)
+        stops = self._stops
+        for number, step in enumerate(step for step in request.spec.steps if self._applies(step)):
+            if self._stops != stops:
+                return self.failed(request, "stopped")
+            outcome = await self._operate(request, number, step.branch, step.operation, arguments)
             if outcome.decision != "accepted":
                 break
         return outcome
 
+    def _applies(self, step: Step) -> bool:
+        return step.only_in is None or self._core.snapshot().branches.get(step.branch) in step.only_in
+
     async def _operate(
         self, request: Request, number: int, branch: str, operation: str, arguments: dict[str, Any]
     ) -> Outcome:
-        # A client's id is unique in its session only, the daemon's ids are unique for ever.
-        unique = f"{self._session}-{request.id}-{number}" if request.id is not None else uuid4().hex
-        command = Command(id=unique, branch=branch, operation=operation, source=self._source, arguments=arguments)
-        return of_verdict(await self._core.submit(command))
+        unique = f"{self._services.run}-{request.id}-{number}" if request.id is not None else uuid4().hex
+        command = Command(id=unique, branch=branch, operation=operation, source=self.source, arguments=arguments)
+        verdict = await self._core.submit(command)
+        if (verdict.branch, verdict.operation) != (branch, operation):
+            # The daemon recalled an earlier command: another one, or this one when it took other steps.
+            text = f"#{request.id} has been {verdict.branch}.{verdict.operation}; give each command an id of its own."
+            raise RefusalError("id_reused", text, id=request.id)
+        return of_verdict(verdict)
 
     def _announce_landmarks(self, request: Request) -> Outcome:
         self._lock.attempt(Plan.LANDMARKS)
@@ -152,8 +170,8 @@ class Actions:
         return outcome
 
     async def _stop(self, request: Request) -> Outcome:
-        await self._core.stop(self._source)
-        return self.accepted(request)
+        stands = await self._core.stop(self.source)
+        return self.accepted(request) if stands else self.failed(request, "hold_not_confirmed")
 
     def _read_flange(self, request: Request) -> Outcome:
         pose = self._core.flange_pose()

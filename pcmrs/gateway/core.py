@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 from pcmrs.messages import Command, Snapshot, Verdict
@@ -17,8 +18,11 @@ class Core(Protocol):
     async def submit(self, command: Command) -> Verdict:
         """Decides and performs one command; a rejection is a verdict, not an exception."""
 
-    async def stop(self, source: str) -> None:
-        """Stops everything and latches."""
+    async def stop(self, source: str) -> bool:
+        """Stops everything and latches; returns whether the robot confirmed that it stands."""
+
+    def on_stop(self, callback: Callable[[], None]) -> None:
+        """Calls back, synchronously, at every Stop whatever way it came."""
 
     def snapshot(self) -> Snapshot:
         """The state of all branches."""
@@ -45,4 +49,4 @@ class Core(Protocol):
         """``body_ref_from_image`` of the accepted registration."""
 
     def tracked(self) -> dict[str, Transform] | None:
-        """Measured ``body_from_tool``, ``tracker_from_body`` and ``tracker_from_tool`` of one frame, if fresh."""
+        """Measured ``body_from_tool``, ``tracker_from_body`` and ``tracker_from_tool``, newest of each, if fresh."""

@@ -11,6 +11,7 @@ from pcmrs.errors import PayloadError
 from pcmrs.gateway.actions import Actions, Services
 from pcmrs.gateway.commands import COMMANDS, Action
 from pcmrs.gateway.grammar import Request, parse, parse_tool_points
+from pcmrs.gateway.memory import Memory
 from pcmrs.gateway.series import PlanLock
 from pcmrs.gateway.session import Answer, Session
 from pcmrs.gateway.tasks import Tasks
@@ -53,6 +54,7 @@ class Intake:
         self._unsigned_peers = unsigned_peers
         self._sessions: dict[tuple[str, str, int], Session] = {}
         self._locks: dict[str, PlanLock] = {}
+        self._memory = Memory()
         self._clock: Clock = services.clock
         self._next_log = self._clock.monotonic()
 
@@ -89,10 +91,10 @@ class Intake:
                 "datagram_refused", link=link, peer=f"{peer[0]}:{peer[1]}", text=str(error), total=self.counters.refused
             )
 
-    def drop_queued(self) -> None:
-        """Rejects what waits in any session, because of Stop."""
+    def halt(self) -> None:
+        """Lets nothing that any peer sent before now begin, as Stop demands."""
         for session in self._sessions.values():
-            session.drop_queued()
+            session.halt()
 
     def _check_sender(self, host: str, exposed: bool) -> None:
         """Unsigned commands, and all are unsigned here, come from listed loopback peers on loopback links only."""
@@ -117,7 +119,7 @@ class Intake:
         transport = "tcp" if link == "tcp" else f"udp:{link}"
         lock = self._locks.setdefault(host, PlanLock())
         actions = Actions(f"{transport}:{host}:{port}", self._services, lock)
-        return Session(actions, self._clock, self._tasks, self.drop_queued, self._count_overflow)
+        return Session(actions, self._clock, self._tasks, self._memory, self._count_overflow)
 
     def _count_overflow(self) -> None:
         self.counters.overflowed += 1

@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from uuid import uuid4
 
 from pcmrs.clock import Clock
 from pcmrs.errors import ConfigurationError
@@ -20,6 +21,9 @@ from pcmrs.gateway.streams import Send, Streams
 from pcmrs.gateway.tasks import Tasks
 from pcmrs.gateway.tcp import LINK, TcpLink
 from pcmrs.gateway.udp import UdpLink
+
+FINISH_WITHIN = 1.0
+"""Seconds that closing waits for running commands to end and be answered."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +53,13 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         ConfigurationError: A port cannot be bound.
     """
     async with AsyncExitStack() as stack:
-        tasks = Tasks()
+        tasks, jobs = Tasks(), Tasks()
         stack.push_async_callback(tasks.close)
+        stack.push_async_callback(jobs.close)
         streams = Streams(core, clock, config, await _open_sender(stack), tasks)
         records = Records(core, clock, folder, tasks)
-        intake = Intake(Services(core, clock, streams, records), tasks, config.unsigned_peers)
+        intake = Intake(Services(uuid4().hex, core, clock, streams, records), jobs, config.unsigned_peers)
+        core.on_stop(intake.halt)
         addresses = {
             name: await _open_udp(stack, UdpLink(name, link, intake), config.host, link)
             for name, link in config.links().items()
@@ -61,6 +67,8 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         }
         if config.tcp_port is not None:
             addresses[LINK] = await _open_tcp(stack, TcpLink(intake, tasks), config.host, config.tcp_port)
+        # Left first, while the sockets are open: clients learn what became of commands that the daemon has ended.
+        stack.push_async_callback(jobs.finish, clock, FINISH_WITHIN)
         yield Gateway(addresses, intake.counters)
 
 

@@ -14,6 +14,7 @@ from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.gateway.actions import Actions, Job
 from pcmrs.gateway.commands import Action, Second
 from pcmrs.gateway.grammar import Request
+from pcmrs.gateway.memory import Memory
 from pcmrs.gateway.outcome import NO_DATA, Outcome
 from pcmrs.gateway.tasks import Tasks
 
@@ -49,22 +50,21 @@ class Session:
         actions: What the commands do.
         clock: The machine's clock.
         tasks: Owns what runs.
-        on_stop: Called when this peer sends Stop, before it takes effect.
+        memory: Remembers the outcomes of commands with an id, of all peers.
         on_overflow: Called when a command is refused because too many wait.
     """
 
     def __init__(
-        self, actions: Actions, clock: Clock, tasks: Tasks, on_stop: Callable[[], None], on_overflow: Callable[[], None]
+        self, actions: Actions, clock: Clock, tasks: Tasks, memory: Memory, on_overflow: Callable[[], None]
     ) -> None:
         self._actions = actions
         self._clock = clock
         self._tasks = tasks
-        self._on_stop = on_stop
+        self._memory = memory
         self._on_overflow = on_overflow
         self._queue: deque[Queued] = deque()
         self._draining = False
         self._running = 0
-        self._verdicts: dict[str, asyncio.Future[Outcome]] = {}
 
     @property
     def idle(self) -> bool:
@@ -83,18 +83,22 @@ class Session:
         if request.spec.second is not None and answer.acknowledge is not None:
             self._tasks.spawn(self._send_second(request.spec.second, ended, answer.acknowledge))
 
-    def drop_queued(self) -> None:
-        """Rejects what waits, as Stop demands."""
+    def halt(self) -> None:
+        """Rejects what waits and ends what has steps to come, as Stop demands."""
+        self._actions.halt()
         while self._queue:
             request, _, ended = self._queue.popleft()
             ended.set_result(self._actions.rejected(request, "stopped"))
 
     def _receive_identified(self, request: Request, client_id: str, verdict: Send) -> None:
-        ended = self._verdicts.get(client_id)
+        # Stop is honoured every time, whatever its id.
+        repeatable = request.spec.action is Action.STOP
+        ended = None if repeatable else self._memory.recall(self._actions.source, client_id)
         if ended is not None and not ended.done():
             return  # attached: the reply under way goes to this same sender
         if ended is None:
-            ended = self._verdicts[client_id] = self._begin(request)
+            ended = self._begin(request)
+            self._memory.keep(self._actions.source, client_id, ended)
         ended.add_done_callback(lambda done: None if done.cancelled() else verdict(done.result().reply(client_id)))
 
     def _begin(self, request: Request) -> asyncio.Future[Outcome]:
@@ -103,7 +107,6 @@ class Session:
         if isinstance(prepared, Outcome):
             ended.set_result(prepared)
         elif request.spec.action is Action.STOP:
-            self._on_stop()
             self._tasks.spawn(self._run(request, prepared, ended))
         elif len(self._queue) + self._running >= MAX_WAITING:
             self._on_overflow()

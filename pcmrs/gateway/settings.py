@@ -31,14 +31,15 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
     Attributes:
         host: Address that all links are bound to. One other than loopback refuses unsigned commands.
-        client_host: Where the streams for planner and visualization go.
-        mixed_reality_host: Where the mixed reality stream goes.
+        client_host: IPv4 address that the streams for planner and visualization go to.
+        mixed_reality_host: IPv4 address that the mixed reality stream goes to.
         tcp_port: Port of the TCP link; 0 takes any free port, None has no TCP link.
         stream_rate_hz: Rate of the pose streams.
         unsigned_peers: Loopback addresses whose unsigned commands are accepted.
 
     Raises:
-        ConfigurationError: `unsigned_peers` holds an address that is not loopback, or the rate is not positive.
+        ConfigurationError: `unsigned_peers` holds an address that is not loopback, a stream's host is no IPv4
+            address, or the rate is not positive.
     """
 
     host: str = "127.0.0.1"
@@ -61,6 +62,8 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
                     "such as 127.0.0.1. Remove it.",
                     peer=peer,
                 )
+        _check_ipv4("client_host", self.client_host)
+        _check_ipv4("mixed_reality_host", self.mixed_reality_host)
         if not self.stream_rate_hz > 0.0:
             raise ConfigurationError(
                 f"stream_rate_hz is {self.stream_rate_hz:g}; it must be greater than 0, 60 or more for visualization.",
@@ -76,6 +79,17 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             "mixed_reality": self.mixed_reality,
             "mep": self.mep,
         }
+
+
+def _check_ipv4(name: str, host: str) -> None:
+    """A name would have to be looked up at every datagram, so it is refused here."""
+    try:
+        ipaddress.IPv4Address(host)
+    except ValueError:
+        raise ConfigurationError(
+            f"{name} is {host!r}; it must be an IPv4 address such as 192.0.2.7. Write the address that a name has.",
+            **{name: host},
+        ) from None
 
 
 def is_loopback(host: str) -> bool:

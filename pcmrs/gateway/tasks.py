@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine
+from contextlib import suppress
 from typing import Any, TypeVar
 
 import structlog
@@ -27,6 +28,13 @@ class Tasks:
         task.add_done_callback(self._ended)
         return task
 
+    async def finish(self, clock: Clock, seconds: float) -> None:
+        """Waits until the tasks that run now have ended, at most `seconds` of `clock`."""
+        if self._running:
+            with suppress(TimeoutError):
+                async with clock.timeout(seconds):
+                    await asyncio.wait(self._running)
+
     async def close(self) -> None:
         """Cancels all tasks and waits for their end."""
         running = list(self._running)
@@ -41,7 +49,7 @@ class Tasks:
 
 
 class Repetition:
-    """Something done at a steady rate between `start` and `stop`.
+    """Something done at a steady rate between `start` and `stop`, whatever the network says to it.
 
     Args:
         clock: Paces it.
@@ -56,6 +64,7 @@ class Repetition:
         self._tick = tick
         self._tasks = tasks
         self._task: asyncio.Task[None] | None = None
+        self._failing = False
 
     def start(self) -> None:
         """Begins, unless it runs."""
@@ -71,7 +80,18 @@ class Repetition:
     async def _repeat(self) -> None:
         due = self._clock.monotonic()
         while True:
-            self._tick()
+            self._try()
             now = self._clock.monotonic()
             due = max(due + self._period, now)  # ticks missed in a stall are not made up for
             await self._clock.sleep(due - now)
+
+    def _try(self) -> None:
+        """One tick; only the first of several that fail in a row is logged."""
+        try:
+            self._tick()
+        except OSError as error:
+            if not self._failing:
+                _log.warning("not_sent", tick=self._tick.__qualname__, reason=str(error))
+            self._failing = True
+        else:
+            self._failing = False

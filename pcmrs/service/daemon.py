@@ -96,7 +96,6 @@ class Daemon:
             dispatcher = _open_dispatcher(bus, workflow, cell, clock, recorder)
             await self._start_devices(stack, bus, cell, dispatcher)
             stack.push_async_callback(self._end_tasks)
-            stack.push_async_callback(dispatcher.close)
             edge = await CommandEdge.open(bus, dispatcher.submit, self._stopper(dispatcher))
             stack.push_async_callback(edge.close)
             core = GatewayCore(dispatcher, cell)
@@ -107,7 +106,7 @@ class Daemon:
             bus.alive("daemon")
             bus.publish("state/fsm", dispatcher.snapshot())
             # Entered last, so left first: the arm stands, and latched, before anything else ends.
-            stack.push_async_callback(dispatcher.stop, "shutdown")
+            stack.push_async_callback(dispatcher.close)
             yield Ready(
                 prefix=bus.prefix,
                 endpoint=settings.cell.endpoint,

@@ -22,6 +22,7 @@ class Cell:
     replies: UdpClient
     stream: UdpClient
     folder: Path
+    config: GatewayConfig
 
     @property
     def planner(self) -> tuple[str, int]:
@@ -58,6 +59,7 @@ async def cell(tmp_path: Path) -> AsyncIterator[Cell]:
     )
     core, clock = FakeCore(), ManualClock()
     async with open_gateway(core, config, clock, tmp_path) as gateway:
-        yield Cell(core, clock, gateway, client, replies, stream, tmp_path)
+        yield Cell(core, clock, gateway, client, replies, stream, tmp_path, config)
+        core.open_gates()
     for socket in (client, replies, stream):
         socket.transport.close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import defaultdict
+from collections.abc import Callable
 from typing import Any, Self, cast
 
 import numpy as np
@@ -21,7 +22,10 @@ CONFIRMED = {
 
 
 class FakeCore:
-    """Accepts everything except what `refusals` names; an operation with a closed gate waits for it."""
+    """Accepts everything except what `refusals` names; an operation with a closed gate waits for it.
+
+    A repeat of (source, id) gets the recorded verdict; `commands` holds what ran.
+    """
 
     def __init__(self) -> None:
         self.branches = {
@@ -33,6 +37,9 @@ class FakeCore:
         self.results: dict[str, dict[str, Any]] = {}
         self.gates: dict[str, asyncio.Event] = defaultdict(_open_gate)
         self.stops: list[str] = []
+        self.stands = True
+        self._on_stop: list[Callable[[], None]] = []
+        self._verdicts: dict[tuple[str, str], Verdict] = {}
         self.pose: Transform | None = POSE
         self.target: Transform | None = POSE
         self.tip: Floats | None = np.array([0.1, 0.2, 0.3])
@@ -42,11 +49,14 @@ class FakeCore:
         return [command.operation for command in self.commands]
 
     async def submit(self, command: Command) -> Verdict:
+        key = (command.source, command.id)
+        if key in self._verdicts:
+            return self._verdicts[key]
         self.commands.append(command)
         self.arrived.set()
         await self.gates[command.operation].wait()
         code = self.refusals.get(command.operation)
-        return Verdict(
+        self._verdicts[key] = Verdict(
             id=command.id,
             branch=command.branch,
             operation=command.operation,
@@ -56,9 +66,21 @@ class FakeCore:
             reason=Reason(code=code, text="") if code else None,
             result=self.results.get(command.operation),
         )
+        return self._verdicts[key]
 
-    async def stop(self, source: str) -> None:
+    async def stop(self, source: str) -> bool:
         self.stops.append(source)
+        for callback in self._on_stop:
+            callback()
+        return self.stands
+
+    def on_stop(self, callback: Callable[[], None]) -> None:
+        self._on_stop.append(callback)
+
+    def open_gates(self) -> None:
+        """Lets everything that waits end, as the daemon does before the gateway closes."""
+        for gate in self.gates.values():
+            gate.set()
 
     def snapshot(self) -> Snapshot:
         return Snapshot(

@@ -4,6 +4,7 @@ import asyncio
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from gateway_fakes import CONFIRMED, FakeCore, ManualClock, UdpClient
 
@@ -153,7 +154,7 @@ async def test_the_same_id_of_another_peer_is_another_command(cell: Any) -> None
     other = await UdpClient.open()
     await cell.ask("rob_conn_onxxxxx_#1;")
     await other.ask("rob_conn_onxxxxx_#1;", cell.planner)
-    assert len({command.id for command in cell.core.commands}) == 2
+    assert len({(command.source, command.id) for command in cell.core.commands}) == 2
     other.transport.close()
 
 
@@ -169,6 +170,11 @@ async def test_stop_passes_what_runs_and_rejects_what_waits(cell: Any) -> None:
     await cell.tell("rob_conn_onxxxxx;")
     await settle(cell)
     assert cell.core.operations == ["digitize_all", "connect"]
+
+
+async def test_a_stop_that_is_not_confirmed_is_no_success(cell: Any) -> None:
+    cell.core.stands = False
+    assert await cell.ask("stop_now_xxxxxxx_#9;", cell.robot) == "9_failed_robot_1_hold_not_confirmed;"
 
 
 async def test_commands_of_one_peer_run_in_the_order_of_their_arrival(cell: Any) -> None:
@@ -327,6 +333,14 @@ async def test_a_loopback_peer_that_is_not_listed_is_refused(tmp_path: Path, ref
         await refused.acquire()
     assert core.stops == []
     client.transport.close()
+
+
+@pytest.mark.parametrize("field", ["client_host", "mixed_reality_host"])
+@pytest.mark.parametrize("host", ["headset.local", "::1", "", "192.0.2.300"])
+def test_streams_go_to_ipv4_addresses_only(field: str, host: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"{field} is '{host}'") as error:
+        msgspec.convert({field: host}, GatewayConfig)
+    assert error.value.fields == {field: host}
 
 
 def test_only_loopback_peers_may_be_listed() -> None:

@@ -11,6 +11,7 @@ from gateway_fakes import POSE, FakeCore, ManualClock
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from structlog.testing import capture_logs
 
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.records import Records, placement_text
@@ -81,6 +82,25 @@ async def test_the_pose_stream_keeps_its_rate_and_sends_unity_plans_once() -> No
     await sent.wait(3)
     assert {port for _, port in sent.messages} == {8083}
     streams.stop_tip()
+    await tasks.close()
+
+
+async def test_a_stream_outlives_a_network_that_is_down() -> None:
+    sent, tasks = Sent(), Tasks()
+    failures = 3
+
+    def send(text: str, host: str, port: int) -> None:
+        nonlocal failures
+        failures -= 1
+        if failures >= 0:
+            raise OSError(101, "Network is unreachable")
+        sent(text, host, port)
+
+    streams = Streams(FakeCore(), ManualClock(), GatewayConfig(), send, tasks)
+    with capture_logs() as logged:
+        streams.start_tip()
+        await sent.wait(2)
+    assert [entry["reason"] for entry in logged] == ["[Errno 101] Network is unreachable"]
     await tasks.close()
 
 
