@@ -116,10 +116,16 @@ class Client:
     async def watch(self) -> AsyncGenerator[Event, None]:
         """Yields the last snapshot, then snapshots, verdicts and device events as they come; never ends."""
         events: asyncio.Queue[Event] = asyncio.Queue()
-        self._bus.subscribe("state/fsm", Snapshot, lambda _, snapshot: events.put_nowait(snapshot))
-        self._bus.subscribe("state/event", dict, lambda _, fields: events.put_nowait(_event(fields)))
-        while True:
-            yield await events.get()
+        ends = (
+            self._bus.subscribe("state/fsm", Snapshot, lambda _, snapshot: events.put_nowait(snapshot)),
+            self._bus.subscribe("state/event", dict, lambda _, fields: events.put_nowait(_event(fields))),
+        )
+        try:
+            while True:
+                yield await events.get()
+        finally:
+            for end in ends:
+                await end()
 
     async def request_device(
         self, device: str, method: str, arguments: Mapping[str, Any] | None = None, timeout: float = 5.0

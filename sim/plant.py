@@ -6,6 +6,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import structlog
 
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.mjcf import mjcf
@@ -17,6 +18,11 @@ STEP = 0.001
 COIL_MASS = 1.0  # kg: a figure-of-eight coil without its cable
 COIL_RADIUS = 0.05  # m
 COIL_HALF_THICKNESS = 0.01  # m
+
+log = structlog.get_logger(__name__)
+
+# By itself MuJoCo writes its warnings to a file in whatever folder it was started in.
+mujoco.set_mju_user_warning(lambda text: log.warning("mujoco", text=text))
 
 
 def plant_model(facts: ArmFacts, settings: ArmSettings, flange_from_coil: Transform) -> Any:

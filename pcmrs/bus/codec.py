@@ -7,7 +7,7 @@ others are MessagePack. The declared encoding is not looked at: command-line too
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final, TypeVar
 
 import msgpack
@@ -20,6 +20,9 @@ T = TypeVar("T")
 
 MAX_BYTES: Final = 16 * 1024 * 1024
 """Largest payload of a message whose type does not set its own `max_bytes`."""
+
+MAX_DEPTH: Final = 32
+"""Lists and maps that may lie around a value, far fewer than whoever handles it by recursion can take."""
 
 _INTEGER_LIMIT: Final = 2**63
 
@@ -65,8 +68,8 @@ def unpack(payload: bytes, kind: type[T]) -> T:
     """The message of type `kind` that the bytes hold.
 
     Raises:
-        PayloadError: Too long, neither MessagePack nor JSON, not of `kind`, or with a number that is
-            not finite or has more than 64 bits.
+        PayloadError: Too long, nested too deeply, neither MessagePack nor JSON, not of `kind`, or with a
+            number that is not finite or has more than 64 bits.
     """
     limit = getattr(kind, "max_bytes", MAX_BYTES)
     if len(payload) > limit:
@@ -100,21 +103,29 @@ def _decode(payload: bytes) -> Any:
 
 
 def _require_plain(value: Any) -> None:
-    """Walks without recursion, since the depth is the sender's choice."""
-    pending = [value]
-    while pending:
-        item = pending.pop()
-        if isinstance(item, dict):
-            if not all(isinstance(key, str) for key in item):
-                raise PayloadError("A map has a key that is no text; use text for keys.")
-            pending.extend(item.values())
-        elif isinstance(item, list):
-            pending.extend(item)
-        elif isinstance(item, float):
-            if not math.isfinite(item):
-                raise PayloadError(f"{item} is not a finite number; send finite numbers only.", value=str(item))
-        elif isinstance(item, int):
-            if not -_INTEGER_LIMIT <= item < _INTEGER_LIMIT:
-                raise PayloadError("An integer has more than 64 bits; send it as text.")
-        elif not isinstance(item, str | bytes | None):
-            raise PayloadError(f"{type(item).__name__} is no type of this bus; use numbers, text, lists and maps.")
+    """Walks level by level without recursion, since the depth is the sender's choice."""
+    level = [value]
+    for _ in range(MAX_DEPTH + 1):
+        level = [part for item in level for part in _parts(item)]
+        if not level:
+            return
+    raise PayloadError(f"A value lies more than {MAX_DEPTH} lists and maps deep; send flatter data.", limit=MAX_DEPTH)
+
+
+def _parts(item: Any) -> Iterable[Any]:
+    """What a list or map holds, nothing for other values. Raises `PayloadError` if it is no plain data."""
+    if isinstance(item, dict):
+        if not all(isinstance(key, str) for key in item):
+            raise PayloadError("A map has a key that is no text; use text for keys.")
+        return item.values()
+    if isinstance(item, list):
+        return item
+    if isinstance(item, float):
+        if not math.isfinite(item):
+            raise PayloadError(f"{item} is not a finite number; send finite numbers only.", value=str(item))
+    elif isinstance(item, int):
+        if not -_INTEGER_LIMIT <= item < _INTEGER_LIMIT:
+            raise PayloadError("An integer has more than 64 bits; send it as text.")
+    elif not isinstance(item, str | bytes | None):
+        raise PayloadError(f"{type(item).__name__} is no type of this bus; use numbers, text, lists and maps.")
+    return ()

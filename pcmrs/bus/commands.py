@@ -19,8 +19,8 @@ Submit = Callable[[Command], Awaitable[Verdict]]
 class CommandEdge:
     """Answers queries on ``cmd/*/*/*`` with their verdicts and submits what is put there.
 
-    The verdict on a put is for whoever publishes decisions; only a put that is no command at all is
-    refused on ``state/event`` from here. Use `CommandEdge.open`.
+    The verdict on a put is for whoever publishes decisions; only a put that is no command at all, or one
+    too many, is refused on ``state/event`` from here. Use `CommandEdge.open`.
     """
 
     def __init__(self, bus: Bus, submit: Submit, lane: StopLane) -> None:
@@ -28,8 +28,10 @@ class CommandEdge:
         self._submit = submit
         self._lane = lane
         self._submitted: set[asyncio.Task[Verdict]] = set()
-        bus.serve(_COMMANDS, Envelope, self._answer, refuse=refusal)
-        bus.subscribe(_COMMANDS, Envelope, self._take, refuse=self._refuse)
+        self._ends = (
+            bus.serve(_COMMANDS, Envelope, self._answer, refuse=refusal),
+            bus.subscribe(_COMMANDS, Envelope, self._take, refuse=self._refuse),
+        )
 
     @classmethod
     async def open(cls, bus: Bus, submit: Submit, stop: Callable[[str], None]) -> CommandEdge:
@@ -47,7 +49,9 @@ class CommandEdge:
         return cls(bus, submit, await StopLane.open(bus.settings, stop))
 
     async def close(self) -> None:
-        """Gives up waiting for the verdicts on puts, and closes the lane of Stop; `bus` stays open."""
+        """Takes no more commands, gives up waiting for the verdicts on puts, and closes the lane of Stop."""
+        for end in self._ends:
+            await end()
         for task in self._submitted:
             task.cancel()
         await asyncio.gather(*self._submitted, return_exceptions=True)

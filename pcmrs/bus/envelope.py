@@ -18,8 +18,8 @@ class Envelope(Message, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     Attributes:
         id: Unique per user; a repeat runs nothing. Made up when it is missing.
-        sent: Unix seconds.
-        ttl: Seconds after `sent` beyond which the command is refused as expired.
+        sent: Unix seconds; refused when it lies in the future.
+        ttl: Seconds after `sent` beyond which the command is refused as expired; needs `sent`.
         arguments: Of the operation.
     """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pcmrs.bus.bridge import CAPACITY
 from pcmrs.bus.codec import unpack
 from pcmrs.errors import DeviceError, PayloadError, PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.messages import Reason
@@ -11,6 +12,11 @@ def reason_from(error: PcmrsError) -> Reason:
     """The error as data, under the code that a program may match on."""
     code = error.refusal_code if isinstance(error, RefusalError) else error.code
     return Reason(code=code, text=error.text, fields=error.fields)
+
+
+def busy() -> RefusalError:
+    """What is said of a message for which the queue into the event loop has no place."""
+    return RefusalError("busy", f"More than {CAPACITY} messages wait; send it again later.", limit=CAPACITY)
 
 
 def error_from(payload: bytes) -> PcmrsError:

@@ -13,10 +13,10 @@ from typing import Generic, TypeVar
 import msgspec
 import zenoh
 
-from pcmrs.bus.bridge import CAPACITY, Call
+from pcmrs.bus.bridge import Call
 from pcmrs.bus.codec import is_text, pack, pack_text, unpack
-from pcmrs.bus.reasons import reason_from
-from pcmrs.errors import PayloadError, PcmrsError, RefusalError
+from pcmrs.bus.reasons import busy, reason_from
+from pcmrs.errors import PayloadError, PcmrsError
 
 T = TypeVar("T")
 
@@ -56,8 +56,7 @@ class Service(Generic[T]):
         if "*" in key:
             self._send(query, key, PayloadError(f"{key} holds a wildcard; ask on one key.", key=key))
         elif not self.post(partial(self._start, query, key)):
-            busy = RefusalError("busy", f"More than {CAPACITY} requests wait; ask again later.", limit=CAPACITY)
-            self._send(query, key, self._refusal(key, busy))
+            self._send(query, key, self._refusal(key, busy()))
 
     def _relative(self, query: zenoh.Query) -> str:
         """A query with wildcards, such as ``svc/*``, means the served key when that has none."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import threading
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -19,6 +20,7 @@ from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
 from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.qos import class_of
+from pcmrs.bus.reasons import busy
 from pcmrs.bus.serving import Refuse, Service, payload_of
 from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.errors import PayloadError, PcmrsError
@@ -32,7 +34,7 @@ class Bus:
     """One process on the bus of a cell. Keys are relative to the cell, such as ``state/joints``.
 
     A process does not hear itself: its own messages and requests reach other processes only.
-    Use `Bus.open`; all methods belong to the event loop that opened it.
+    Use `Bus.open`; all methods but `publish` belong to the event loop that opened it.
     """
 
     def __init__(self, session: zenoh.Session, settings: BusSettings) -> None:
@@ -43,6 +45,7 @@ class Bus:
         self._bridge = Bridge(self._loop)
         self._pool = ThreadPoolExecutor(4, thread_name_prefix="pcmrs-bus")
         self._publishers: dict[str, zenoh.Publisher | ext.AdvancedPublisher] = {}
+        self._declaring = threading.Lock()
         self._receivers: list[Any] = []
         self._tokens: list[zenoh.LivelinessToken] = []
         self._tasks: set[asyncio.Task[None]] = set()
@@ -60,13 +63,14 @@ class Bus:
         return cls(session, settings)
 
     def publish(self, key: str, message: Any) -> None:
-        """Sends a message to all subscribers of `key`; drops it rather than wait for the link.
+        """Sends a message to all subscribers of `key`; drops it rather than wait for the link. From any thread.
 
         Raises:
             PayloadError: The message holds a value that cannot be sent.
         """
-        if key not in self._publishers:
-            self._publishers[key] = declare_publisher(self._session, self._absolute(key), class_of(key))
+        with self._declaring:
+            if key not in self._publishers:
+                self._publishers[key] = declare_publisher(self._session, self._absolute(key), class_of(key))
         self._publishers[key].put(pack(message))
 
     def subscribe(
@@ -75,7 +79,7 @@ class Bus:
         kind: type[T],
         handler: Callable[[str, T], None],
         refuse: Callable[[str, PcmrsError], object] | None = None,
-    ) -> None:
+    ) -> Any:
         """Calls `handler(relative key, message)` for every message on the key expression `key`.
 
         Of streams only the newest unread message per key is delivered; see `qos.DataClass`.
@@ -84,28 +88,35 @@ class Bus:
             key: Relative key expression; may hold wildcards.
             kind: Type of the messages; an empty payload is one without fields.
             handler: Runs in the event loop and returns soon.
-            refuse: Called in place of `handler` for a malformed message; without it, that is logged.
+            refuse: Called in place of `handler` for a message that is malformed or one too many; without it,
+                that is logged. It may run in any thread.
+
+        Returns:
+            A coroutine function without parameters that ends the subscription; closing the bus does it too.
         """
         data = class_of(key)
-        subscription = len(self._receivers)
+        refuse = refuse or _log_refusal
 
         def deliver(sample: zenoh.Sample) -> None:
-            received = str(sample.key_expr).removeprefix(f"{self.prefix}/")
+            received = self._relative(sample)
             try:
                 message = unpack(payload_of(sample), kind)
             except PayloadError as error:
-                (refuse or _log_refusal)(received, error)
+                refuse(received, error)
             else:
                 handler(received, message)
 
         def receive(sample: zenoh.Sample) -> None:
             call = partial(deliver, sample)
             if data.newest_only:
-                self._bridge.post_newest((subscription, str(sample.key_expr)), call)
+                self._bridge.post_newest((deliver, str(sample.key_expr)), call)
             elif not self._bridge.post(call):
-                _log.warning("Dropped a message on %s: too many wait", sample.key_expr)
+                # Here, not in the loop: nobody may keep that busy with what it has no time for.
+                refuse(self._relative(sample), busy())
 
-        self._receivers.append(declare_subscriber(self._session, self._absolute(key), data, receive))
+        subscriber = declare_subscriber(self._session, self._absolute(key), data, receive)
+        self._receivers.append(subscriber)
+        return partial(self._end, subscriber)
 
     def serve(
         self,
@@ -113,7 +124,7 @@ class Bus:
         kind: type[T],
         handler: Callable[[str, T], Awaitable[msgspec.Struct]],
         refuse: Refuse | None = None,
-    ) -> None:
+    ) -> Any:
         """Answers requests on the key expression `key`, each in a task of its own.
 
         A request in JSON text, or without payload, is answered in JSON text. A `PcmrsError` from `handler`
@@ -125,6 +136,9 @@ class Bus:
             handler: Makes the reply from relative key and request.
             refuse: Makes the reply to a request that is malformed or one too many; without it, that is an
                 error reply. It may run in any thread.
+
+        Returns:
+            A coroutine function without parameters that takes no more requests; closing the bus does it too.
         """
         service = Service(
             key=key,
@@ -140,6 +154,7 @@ class Bus:
             self._absolute(key), service.receive, allowed_origin=Locality.REMOTE
         )
         self._receivers.append(queryable)
+        return partial(self._end, queryable)
 
     async def request(self, key: str, message: Any, reply: type[T], timeout: float) -> T:
         """Asks the process that serves `key`, and returns its reply.
@@ -167,13 +182,22 @@ class Bus:
     async def close(self) -> None:
         """Ends running answers (their askers learn: unknown), then undeclares everything and closes."""
         self._bridge.close()
-        await self._in_pool(_undeclare, self._receivers)
+        receivers, self._receivers = self._receivers, []
+        await self._in_pool(_undeclare, receivers)
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await self._in_pool(_undeclare, [*self._tokens, *self._publishers.values()])
         await self._in_pool(self._session.close)
         self._pool.shutdown()
+
+    async def _end(self, receiver: Any) -> None:
+        if receiver in self._receivers:
+            self._receivers.remove(receiver)
+            await self._in_pool(receiver.undeclare)
+
+    def _relative(self, sample: zenoh.Sample) -> str:
+        return str(sample.key_expr).removeprefix(f"{self.prefix}/")
 
     def _absolute(self, key: str) -> str:
         return f"{self.prefix}/{key}"

@@ -117,7 +117,7 @@ async def _stop(address: Address) -> None:
 def _arguments(text: str) -> dict[str, Any]:
     try:
         arguments = json.loads(text)
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise PayloadError(f"The arguments are not JSON: {error}.") from None
     if not isinstance(arguments, dict):
         raise PayloadError('The arguments must be a JSON object, such as {"index": 0}.')

@@ -30,7 +30,7 @@ def show(path: Path | None, last: int, as_json: bool, file: Path | None, overrid
 
     path = path or read_settings(file, overrides).cell.path() / "journal.sqlite"
     with JournalReader(path) as reader:
-        for row in reader.read(limit=last or None):
+        for row in reader.read(last=last or None):
             click.echo(msgspec.json.encode(row).decode() if as_json else _line(row))
 
 

@@ -58,7 +58,7 @@ def node(driver: str, devices: tuple[str, ...], file: Path | None, overrides: tu
     lifeline = file is None and not overrides
     try:
         from_daemon = msgspec.json.decode(sys.stdin.buffer.readline(), type=Settings) if lifeline else None
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, RecursionError) as error:
         raise ConfigurationError(f"Standard input is no configuration: {error}.") from None
     settings = from_daemon or read_settings(file, overrides)
     run(serve_devices(settings, driver, devices, lifeline=lifeline))
@@ -97,7 +97,10 @@ def _log_to_stderr(*, verbose: bool) -> None:
             structlog.contextvars.merge_contextvars,
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso"),
-            structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty()),
+            # A rich traceback with its locals takes the event loop most of a second.
+            structlog.dev.ConsoleRenderer(
+                colors=sys.stderr.isatty(), exception_formatter=structlog.dev.plain_traceback
+            ),
         ],
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),
     )

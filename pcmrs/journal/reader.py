@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -21,12 +21,15 @@ class JournalReader:
     Args:
         path: Of the file.
 
+    Attributes:
+        path: Of the file; a second reader of it may work in another thread.
+
     Raises:
         JournalError: From the constructor: there is no such journal. From all methods: it cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self.path = path
         self._connection = open_for_reading(path)
 
     def __enter__(self) -> Self:
@@ -39,7 +42,8 @@ class JournalReader:
         self,
         *,
         after: int = 0,
-        limit: int | None = None,
+        first: int | None = None,
+        last: int | None = None,
         kind: Kind | None = None,
         branch: str | None = None,
         source: str | None = None,
@@ -49,7 +53,8 @@ class JournalReader:
 
         Args:
             after: Only rows with a larger sequence.
-            limit: At most so many: the last ones.
+            first: At most so many: the first ones, of the `last` ones when both are given.
+            last: At most so many: the last ones.
             kind: Only this kind.
             branch: Only of this branch.
             source: Only from this source.
@@ -58,10 +63,12 @@ class JournalReader:
         wanted = {"kind": kind, "branch": branch, "source": source, "command_id": command_id}
         filters = {column: value for column, value in wanted.items() if value is not None}
         where = " AND ".join(["sequence > ?", *(f"{column} = ?" for column in filters)])
-        newest = f"SELECT {_COLUMNS} FROM journal WHERE {where} ORDER BY sequence DESC LIMIT ?"
+        query, values = f"SELECT {_COLUMNS} FROM journal WHERE {where}", [after, *filters.values()]
+        if last is not None:
+            query, values = f"SELECT * FROM ({query} ORDER BY sequence DESC LIMIT ?)", [*values, last]
         # A negative limit is none.
-        values = (after, *filters.values(), -1 if limit is None else limit)
-        for sequence, body, previous, own in self._select(f"SELECT * FROM ({newest}) ORDER BY sequence", values):
+        values.append(-1 if first is None else first)
+        for sequence, body, previous, own in self._select(f"{query} ORDER BY sequence LIMIT ?", values):
             yield StoredRow(sequence=sequence, row=decode_row(body), previous_hash=previous, hash=own)
 
     def verdict_of(self, source: str, command_id: str) -> Verdict | None:
@@ -84,8 +91,8 @@ class JournalReader:
         """Closes the file."""
         self._connection.close()
 
-    def _select(self, query: str, values: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
+    def _select(self, query: str, values: Sequence[Any]) -> Iterator[tuple[Any, ...]]:
         try:
             yield from self._connection.execute(query, values)
         except sqlite3.Error as error:
-            raise JournalError(f"{self._path} cannot be read: {error}.", path=str(self._path)) from error
+            raise JournalError(f"{self.path} cannot be read: {error}.", path=str(self.path)) from error

@@ -83,7 +83,7 @@ def decode_row(body: bytes) -> JournalRow:
     """
     try:
         return msgspec.msgpack.decode(body, type=JournalRow)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise JournalError(f"A row of the journal is damaged: {error}. Keep the file and look at it.") from error
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -45,6 +44,16 @@ class JournalWriter:
         """
         if self.error is not None:
             raise self.error
+        try:
+            return self._append(rows)
+        except Exception as error:  # whatever it is, those who wait must hear of it
+            self.error = JournalError(
+                f"The journal cannot be written: {error}. "
+                "Nothing is acknowledged any more: see to the disk, then restart."
+            )
+            raise self.error from error
+
+    def _append(self, rows: Sequence[Encoded]) -> int:
         sequence, previous = self._sequence, self._hash
         records = []
         for row, body in rows:
@@ -53,21 +62,11 @@ class JournalWriter:
             keys = (row.kind, row.source, row.command_id, row.branch, row.wall)
             records.append((sequence, *keys, body, previous, own))
             previous = own
-        self._commit(records)
+        self._connection.execute("BEGIN IMMEDIATE")
+        self._connection.executemany(_INSERT, records)
+        self._connection.execute("COMMIT")
         self._sequence, self._hash = sequence, previous
         return sequence
-
-    def _commit(self, records: Sequence[tuple[object, ...]]) -> None:
-        try:
-            self._connection.execute("BEGIN IMMEDIATE")
-            self._connection.executemany(_INSERT, records)
-            self._connection.execute("COMMIT")
-        except sqlite3.Error as error:
-            self.error = JournalError(
-                f"The journal cannot be written: {error}. "
-                "Nothing is acknowledged any more: see to the disk, then restart."
-            )
-            raise self.error from error
 
     def close(self) -> None:
         """Closes the file; a transaction that failed is rolled back."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import islice
+import asyncio
+from pathlib import Path
 
 import msgspec
 
@@ -57,10 +58,15 @@ def answer_queries(bus: Bus, dispatcher: Dispatcher[Cell, PlacementData], journa
         return KeyTable(prefix=bus.prefix, keys=KEYS)
 
     async def page(_key: str, query: JournalQuery) -> JournalPage:
-        limit = max(1, min(query.limit, LARGEST_PAGE))
-        rows = islice(journal.read(after=query.after), limit)
-        return JournalPage(rows=[msgspec.to_builtins(row) for row in rows])
+        return await asyncio.to_thread(_journal_page, journal.path, query)
 
     bus.serve("svc/snapshot", Empty, snapshot)
     bus.serve("svc/keys", Empty, keys)
     bus.serve("svc/journal", JournalQuery, page)
+
+
+def _journal_page(path: Path, query: JournalQuery) -> JournalPage:
+    """Reads by a connection of its own, since it runs beside the event loop."""
+    rows = max(1, min(query.limit, LARGEST_PAGE))
+    with JournalReader(path) as journal:
+        return JournalPage(rows=[msgspec.to_builtins(row) for row in journal.read(after=query.after, first=rows)])

@@ -1,13 +1,15 @@
 """Codec: what is packed comes back, and other bytes are refused with a reason."""
 
+from collections.abc import Callable
 from contextlib import suppress
 
 import msgpack
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.bus.codec import Empty, is_text, pack, pack_text, unpack
+from pcmrs.bus.codec import MAX_DEPTH, Empty, is_text, pack, pack_text, unpack
 from pcmrs.bus.envelope import Envelope
 from pcmrs.bus.reasons import error_from, reason_from
 from pcmrs.errors import DeviceError, PayloadError, RefusalError, UnknownOutcomeError
@@ -125,6 +127,31 @@ def test_a_malformed_envelope_is_refused_with_a_reason(payload: bytes, says: str
     with pytest.raises(PayloadError) as refused:
         unpack(payload, Envelope)
     assert says.lower() in refused.value.text.lower()
+
+
+def nested(depth: int) -> dict[str, object]:
+    """An envelope's fields with a number that lies in `depth` lists and maps."""
+    value: object = 1
+    for _ in range(depth - 2):
+        value = [value]
+    return {"arguments": {"a": value}}
+
+
+@pytest.mark.parametrize("encode", [msgpack.packb, msgspec.json.encode])
+def test_nesting_is_limited_in_both_encodings(encode: Callable[[object], bytes]) -> None:
+    assert unpack(encode(nested(MAX_DEPTH)), Envelope).arguments == nested(MAX_DEPTH)["arguments"]
+    for depth in (MAX_DEPTH + 1, 250, 500):
+        with pytest.raises(PayloadError, match=f"more than {MAX_DEPTH} lists and maps deep"):
+            unpack(encode(nested(depth)), Envelope)
+
+
+@pytest.mark.parametrize("encode", [msgpack.packb, msgspec.json.encode])
+@given(depth=st.integers(MAX_DEPTH + 1, 5000))
+def test_no_nesting_ends_in_anything_but_a_payload_error(encode: Callable[[object], bytes], depth: int) -> None:
+    opening, closing = (b"[", b"]") if encode is msgspec.json.encode else (b"\x91", b"")
+    payload = encode({"arguments": {"a": 1}}).replace(encode(1), opening * depth + encode(1) + closing * depth)
+    with pytest.raises(PayloadError):
+        unpack(payload, Envelope)
 
 
 def test_the_limit_of_commands_does_not_bind_other_messages() -> None:

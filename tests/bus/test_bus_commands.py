@@ -143,6 +143,37 @@ async def test_too_many_commands_are_each_answered_busy() -> None:
         assert daemon.submitted.qsize() == CAPACITY
 
 
+async def test_too_many_puts_are_each_refused_busy_on_the_event_key() -> None:
+    async with running_daemon() as (daemon, session):
+        events = session.declare_subscriber(f"{daemon.bus.prefix}/state/event")
+        await get(daemon, session, PLAN)
+        daemon.submitted.get_nowait()
+        key, excess = f"{daemon.bus.prefix}/{PLAN}", 40
+        for number in range(CAPACITY + excess):
+            payload = b'{"id": "%d"}' % number
+            session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
+        # The loop has no turn until all refusals are here: they do not need it.
+        refused = [unpack(events.recv().payload.to_bytes(), Verdict) for _ in range(excess)]
+        assert {(verdict.decision, verdict.operation) for verdict in refused} == {("rejected", "plan_landmarks")}
+        assert {verdict.reason.code for verdict in refused if verdict.reason is not None} == {"busy"}
+        submitted = [(await asyncio.wait_for(daemon.submitted.get(), TIMEOUT)).id for _ in range(CAPACITY)]
+        assert submitted == [str(number) for number in range(CAPACITY)]
+
+
+async def test_an_envelope_nested_too_deeply_is_refused_as_query_and_as_put() -> None:
+    deep = b'{"id": "d", "arguments": {"a": ' + b"[" * 500 + b"]" * 500 + b"}}"
+    async with running_daemon() as (daemon, session):
+        events = session.declare_subscriber(f"{daemon.bus.prefix}/state/event")
+        verdicts = [unpack(await get(daemon, session, PLAN, deep), Verdict)]
+        session.put(f"{daemon.bus.prefix}/{PLAN}", deep)
+        event = await asyncio.wait_for(asyncio.to_thread(events.recv), TIMEOUT)
+        verdicts.append(unpack(event.payload.to_bytes(), Verdict))
+        for verdict in verdicts:
+            assert verdict.reason is not None
+            assert verdict.reason.code == "malformed"
+        assert daemon.submitted.empty()
+
+
 def verdict_of(replies: Any) -> dict[str, Any]:
     return json.loads(next(iter(replies)).ok.payload.to_bytes())  # type: ignore[no-any-return]
 
@@ -156,6 +187,19 @@ def await_busy(asked: list[Any], excess: int) -> list[Any]:
         assert verdict["reason"]["code"] == "busy"
         assert str(CAPACITY) in verdict["reason"]["text"]
     return refused
+
+
+async def test_a_closed_edge_takes_no_more_commands() -> None:
+    async with open_bus(new_cell()) as bus:
+        daemon = Daemon(bus)
+        edge = await CommandEdge.open(bus, daemon.submit, daemon.stopped.put_nowait)
+        with plain_session(bus.settings) as session:
+            await get(daemon, session, PLAN)
+            daemon.submitted.get_nowait()
+            await edge.close()
+            session.put(f"{bus.prefix}/{PLAN}", b"")
+            assert await asyncio.to_thread(lambda: list(session.get(f"{bus.prefix}/{PLAN}"))) == []
+        assert daemon.submitted.empty()
 
 
 async def test_stop_by_put_and_by_query() -> None:

@@ -97,6 +97,25 @@ async def test_two_subscribers_of_one_process_do_not_take_each_others_messages()
         assert heard == [[0, 1, 2, 3, 4]] * 3
 
 
+async def test_an_ended_subscription_hears_nothing_and_disturbs_no_other() -> None:
+    async with open_pair() as (router, client):
+        ended: list[int] = []
+        kept: list[int] = []
+        end = client.subscribe("state/pose/coil", BodyPose, lambda _, message: ended.append(message.frame_number))
+        client.subscribe("state/pose/coil", BodyPose, lambda _, message: kept.append(message.frame_number))
+        await sync(router, client)
+        router.publish("state/pose/coil", pose(1))
+        await sync(router, client)
+        await end()
+        client.subscribe("state/pose/coil", BodyPose, lambda _, message: kept.append(-message.frame_number))
+        await sync(router, client)
+        router.publish("state/pose/coil", pose(2))
+        await sync(router, client)
+        assert ended == [1]
+        assert sorted(kept) == [-2, 1, 2]
+    await end()  # the closed bus has ended it too
+
+
 async def test_a_malformed_message_is_ignored_and_the_next_one_heard() -> None:
     async with open_pair() as (router, _):
         received: asyncio.Queue[int] = asyncio.Queue()

@@ -4,11 +4,12 @@ import asyncio
 import subprocess
 import sys
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import aclosing, asynccontextmanager
 
 import msgspec
 import pytest
-from bus_cells import TIMEOUT, accepted, new_cell, open_bus, snapshot
+import zenoh
+from bus_cells import TIMEOUT, accepted, new_cell, open_bus, plain_session, snapshot
 
 from pcmrs.bus import Bus, CommandEdge, Empty
 from pcmrs.client import Client, Event
@@ -103,6 +104,30 @@ async def test_watch_yields_the_last_snapshot_then_what_happens() -> None:
         daemon.bus.publish("state/event", fault)
         assert await next_event() == fault
         await events.aclose()
+
+
+async def test_a_closed_watch_is_no_subscriber_any_more() -> None:
+    async with connected() as (daemon, client):
+        with plain_session(daemon.bus.settings) as session:
+            loop, changes = asyncio.get_running_loop(), asyncio.Queue[tuple[str, bool]]()
+
+            def listen(key: str) -> zenoh.Publisher:
+                def note(status: zenoh.MatchingStatus) -> None:
+                    loop.call_soon_threadsafe(changes.put_nowait, (key, status.matching))
+
+                publisher = session.declare_publisher(f"{daemon.bus.prefix}/{key}")
+                publisher.declare_matching_listener(note)
+                return publisher
+
+            async def next_changes() -> set[tuple[str, bool]]:
+                return {await asyncio.wait_for(changes.get(), TIMEOUT) for _ in publishers}
+
+            publishers = [listen("state/fsm"), listen("state/event")]
+            daemon.bus.publish("state/fsm", snapshot(1))
+            async with aclosing(client.watch()) as events:
+                await anext(events)
+                assert await next_changes() == {("state/fsm", True), ("state/event", True)}
+            assert await next_changes() == {("state/fsm", False), ("state/event", False)}
 
 
 async def test_a_device_answers_past_the_daemon() -> None:

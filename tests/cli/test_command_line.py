@@ -50,6 +50,8 @@ def test_without_a_daemon_the_status_is_3_and_one_line_says_so(words: list[str],
         (["robot.connect", "{index: 0}"], "not JSON"),
         (["robot.connect", "[1, 2]"], "JSON object"),
         (["robot.connect", "5"], "JSON object"),
+        (["robot.connect", '{"a": ' + "[" * 20000 + "]" * 20000 + "}"], "not JSON"),
+        (["robot.connect", '{"a": ' + "1" * 5000 + "}"], "not JSON"),
     ],
 )
 def test_arguments_that_are_no_json_object_are_refused_before_anybody_is_asked(words: list[str], text: str) -> None:

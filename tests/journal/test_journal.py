@@ -151,7 +151,29 @@ async def test_reading_can_be_narrowed(journal: Journal) -> None:
     assert sequences(read(branch="registration", after=1)) == [2, 4]
     assert sequences(read(source="udp:x")) == [4]
     assert sequences(read(command_id="a")) == [1, 2]
-    assert sequences(read(limit=2)) == [3, 4]
+    assert sequences(read(last=2)) == [3, 4]
+    assert sequences(read(first=2)) == [1, 2]
+    assert sequences(read(first=1, last=2)) == [3]
+    assert sequences(read(after=2, first=1)) == [3]
+    assert sequences(read(branch="registration", last=2)) == [2, 4]
+
+
+async def test_the_first_rows_cost_the_same_in_a_long_journal_as_in_a_short_one(path: Path) -> None:
+    journal = Journal.open(path, durable=False)
+
+    def cost() -> int:
+        """Steps of SQLite's machine for five rows."""
+        steps: list[None] = []
+        journal.reader._connection.set_progress_handler(lambda: steps.append(None), 1)
+        assert [stored.sequence for stored in journal.reader.read(after=3, first=5)] == [4, 5, 6, 7, 8]
+        journal.reader._connection.set_progress_handler(None, 1)
+        return len(steps)
+
+    await journal.append([row()] * 20)
+    short = cost()
+    await journal.append([row()] * 2000)
+    assert cost() <= short  # the first one reads the schema as well
+    await journal.close()
 
 
 @pytest.mark.parametrize("durable", [True, False])
@@ -167,6 +189,16 @@ async def test_after_a_failed_write_nothing_is_acknowledged(path: Path, durable:
     await journal.close()
     with JournalReader(path) as reader:
         assert [stored.sequence for stored in reader.read()] == [1]
+
+
+@pytest.mark.parametrize("durable", [True, False])
+async def test_an_error_that_is_not_sqlite_s_ends_the_journal_too(path: Path, durable: bool) -> None:
+    journal = Journal.open(path, durable=durable)
+    too_large = msgspec.structs.replace(row(), wall=2**63)  # for a column of SQLite, though not for MessagePack
+    for appended in (too_large, row(), row()):
+        with pytest.raises(JournalError, match="Nothing is acknowledged"):
+            await journal.append([appended])
+    await journal.close()
 
 
 async def test_a_row_that_is_no_data_is_refused_and_harms_nothing(journal: Journal) -> None:
@@ -221,6 +253,9 @@ def test_a_missing_or_foreign_file_is_refused(path: Path) -> None:
 def test_a_damaged_row_is_told() -> None:
     with pytest.raises(JournalError, match="damaged"):
         decode_row(msgspec.msgpack.encode({"kind": "intent"}))
+    deep = encode_row(row(arguments={"a": "x"})).replace(b"\xa1x", b"\x91" * 100_000)
+    with pytest.raises(JournalError, match="damaged"):
+        decode_row(deep)
 
 
 @pytest.mark.parametrize(("durable", "level"), [(True, 2), (False, 0)])

@@ -1,0 +1,62 @@
+"""Queries below ``svc/``: the journal a page at a time, read beside the event loop."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from pcmrs.bus import Bus
+from pcmrs.dispatcher import Dispatcher
+from pcmrs.journal import Journal, JournalReader, JournalRow
+from pcmrs.messages import BlueprintTag, JournalPage, JournalQuery
+from pcmrs.service.publishing import LARGEST_PAGE, answer_queries
+
+ROW = JournalRow(
+    kind="event",
+    wall=1.7e9,
+    monotonic=1.0,
+    boot_id="boot",
+    session_id="session",
+    blueprint=BlueprintTag(id="ratms", version="1", hash="0"),
+)
+
+
+class Served:
+    """A bus that remembers what is served."""
+
+    def __init__(self) -> None:
+        self.handlers: dict[str, Callable[[str, Any], Awaitable[Any]]] = {}
+
+    def serve(self, key: str, _kind: type, handler: Callable[[str, Any], Awaitable[Any]]) -> None:
+        self.handlers[key] = handler
+
+    async def page(self, **query: int) -> list[int]:
+        page = await self.handlers["svc/journal"]("svc/journal", JournalQuery(**query))
+        assert isinstance(page, JournalPage)
+        return [row["sequence"] for row in page.rows]
+
+
+async def test_the_journal_is_paged_from_its_beginning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    readers: set[int] = set()
+    read = JournalReader.read
+
+    def noted_read(self: JournalReader, **filters: Any) -> Any:
+        readers.add(threading.get_ident())
+        return read(self, **filters)
+
+    monkeypatch.setattr(JournalReader, "read", noted_read)
+    journal = Journal.open(tmp_path / "journal.sqlite", durable=False)
+    await journal.append([ROW] * (LARGEST_PAGE + 2))
+    served = Served()
+    answer_queries(cast(Bus, served), cast("Dispatcher[Any, Any]", None), journal.reader)
+    assert await served.page(limit=3) == [1, 2, 3]
+    assert await served.page(after=3, limit=2) == [4, 5]
+    assert await served.page(limit=10 * LARGEST_PAGE) == list(range(1, LARGEST_PAGE + 1))
+    assert await served.page(after=LARGEST_PAGE) == [LARGEST_PAGE + 1, LARGEST_PAGE + 2]
+    assert await served.page(after=10 * LARGEST_PAGE) == []
+    assert threading.get_ident() not in readers
+    await journal.close()
