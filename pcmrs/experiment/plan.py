@@ -41,5 +41,5 @@ def read_plan(path: Path) -> Plan:
         return msgspec.json.decode(path.read_bytes(), type=Plan)
     except OSError as error:
         raise ConfigurationError(f"{path} cannot be read: {error.strerror}.", file=str(path)) from None
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, RecursionError) as error:
         raise ConfigurationError(f"{path} is no plan: {error}.", file=str(path)) from None
