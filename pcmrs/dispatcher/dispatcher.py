@@ -253,6 +253,8 @@ class Dispatcher(Generic[C, D]):
     async def _steps(self, attempt: Attempt, run: Run[C, D]) -> Ending:
         """Takes the steps after the intent is durable; holds what has failed to move."""
         attempt.begun = True
+        if attempt.moves:
+            self._holding = None  # a hold asked for before this motion does not stop it
         try:
             self._publish(self.snapshot())
             await asyncio.shield(self._recorder.intent(attempt.command, run.states))
@@ -328,7 +330,7 @@ class Dispatcher(Generic[C, D]):
             )
 
     async def _hold_confirmed(self) -> bool:
-        """Holds the robot; those who ask while a hold is under way wait for that one."""
+        """Holds the robot; those who ask while a hold is under way, and nothing has moved since, wait for that one."""
 
         async def hold() -> bool:
             try:

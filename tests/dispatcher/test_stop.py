@@ -272,3 +272,28 @@ async def test_stops_share_a_hold_that_is_under_way(bench: Bench) -> None:
     await asyncio.gather(*(bench.dispatcher.stop("test:operator") for _ in range(50)))
     assert bench.holds == 1
     assert [row[:2] for row in bench.recorder.rows] == [("event", "stopped")] * 50
+
+
+async def test_a_hold_from_before_a_motion_does_not_serve_for_a_stop_in_it(bench: Bench) -> None:
+    """The first hold is answered late: by then it was acknowledged and something moves again."""
+    await bench.go(STANDOFF)
+    answered = asyncio.Event()
+    asked: list[int] = []
+
+    async def hold() -> None:
+        asked.append(len(asked))
+        await answered.wait()
+
+    bench.dispatcher._hold = hold
+    early = asyncio.create_task(bench.dispatcher.stop("test:operator"))
+    await settle()
+    await bench.do("robot.acknowledge")
+    bench.script.hang("placement.confirm")
+    motion = await bench.begin("placement.confirm")
+    late = asyncio.create_task(bench.dispatcher.stop("test:operator"))
+    await settle()
+    assert asked == [0, 1]
+    answered.set()
+    assert await early
+    assert await late
+    assert (await motion).state == "held"
