@@ -52,11 +52,16 @@ class ManualClock:
         """Moves time, waking whatever falls due, in order, and letting it run before time goes on."""
         end = self._now + seconds
         while self._due and self._due[0][0] <= end:
-            self._now, _, wake = heapq.heappop(self._due)
+            due, _, wake = heapq.heappop(self._due)
+            self._now = max(self._now, due)
             wake()
             await settle()
-        self._now = end
+        self._now = max(self._now, end)
         await settle()
+
+    def stall(self, seconds: float) -> None:
+        """Time in which nobody gets a turn, as when the machine is busy with others."""
+        self._now += seconds
 
     def _at(self, seconds: float, wake: Callable[[], None]) -> tuple[float, int, Callable[[], None]]:
         entry = (self._now + seconds, next(self._numbers), wake)

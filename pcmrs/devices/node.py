@@ -132,13 +132,21 @@ class DeviceNode:
         self._last_beat = self._clock.monotonic()
 
     async def _watch_beat(self) -> None:
+        listened = True
         while True:
+            before = self._clock.monotonic()
             await self._clock.sleep(BEAT_PERIOD)
-            silence = self._clock.monotonic() - self._last_beat
-            if self._moving and silence > BEAT_TIMEOUT:
+            now = self._clock.monotonic()
+            silence = now - self._last_beat
+            if not self._moving or silence <= BEAT_TIMEOUT:
+                listened = True
+            elif listened and now - before > BEAT_TIMEOUT / 2:
+                listened = False  # this process was held up itself: once, it hears first what has arrived meanwhile
+            else:
                 log.warning("held_by_node", reason="no heartbeat of the daemon", silence=round(silence, 3))
                 await self.hold("no heartbeat")
-                self._last_beat = self._clock.monotonic()
+                self._last_beat, listened = self._clock.monotonic(), True
+
 
 
 def _methods(protocol: type) -> list[str]:

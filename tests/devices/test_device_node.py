@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 
+import msgspec
 import pytest
 from clock import ManualClock, settle
 from memory_link import MemoryLink
@@ -244,6 +245,21 @@ async def test_a_moving_robot_is_held_when_the_daemon_falls_silent(bench: Bench)
         await bench.clock.advance(0.1)
     assert bench.robot_device.holds == 0
     await bench.clock.advance(BEAT_TIMEOUT + 2 * BEAT_PERIOD)
+    assert bench.robot_device.holds == 1
+
+
+async def test_a_node_that_was_held_up_itself_hears_first_what_has_arrived(bench: Bench) -> None:
+    bench.robot_device.stream.put_nowait(msgspec.structs.replace(STATE, moving=True))
+    bench.link.hear("dev/robot/beat", Beat(number=1))
+    await bench.clock.advance(0.1)
+    bench.clock.stall(2 * BEAT_TIMEOUT)
+    await bench.clock.advance(BEAT_PERIOD / 2)
+    bench.link.hear("dev/robot/beat", Beat(number=2))
+    await bench.clock.advance(2 * BEAT_PERIOD)
+    assert bench.robot_device.holds == 0
+    for _ in range(2):  # held up all the time, it does not wait for ever
+        bench.clock.stall(2 * BEAT_TIMEOUT)
+        await bench.clock.advance(BEAT_PERIOD / 2)
     assert bench.robot_device.holds == 1
 
 
