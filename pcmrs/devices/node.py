@@ -148,7 +148,6 @@ class DeviceNode:
                 self._last_beat, listened = self._clock.monotonic(), True
 
 
-
 def _methods(protocol: type) -> list[str]:
     return [name for name, value in vars(protocol).items() if callable(value) and not name.startswith("_")]
 
