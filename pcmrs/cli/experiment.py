@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
@@ -16,12 +18,42 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from pcmrs.cli.options import json_option
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
 
+if TYPE_CHECKING:
+    # For annotations only: asking for help must not load the experiments.
+    from pcmrs.experiment.setup import Setup, ShowProgress
+
 DEFAULT_RATE = 5.0
 NARROWEST = 100
 
 
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """The options that all experiments share; see `experiment_options` for what they mean."""
+
+    workflow: str
+    seed: int
+    rate: float
+    plan_file: Path | None
+    overrides: tuple[str, ...]
+    picture: Path | None
+
+    def setup(self, progress: ShowProgress) -> Setup:
+        """The experiment's setup. Raises `ConfigurationError` when its plan cannot be read."""
+        from pcmrs.experiment.plan import example_plan, read_plan
+        from pcmrs.experiment.setup import Setup
+
+        plan = read_plan(self.plan_file or example_plan(self.workflow))
+        return Setup(plan, self.workflow, self.seed, self.rate, self.overrides, progress)
+
+
 def experiment_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Adds the options that all experiments share."""
+    """Adds the options that all experiments share; the command gets them as `wanted`."""
+
+    @functools.wraps(function)
+    def command(**given: Any) -> Any:
+        shared = {field.name: given.pop(field.name) for field in fields(Wanted)}
+        return function(wanted=Wanted(**shared), **given)
+
     for option in (
         click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Sets one value of the daemon."),
         click.option("--picture", type=click.Path(path_type=Path), help="Also save the table as this SVG file."),
@@ -37,8 +69,8 @@ def experiment_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--seed", default=1, show_default=True, help="Of the simulated errors."),
         click.option("--workflow", default="ratms", show_default=True, help="Name of the workflow."),
     ):
-        function = option(function)
-    return function
+        command = option(command)
+    return command
 
 
 @click.group()
@@ -51,56 +83,26 @@ def experiment() -> None:
 @click.option("--trials", default=12, show_default=True, help="How many placements.")
 @json_option
 @readable_errors
-def placements(
-    workflow: str,
-    seed: int,
-    rate: float,
-    plan_file: Path | None,
-    overrides: tuple[str, ...],
-    picture: Path | None,
-    trials: int,
-    as_json: bool,
-) -> None:
+def placements(wanted: Wanted, trials: int, as_json: bool) -> None:
     """Place the tool at planned poses and measure it, beside the paper's errors."""
-    _placements(workflow, seed, rate, plan_file, overrides, picture, trials, as_json=as_json)
+    _placements(wanted, trials, as_json=as_json)
 
 
 @experiment.command()
 @experiment_options
 @json_option
 @readable_errors
-def failures(
-    workflow: str,
-    seed: int,
-    rate: float,
-    plan_file: Path | None,
-    overrides: tuple[str, ...],
-    picture: Path | None,
-    as_json: bool,
-) -> None:
+def failures(wanted: Wanted, as_json: bool) -> None:
     """Inject the paper's operator errors; each must be rejected where the paper says.
 
     Exit status 1 when a run did not end as published.
     """
     from pcmrs.cli.tables import failure_table
     from pcmrs.experiment.failures import run_failures
-    from pcmrs.experiment.plan import example_plan, read_plan
 
     with _progress() as progress:
-        report = run(
-            run_failures(
-                read_plan(plan_file or example_plan(workflow)),
-                workflow=workflow,
-                seed=seed,
-                rate=rate,
-                overrides=overrides,
-                progress=progress,
-            )
-        )
-    if as_json:
-        click.echo(msgspec.json.encode(report).decode())
-    else:
-        _print(failure_table(report), picture)
+        report = run(run_failures(wanted.setup(progress)))
+    _show(report, failure_table(report), wanted.picture, as_json=as_json)
     if report.summary.as_published < report.summary.runs:
         raise SystemExit(EXIT_REJECTED)
 
@@ -108,48 +110,29 @@ def failures(
 @click.command()
 @experiment_options
 @readable_errors
-def demo(
-    workflow: str, seed: int, rate: float, plan_file: Path | None, overrides: tuple[str, ...], picture: Path | None
-) -> None:
+def demo(wanted: Wanted) -> None:
     """Run a whole procedure on the simulated cell: plan, digitize, register, and 12 placements."""
     click.echo(
-        f"A simulated cell, {rate:g} times as fast as real time; speed limits as configured. "
+        f"A simulated cell, {wanted.rate:g} times as fast as real time; speed limits as configured. "
         "All commands go over UDP, as from 3D Slicer.\nResearch software, not a medical device."
     )
-    _placements(workflow, seed, rate, plan_file, overrides, picture, 12, as_json=False)
+    _placements(wanted, 12, as_json=False)
 
 
-def _placements(
-    workflow: str,
-    seed: int,
-    rate: float,
-    plan_file: Path | None,
-    overrides: tuple[str, ...],
-    picture: Path | None,
-    trials: int,
-    *,
-    as_json: bool,
-) -> None:
+def _placements(wanted: Wanted, trials: int, *, as_json: bool) -> None:
     from pcmrs.cli.tables import placement_table
     from pcmrs.experiment.placements import run_placements
-    from pcmrs.experiment.plan import example_plan, read_plan
 
     with _progress() as progress:
-        report = run(
-            run_placements(
-                read_plan(plan_file or example_plan(workflow)),
-                workflow=workflow,
-                seed=seed,
-                trials=trials,
-                rate=rate,
-                overrides=overrides,
-                progress=progress,
-            )
-        )
+        report = run(run_placements(wanted.setup(progress), trials))
+    _show(report, placement_table(report), wanted.picture, as_json=as_json)
+
+
+def _show(report: msgspec.Struct, table: RenderableType, picture: Path | None, *, as_json: bool) -> None:
     if as_json:
         click.echo(msgspec.json.encode(report).decode())
     else:
-        _print(placement_table(report), picture)
+        _print(table, picture)
 
 
 def _print(table: RenderableType, picture: Path | None) -> None:
@@ -168,7 +151,7 @@ def _print(table: RenderableType, picture: Path | None) -> None:
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[str, int, int], None]]:
+def _progress() -> Iterator[ShowProgress]:
     """A bar on standard error, so that standard output holds the result only."""
     columns = (TextColumn("{task.description:<40}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:

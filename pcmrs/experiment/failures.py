@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 import msgspec
 
 from pcmrs.errors import CommandRefusedError
-from pcmrs.experiment.placements import Progress, at_rate
 from pcmrs.experiment.plan import Plan
 from pcmrs.experiment.private import Bench, private_bench
 from pcmrs.experiment.published import FailureRun, published
+from pcmrs.experiment.setup import Setup
 
 NEXT_STATE = {"000": "100", "100": "110", "110": "111"}
 """The way of the registration: what could not be reached from where it stayed."""
@@ -63,9 +63,7 @@ class FailureReport(msgspec.Struct, frozen=True):
     summary: FailureSummary
 
 
-async def run_failures(
-    plan: Plan, *, workflow: str, seed: int, rate: float, overrides: Sequence[str], progress: Progress
-) -> FailureReport:
+async def run_failures(setup: Setup) -> FailureReport:
     """Runs every published failure injection of a workflow through a daemon of its own, over UDP.
 
     Every run has simulated errors of its own: seed + number of the run.
@@ -75,24 +73,24 @@ async def run_failures(
         CommandRefusedError: The daemon refused what must be accepted.
         DeviceError: The daemon did not start.
     """
-    runs = published(workflow).failures
+    runs = published(setup.workflow).failures
     results: list[FailureResult] = []
-    progress("starting the daemon", 0, len(runs))
-    settings = [*at_rate(rate), *overrides]
-    async with private_bench([f"workflow={workflow}", *settings]) as bench:
+    setup.progress("starting the daemon", 0, len(runs))
+    settings = setup.settings()
+    async with private_bench([f"workflow={setup.workflow}", *settings]) as bench:
         await bench.planner.connect()
         for done, run in enumerate(runs):
-            progress(f"run {run.run}: {run.injection.replace('_', ' ')}", done, len(runs))
-            await bench.scene.reseed(seed + run.run)
-            results.append(await _run(bench, plan, run))
+            setup.progress(f"run {run.run}: {run.injection.replace('_', ' ')}", done, len(runs))
+            await bench.scene.reseed(setup.seed + run.run)
+            results.append(await _run(bench, setup.plan, run))
             await bench.planner.reinitiate()
         limit = _limit_mm(bench)
-    progress("done", len(runs), len(runs))
+    setup.progress("done", len(runs), len(runs))
     return FailureReport(
         experiment="failures",
-        workflow=workflow,
-        seed=seed,
-        rate=rate,
+        workflow=setup.workflow,
+        seed=setup.seed,
+        rate=setup.rate,
         settings=settings,
         simulated=True,
         residual_limit_mm=limit,

@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import msgspec
 import numpy as np
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.experiment.plan import Plan
 from pcmrs.experiment.private import Bench, private_bench
 from pcmrs.experiment.published import published
+from pcmrs.experiment.setup import Setup
 from pcmrs.messages import PoseMessage, SceneTruth
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.workflows.data import Registered, as_message, as_transform
 from pcmrs.workflows.toolplan import ToolPose
-
-MAX_POSE_AGE = 0.25
-"""As configured by default, s of the machine."""
-
-Progress = Callable[[str, int, int], None]
-"""Told what is being done, and how many of how many steps are done."""
 
 
 class Trial(msgspec.Struct, frozen=True):
@@ -80,34 +74,28 @@ class PlacementReport(msgspec.Struct, frozen=True):
     summary: PlacementSummary
 
 
-async def run_placements(
-    plan: Plan, *, workflow: str, seed: int, trials: int, rate: float, overrides: Sequence[str], progress: Progress
-) -> PlacementReport:
+async def run_placements(setup: Setup, trials: int) -> PlacementReport:
     """Runs the experiment through a daemon of its own, commanded over UDP only.
 
     Args:
-        plan: Landmarks and poses; poses are taken in order, again from the first when there are fewer.
-        workflow: Name of the workflow.
-        seed: Of the simulated errors.
+        setup: Its poses are taken in order, again from the first when there are fewer than trials.
         trials: How many placements.
-        rate: Seconds of the simulated cell per second of the machine.
-        overrides: Further settings of the daemon.
-        progress: Told about every step.
 
     Raises:
         ConfigurationError: There are no trials or poses, or the workflow was not published.
         CommandRefusedError: The daemon refused a command; the text says which and why.
         DeviceError: The daemon did not start.
     """
+    plan, progress = setup.plan, setup.progress
     if trials < 2 or not plan.poses:
         raise ConfigurationError(
             f"{trials} trials of {len(plan.poses)} poses: at least 2 trials and 1 pose are needed."
         )
-    published(workflow)
+    published(setup.workflow)
     steps = 3 + trials
     progress("starting the daemon", 0, steps)
-    settings = [*at_rate(rate), *overrides]
-    async with private_bench([f"workflow={workflow}", f"sim.seed={seed}", *settings]) as bench:
+    settings = setup.settings()
+    async with private_bench([f"workflow={setup.workflow}", f"sim.seed={setup.seed}", *settings]) as bench:
         progress("planning and digitizing the landmarks", 1, steps)
         await bench.planner.connect()
         await bench.planner.plan_landmarks([landmark.position for landmark in plan.landmarks])
@@ -122,23 +110,15 @@ async def run_placements(
     progress("done", steps, steps)
     return PlacementReport(
         experiment="placements",
-        workflow=workflow,
-        seed=seed,
-        rate=rate,
+        workflow=setup.workflow,
+        seed=setup.seed,
+        rate=setup.rate,
         settings=settings,
         simulated=True,
         residual_mm=residual_mm,
         trials=done,
-        summary=_summary(workflow, done),
+        summary=_summary(setup.workflow, done),
     )
-
-
-def at_rate(rate: float) -> list[str]:
-    """Settings of a simulated cell `rate` times as fast as real time.
-
-    A pose is as long on the bus as ever, which is `rate` times as long for the cell: it may be so much older.
-    """
-    return [f"cell.rate={rate:g}", f"procedure.max_pose_age={MAX_POSE_AGE * rate:g}"]
 
 
 async def _place(bench: Bench, number: int, pose: ToolPose, body_ref_from_image: Transform) -> Trial:

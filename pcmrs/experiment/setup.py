@@ -1,0 +1,43 @@
+"""What every experiment is told: the plan, the workflow, the simulation's seed and speed, and further settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from pcmrs.experiment.plan import Plan
+
+MAX_POSE_AGE = 0.25
+"""As configured by default, s of the machine."""
+
+ShowProgress = Callable[[str, int, int], None]
+"""Told what is being done, and how many of how many steps are done."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """One experiment on a simulated cell.
+
+    Attributes:
+        plan: Landmarks and poses.
+        workflow: Name of the workflow.
+        seed: Of the simulated errors.
+        rate: Seconds of the simulated cell per second of the machine.
+        overrides: Further settings of the daemon, ``key=value`` each.
+        progress: Told about every step.
+    """
+
+    plan: Plan
+    workflow: str
+    seed: int
+    rate: float
+    overrides: Sequence[str]
+    progress: ShowProgress
+
+    def settings(self) -> list[str]:
+        """What differs from the default configuration, for the daemon and for the report.
+
+        A pose is as long on the bus as ever, which is `rate` times as long for the cell: it may be so much older.
+        """
+        at_rate = [f"cell.rate={self.rate:g}", f"procedure.max_pose_age={MAX_POSE_AGE * self.rate:g}"]
+        return [*at_rate, *self.overrides]
