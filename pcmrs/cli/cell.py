@@ -27,14 +27,14 @@ STATUS = {"accepted": 0, "rejected": EXIT_REJECTED, "failed": EXIT_FAILED, "unkn
 @json_option
 @address_options
 @readable_errors
-def call(operation: str, arguments: str, as_json: bool, endpoint: str, site: str, cell: str) -> None:
+def call(operation: str, arguments: str, as_json: bool, address: Address) -> None:
     """Ask for an operation and print the verdict.
 
     Exit status: 0 accepted, 1 rejected, 2 failed or unknown, 3 no daemon.
 
     Example: pcmrs call digitization.digitize_one '{"index": 0}'
     """
-    verdict = run(_call(Address(endpoint, site, cell), operation, _arguments(arguments)))
+    verdict = run(_call(address, operation, _arguments(arguments)))
     click.echo(_json(verdict) if as_json else _line(verdict))
     if verdict.decision != "accepted" and verdict.allowed and not as_json:
         click.echo(f"  allowed now: {', '.join(verdict.allowed)}")
@@ -45,9 +45,9 @@ def call(operation: str, arguments: str, as_json: bool, endpoint: str, site: str
 @json_option
 @address_options
 @readable_errors
-def state(as_json: bool, endpoint: str, site: str, cell: str) -> None:
+def state(as_json: bool, address: Address) -> None:
     """Print the state of all branches, the flags and what is running."""
-    snapshot = run(_state(Address(endpoint, site, cell)))
+    snapshot = run(_state(address))
     if as_json:
         click.echo(_json(snapshot))
     else:
@@ -58,18 +58,18 @@ def state(as_json: bool, endpoint: str, site: str, cell: str) -> None:
 @json_option
 @address_options
 @readable_errors
-def watch(as_json: bool, endpoint: str, site: str, cell: str) -> None:
+def watch(as_json: bool, address: Address) -> None:
     """Print states, decisions and device events as they happen, until interrupted."""
-    run(_watch(Address(endpoint, site, cell), as_json=as_json))
+    run(_watch(address, as_json=as_json))
 
 
 @click.command()
 @json_option
 @address_options
 @readable_errors
-def keys(as_json: bool, endpoint: str, site: str, cell: str) -> None:
+def keys(as_json: bool, address: Address) -> None:
     """List what can be published and subscribed, with payloads."""
-    table = run(_keys(Address(endpoint, site, cell)))
+    table = run(_keys(address))
     if as_json:
         click.echo(_json(table))
         return
@@ -82,9 +82,9 @@ def keys(as_json: bool, endpoint: str, site: str, cell: str) -> None:
 @click.command()
 @address_options
 @readable_errors
-def stop(endpoint: str, site: str, cell: str) -> None:
+def stop(address: Address) -> None:
     """Stop every motion and latch; robot.acknowledge releases the latch."""
-    run(_stop(Address(endpoint, site, cell)))
+    run(_stop(address))
     click.echo("stopped; release with: pcmrs call robot.acknowledge")
 
 

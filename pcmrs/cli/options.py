@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -30,8 +31,13 @@ class Address:
             yield client
 
 
-def address_options(function: F) -> F:
-    """Adds --endpoint, --site and --cell; the command gets an `Address` from them by `address_of`."""
+def address_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Adds --endpoint, --site and --cell; the command gets them as `address`."""
+
+    @functools.wraps(function)
+    def command(*, endpoint: str, site: str, cell: str, **given: Any) -> Any:
+        return function(address=Address(endpoint, site, cell), **given)
+
     for option in (
         click.option("--cell", default="cell1", envvar="PCMRS_CELL", show_default=True, help="Name of the cell."),
         click.option("--site", default="lab", envvar="PCMRS_SITE", show_default=True, help="Site of the cell."),
@@ -43,8 +49,8 @@ def address_options(function: F) -> F:
             help="Where the daemon's bus listens.",
         ),
     ):
-        function = option(function)
-    return function
+        command = option(command)
+    return command
 
 
 def config_options(function: F) -> F:

@@ -13,8 +13,8 @@ from pcmrs.journal import Journal, JournalRow, Kind
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Verdict
 from pcmrs.workflows.data import PlacementData
 
-TAKEN_BACK = ("previous", "previous_digitization")
-"""Data that outlives a run of the daemon: only `use_previous` and its kind make use of it, after their checks."""
+TAKEN_BACK = {"registration": "previous", "digitization": "previous_digitization"}
+"""Branch to its data that outlives a run of the daemon; only explicit operations use it, after their checks."""
 
 
 class JournalRecorder:
@@ -94,9 +94,10 @@ class JournalRecorder:
     def previous(self) -> PlacementData:
         """What earlier runs registered and digitized last, for explicit operations to take back."""
         changes: dict[str, Any] = {}
-        for stored in self._journal.reader.read(kind="outcome"):
-            kept = stored.row.result or {}
-            changes |= {field: kept[field] for field in TAKEN_BACK if kept.get(field)}
+        for branch, field in TAKEN_BACK.items():
+            for stored in self._journal.reader.read(kind="outcome", branch=branch):
+                kept = stored.row.result or {}
+                changes |= {field: kept[field]} if kept.get(field) else {}
         return msgspec.convert(changes, PlacementData)
 
     def _of_command(self, kind: Kind, command: Command, states: Mapping[str, str], **more: Any) -> JournalRow:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from pathlib import Path
 
+import msgspec
 import pytest
 from clock import ManualClock
 
@@ -108,6 +109,7 @@ async def test_what_was_registered_last_can_be_taken_back_after_a_restart(journa
         calibration="c",
     )
     assert _recorder(journal).previous() == PlacementData()
+    register = msgspec.structs.replace(COMMAND, branch="registration", operation="register")
     changes = {"previous": registered, "registered": registered, "registration_id": "r1"}
-    await _recorder(journal).decision(COMMAND, _verdict(), STATES, changes, with_intent=True)
+    await _recorder(journal).decision(register, _verdict(), STATES, changes, with_intent=True)
     assert _recorder(journal, "s2").previous() == PlacementData(previous=registered), "and nothing is in force"
