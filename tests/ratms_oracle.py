@@ -154,7 +154,7 @@ def _placement(joint: Joint, operation: str) -> Endings | None:
     if operation == "confirm" and here == "standoff" and ready:
         motion = {"done": at("placed")}
     if operation == "nudge" and here in ("standoff", "placed") and ready:
-        motion = {here: joint}
+        motion = {"done": joint}
     if operation == "back_off" and here in ("standoff", "placed", "held") and connected:
         # Without a valid plan and registration there is no standoff to be at: the arm is clear of the body or not.
         motion = {"retracted": at("retracted"), "held": at("held")} | ({"standoff": at("standoff")} if ready else {})

@@ -30,47 +30,58 @@ NARROWEST = 100
 class Wanted:
     """The options that all experiments share; see `experiment_options` for what they mean."""
 
-    workflow: str
+    workflow: str | None
     seed: int
     rate: float
     plan_file: Path | None
     overrides: tuple[str, ...]
     picture: Path | None
 
-    def setup(self, progress: ShowProgress) -> Setup:
-        """The experiment's setup. Raises `ConfigurationError` when its plan cannot be read."""
+    def setup(self, workflow: str, progress: ShowProgress) -> Setup:
+        """The experiment's setup for a workflow. Raises `ConfigurationError` when its plan cannot be read."""
         from pcmrs.experiment.plan import example_plan, read_plan
         from pcmrs.experiment.setup import Setup
 
-        plan = read_plan(self.plan_file or example_plan(self.workflow))
-        return Setup(plan, self.workflow, self.seed, self.rate, self.overrides, progress)
+        plan = read_plan(self.plan_file or example_plan(workflow))
+        return Setup(plan, workflow, self.seed, self.rate, self.overrides, progress)
 
 
-def experiment_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Adds the options that all experiments share; the command gets them as `wanted`."""
+def experiment_options(workflow: str | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Adds the options that all experiments share; the command gets them as `wanted`.
 
-    @functools.wraps(function)
-    def command(**given: Any) -> Any:
-        shared = {field.name: given.pop(field.name) for field in fields(Wanted)}
-        return function(wanted=Wanted(**shared), **given)
+    Args:
+        workflow: The workflow where none is named; None for all that were published.
+    """
 
-    for option in (
+    def add(function: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(function)
+        def command(**given: Any) -> Any:
+            shared = {field.name: given.pop(field.name) for field in fields(Wanted)}
+            return function(wanted=Wanted(**shared), **given)
+
+        for option in _options(workflow):
+            command = option(command)
+        return command
+
+    return add
+
+
+def _options(workflow: str | None) -> tuple[Callable[..., Any], ...]:
+    return (
         click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Sets one value of the daemon."),
         click.option("--picture", type=click.Path(path_type=Path), help="Also save the table as this SVG file."),
         click.option(
             "--plan",
             "plan_file",
             type=click.Path(path_type=Path),
-            help="Landmarks and poses; by default the example's, examples/ratms_plan.json.",
+            help="Landmarks and poses; by default the workflow's example, examples/WORKFLOW_plan.json.",
         ),
         click.option(
             "--rate", default=DEFAULT_RATE, show_default=True, help="Speed of the simulation against real time."
         ),
         click.option("--seed", default=1, show_default=True, help="Of the simulated errors."),
-        click.option("--workflow", default="ratms", show_default=True, help="Name of the workflow."),
-    ):
-        command = option(command)
-    return command
+        click.option("--workflow", default=workflow, show_default=workflow or "all", help="ratms or femoroplasty."),
+    )
 
 
 @click.group()
@@ -79,7 +90,7 @@ def experiment() -> None:
 
 
 @experiment.command()
-@experiment_options
+@experiment_options("ratms")
 @click.option("--trials", default=12, show_default=True, help="How many placements.")
 @json_option
 @readable_errors
@@ -89,7 +100,7 @@ def placements(wanted: Wanted, trials: int, as_json: bool) -> None:
 
 
 @experiment.command()
-@experiment_options
+@experiment_options(None)
 @json_option
 @readable_errors
 def failures(wanted: Wanted, as_json: bool) -> None:
@@ -99,22 +110,29 @@ def failures(wanted: Wanted, as_json: bool) -> None:
     """
     from pcmrs.cli.tables import failure_table
     from pcmrs.experiment.failures import run_failures
+    from pcmrs.experiment.published import PUBLISHED
 
+    if wanted.plan_file is not None and wanted.workflow is None:
+        raise click.UsageError("--plan is the plan of one workflow: name it with --workflow.")
+    workflows = PUBLISHED if wanted.workflow is None else (wanted.workflow,)
     with _progress() as progress:
-        report = run(run_failures(wanted.setup(progress)))
+        report = run(run_failures([wanted.setup(workflow, progress) for workflow in workflows]))
     _show(report, failure_table(report), wanted.picture, as_json=as_json)
     if report.summary.as_published < report.summary.runs:
         raise SystemExit(EXIT_REJECTED)
 
 
 @click.command()
-@experiment_options
+@experiment_options("ratms")
 @readable_errors
 def demo(wanted: Wanted) -> None:
-    """Run a whole procedure on the simulated cell: plan, digitize, register, and 12 placements."""
+    """Run a whole procedure on the simulated cell: plan, digitize, register, and 12 placements.
+
+    With --workflow femoroplasty the bone is drilled and injected at the last of them.
+    """
     click.echo(
         f"A simulated cell, {wanted.rate:g} times as fast as real time; speed limits as configured. "
-        "All commands go over UDP, as from 3D Slicer.\nResearch software, not a medical device."
+        "Commands go over UDP, as from 3D Slicer.\nResearch software, not a medical device."
     )
     _placements(wanted, 12, as_json=False)
 
@@ -124,7 +142,7 @@ def _placements(wanted: Wanted, trials: int, *, as_json: bool) -> None:
     from pcmrs.experiment.placements import run_placements
 
     with _progress() as progress:
-        report = run(run_placements(wanted.setup(progress), trials))
+        report = run(run_placements(wanted.setup(wanted.workflow or "ratms", progress), trials))
     _show(report, placement_table(report), wanted.picture, as_json=as_json)
 
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
+
 from rich.box import SIMPLE_HEAD
 from rich.console import Group
 from rich.table import Table
 
 from pcmrs.experiment.failures import FailureReport
 from pcmrs.experiment.placements import PlacementReport, Spread
+from pcmrs.experiment.published import Reported
+from pcmrs.experiment.treatment import Treated
 
 
 def placement_table(report: PlacementReport) -> Group:
-    """Planned and measured positions and all errors of each trial, then mean ± sd beside the paper's means."""
+    """Planned and measured positions and all errors of each trial, mean ± sd beside the paper's, and what followed."""
     trials = Table(
-        title=f"Placements, {report.workflow}, seed {report.seed}: simulated cell",
+        title=f"Placements of the {report.tool}, {report.workflow}, seed {report.seed}: simulated cell",
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
     )
@@ -30,7 +34,15 @@ def placement_table(report: PlacementReport) -> Group:
             f"{trial.true_rotation_error_deg:.4f}",
             f"{trial.target_registration_error_mm:.2f}",
         )
-    return Group(trials, _placement_summary(report))
+    return Group(trials, _placement_summary(report), *(_treated(step) for step in report.treatment))
+
+
+def _treated(step: Treated) -> str:
+    said = f"{step.operation} → {step.state}"
+    if "surgeon" in step.result:
+        return f"{said}, confirmed by {step.result['surgeon']}"
+    shift_mm, turn_deg = step.result["translation_error"] * 1000, math.degrees(step.result["rotation_error"])
+    return f"{said}: {shift_mm:.4f} mm, {turn_deg:.4f}° from the plan"
 
 
 def _placement_summary(report: PlacementReport) -> Table:
@@ -48,9 +60,9 @@ def _placement_summary(report: PlacementReport) -> Table:
         _spread(summary.rotation_error_deg),
     )
     table.add_row(
-        "paper, the same on a KUKA iiwa, mean",
-        f"{summary.published_translation_error_mm:.4f}",
-        f"{summary.published_rotation_error_deg:.4f}",
+        "paper, the same on a KUKA iiwa",
+        _spread(summary.published_translation_error_mm),
+        _spread(summary.published_rotation_error_deg),
     )
     table.add_row(
         "true: actual pose against the plan as registered",
@@ -63,21 +75,22 @@ def _placement_summary(report: PlacementReport) -> Table:
 
 def failure_table(report: FailureReport) -> Table:
     """Where each run was rejected and its residual, beside the paper's."""
+    limits = " and ".join(f"{limit:g} mm for {workflow}" for workflow, limit in report.residual_limits_mm.items())
     table = Table(
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
-        title=f"Failure injections, {report.workflow}, seed {report.seed}: simulated",
+        title=f"Failure injections, seed {report.seed}: simulated",
         caption=(
-            f"Residual limit {report.residual_limit_mm:g} mm. {report.summary.as_published} of {report.summary.runs} "
-            "runs ended as published."
+            f"Residual limit {limits}. {report.summary.as_published} of {report.summary.runs} runs ended as published."
         ),
     )
-    for name in ("run", "injection", "rejected at", "paper", "mm", "paper mm", "reason", "motion"):
+    for name in ("run", "workflow", "injection", "rejected at", "paper", "mm", "paper mm", "reason", "motion"):
         table.add_column(name, justify="right" if "mm" in name else "left")
     for run in report.runs:
         landmark = f" #{run.landmark}" if run.landmark else ""
         table.add_row(
             str(run.run),
+            run.workflow,
             run.injection.replace("_", " ") + landmark,
             run.rejected_at or run.outcome,
             run.published_rejected_at or "completed",
@@ -93,8 +106,8 @@ def _millimetres(position: tuple[float, float, float]) -> str:
     return " ".join(f"{value * 1000:6.1f}" for value in position)
 
 
-def _spread(spread: Spread, digits: int = 4) -> str:
-    return f"{spread.mean:.{digits}f} ± {spread.sd:.{digits}f}"
+def _spread(spread: Spread | Reported, digits: int = 4) -> str:
+    return f"{spread.mean:.{digits}f}" + ("" if spread.sd is None else f" ± {spread.sd:.{digits}f}")
 
 
 def _number(value: float | None) -> str:

@@ -29,6 +29,7 @@ class Attempt:
     Attributes:
         begun: Its steps have begun, so that cancelling its task reaches them.
         ending: Its steps have ended and it is being committed: too late to stop.
+        committing: It waits for nothing but its commit.
         stopped: Why it was stopped by Stop or a danger event.
     """
 
@@ -41,6 +42,7 @@ class Attempt:
     progress: float = 0.0
     begun: bool = False
     ending: bool = False
+    committing: bool = False
     stopped: Reason | None = None
 
     @property

@@ -12,7 +12,7 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.admission import check_fresh, find_operation, read_payload
-from pcmrs.dispatcher.attempt import Attempt, locks_for
+from pcmrs.dispatcher.attempt import Attempt, Locks, locks_for
 from pcmrs.dispatcher.decisions import Conclusion, Decisions, reason_for
 from pcmrs.dispatcher.lanes import Lanes
 from pcmrs.dispatcher.memory import Memory
@@ -248,7 +248,25 @@ class Dispatcher(Generic[C, D]):
             self._decisions.break_off(unknown, error)
         else:
             attempt.end_steps()
+            await self._let_others_end(attempt)
             self._conclude(attempt, run, refused, ending)
+
+    async def _let_others_end(self, attempt: Attempt) -> None:
+        """Waits while other operations run on branches that this one would move now, and did not when it began.
+
+        A retreat does not keep others from changing what its standoff rests on: only here can the two meet.
+        """
+        attempt.committing = True
+        while in_the_way := self._in_the_way(attempt):
+            await asyncio.wait([other.verdict for other in in_the_way])
+
+    def _in_the_way(self, attempt: Attempt) -> list[Attempt]:
+        closure = self.procedure.ask(attempt.command.branch, attempt.command.operation)
+        if isinstance(closure, Denial):
+            return []
+        beyond = Locks(closure.writes - attempt.locks.writes, frozenset())
+        others = (other for other in self._lanes.running if not other.committing)
+        return [other for other in others if beyond.conflicts(other.locks)]
 
     async def _steps(self, attempt: Attempt, run: Run[C, D]) -> Ending:
         """Takes the steps after the intent is durable; holds what has failed to move."""

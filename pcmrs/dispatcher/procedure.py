@@ -10,7 +10,7 @@ import msgspec
 from pcmrs.dispatcher.run import C, D
 from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import BlueprintError
-from pcmrs.fsm import Change, Closure, Denial, StateSet, close, flags_of
+from pcmrs.fsm import Change, Closure, Denial, Engine, flags_of
 from pcmrs.messages import BlueprintTag, Running, Snapshot
 
 
@@ -29,15 +29,14 @@ class Procedure(Generic[C, D]):
         self.latched = False
         self.sequence = 0
         self._reserved = 0
-        self._closures: dict[tuple[str, ...], Closure | Denial] = {}
         self._settle = workflow.settle
-        self._states = StateSet(workflow.blueprint)
-        self._flags = flags_of(workflow.blueprint, self._states.joint())
-        self._promised = self._states.joint()
+        self._engine = Engine(workflow.blueprint)
+        self._flags = flags_of(workflow.blueprint, self._engine.joint())
+        self._promised = self._engine.joint()
 
     def joint(self) -> dict[str, str]:
         """The joint state: branch to state."""
-        return self._states.joint()
+        return self._engine.joint()
 
     def promised(self) -> dict[str, str]:
         """The joint state once everything that is being journalled is committed."""
@@ -45,23 +44,13 @@ class Procedure(Generic[C, D]):
 
     def allowed(self, branch: str, states: Mapping[str, str]) -> list[str]:
         """Operations of a branch that users may ask for in a joint state and would not be denied."""
-        state, spec = self._states.objects[branch][states[branch]], self.blueprint.branches[branch]
-        able = (name for name in state.allowed() if not (self.latched and spec.operations[name].motion != "none"))
-        return [name for name in able if isinstance(self._close(states, branch, name), Closure)]
+        operations = self.blueprint.branches[branch].operations
+        able = self._engine.allowed(branch, states)
+        return [name for name in able if not (self.latched and operations[name].motion != "none")]
 
     def ask(self, branch: str, operation: str) -> Closure | Denial:
         """Asks the active state object, then works out the closure of what it allows."""
-        answer = self._states.active(branch).ask(operation)
-        if isinstance(answer, Denial):
-            return answer
-        return self._close(self._states.joint(), branch, operation)
-
-    def _close(self, states: Mapping[str, str], branch: str, operation: str) -> Closure | Denial:
-        """Closures are pure and a workflow has few joint states: each is worked out once."""
-        key = (*states.values(), branch, operation)
-        if key not in self._closures:
-            self._closures[key] = close(self.blueprint, states, branch, operation)
-        return self._closures[key]
+        return self._engine.ask(branch, operation)
 
     def reserve(self, change: Change | None = None) -> int:
         """Promises a commit of `change` and returns its sequence number, for the journal to write first."""
@@ -82,7 +71,7 @@ class Procedure(Generic[C, D]):
             targets = change.targets
             data = msgspec.structs.replace(self.data, **changes) if changes else self.data
             data = self._settle(data, self.joint() | targets, change.effects)
-            self._states.transition(targets)
+            self._engine.place(targets)
             self.data = data
             self._flags = flags_of(self.blueprint, self.joint())
         self.latched = self.latched and not unlatch

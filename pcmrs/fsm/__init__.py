@@ -1,10 +1,12 @@
 """Hierarchical finite state machines: blueprints, branches, and the closure of a command."""
 
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, BranchSpec, OperationSpec
-from pcmrs.fsm.branch import State, StateSet, flags_of
+from pcmrs.fsm.branch import StateSet, flags_of
 from pcmrs.fsm.closure import Change, Closure, Denial, Effect, close
-from pcmrs.fsm.explore import explore
-from pcmrs.fsm.load import load_blueprint, parse_blueprint
+from pcmrs.fsm.engine import Engine
+from pcmrs.fsm.finding import Finding
+from pcmrs.fsm.load import Examination, examine, load_blueprint, parse_blueprint
+from pcmrs.fsm.state import State
 
 __all__ = [
     "START_OUTCOME",
@@ -14,11 +16,14 @@ __all__ = [
     "Closure",
     "Denial",
     "Effect",
+    "Engine",
+    "Examination",
+    "Finding",
     "OperationSpec",
     "State",
     "StateSet",
     "close",
-    "explore",
+    "examine",
     "flags_of",
     "load_blueprint",
     "parse_blueprint",

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
 Motion = Literal["none", "approach", "retreat"]
+
 Requirement = dict[str, list[str]]
+"""Branch to the states it may be in."""
+
+Target = str | dict[str, str]
+"""The state gone to, or for each state it may come from the one gone to."""
 
 START_OUTCOME = "done"
 """Name of the only outcome of an operation that declares none."""
@@ -18,15 +23,20 @@ class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Base of all parts of a blueprint; unknown keys are refused when it is read."""
 
 
+def target_from(target: Target, source: str) -> str:
+    """The state that `target` means, coming from `source`."""
+    return target if isinstance(target, str) else target[source]
+
+
 class OutcomeSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One declared way an operation ends.
 
     Attributes:
         to: Target state.
-        requires: Branch to states; where these do not hold the outcome cannot be taken.
+        requires: Where these do not hold the outcome cannot be taken.
     """
 
-    to: str
+    to: Target
     requires: Requirement = {}
 
 
@@ -34,6 +44,7 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """One operation of a branch (SO); changing (SCO) or maintaining (SMO) by its `from` and target.
 
     Attributes:
+        title: What it does, in the words of those who ask for it.
         from_: States it is valid in; ``["*"]`` for all.
         to: Target state; an operation has either this or `outcomes`.
         outcomes: Declared endings with their own targets, chosen by its last step.
@@ -41,7 +52,7 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
         checks: Registered names of pure checks; a refusal there is a rejection.
         steps: Registered names of steps, in order; a refusal there is a failure.
         timeout_s: Deadline for all steps together, in s of the cell's clock.
-        requires: Branch to states that must hold while it runs.
+        requires: What must hold while it runs.
         refusal: Code of the rejection when `requires` does not hold.
         roles: Who may ask for it; empty for everybody who may send commands.
         motion: Whether it moves the robot, and which way.
@@ -55,8 +66,9 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
         on_unknown: Where the branch goes when nobody knows how it ended; absent: stays.
     """
 
+    title: str = ""
     from_: list[str]
-    to: str | None = None
+    to: Target | None = None
     outcomes: dict[str, OutcomeSpec] = {}
     payload: str = "none"
     checks: list[str] = []
@@ -72,8 +84,8 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
     signals: bool = False
     unlatches: bool = False
     sets: dict[str, str] = {}
-    on_failure: str | None = None
-    on_unknown: str | None = None
+    on_failure: Target | None = None
+    on_unknown: Target | None = None
 
     @property
     def endings(self) -> dict[str, OutcomeSpec]:
@@ -84,8 +96,10 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
 
     def targets(self) -> set[str]:
         """Every state it can lead to, by success, failure or doubt."""
-        doubtful = {state for state in (self.on_failure, self.on_unknown) if state is not None}
-        return {ending.to for ending in self.endings.values()} | doubtful
+        endings = [ending.to for ending in self.endings.values()]
+        doubtful = [target for target in (self.on_failure, self.on_unknown) if target is not None]
+        named = ([target] if isinstance(target, str) else target.values() for target in (*endings, *doubtful))
+        return {state for states in named for state in states}
 
 
 class ParentSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -94,7 +108,7 @@ class ParentSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     Attributes:
         branch: The parent.
         start: Parent state at which this branch starts (Rule 3).
-        compatible: For each state here, the parent states it fits.
+        compatible: For each state here, the parent states it fits; ``"*"`` for all states not named.
     """
 
     branch: str
@@ -110,20 +124,44 @@ class RevocationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True
     to: str
 
 
+class SequenceSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Items that are performed in order; `pcmrs.fsm.sequence` makes the states and operations from it.
+
+    Attributes:
+        count: How many items there are, or
+        items: their names, in order.
+        item: What one of a counted sequence is called; items are ``<item>_1``, ``<item>_2`` …
+        perform: How one item is performed; `from`, `to` and `on_failure` are made.
+        skip: Further keys of the operation that leaves an item out.
+        repeat: Further keys of the operation that opens a stopped item again.
+        abandon: Further keys of the operation that ends the sequence.
+    """
+
+    count: int | None = None
+    items: list[str] = []
+    item: str = "point"
+    perform: dict[str, Any] = {}
+    skip: dict[str, Any] = {}
+    repeat: dict[str, Any] = {}
+    abandon: dict[str, Any] = {}
+
+
 class BranchSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One State Branch (SB).
 
     Attributes:
         level: 1 for a root workflow, N+1 for a branch that refines a state of level N.
         states: Name to meaning; the first is the start.
+        sequence: In place of states: items that are performed in order. Empty once it is expanded.
         flags: Names of the digits of the states, mirrored for display.
-        emits: For each state, the parent's operation called on a change to it (Rule 2).
+        emits: For each state, the parent's operation called on a change to it (Rule 2); ``"*"`` for all not named.
     """
 
-    level: int
+    level: int = 1
     title: str = ""
-    states: dict[str, str]
-    operations: dict[str, OperationSpec]
+    states: dict[str, str] = {}
+    sequence: SequenceSpec | None = None
+    operations: dict[str, OperationSpec] = {}
     flags: list[str] = []
     parent: ParentSpec | None = None
     emits: dict[str, str] = {}
@@ -145,19 +183,77 @@ class BranchSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
         return state in valid or valid == ["*"]
 
 
+class Condition(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What may hold at a moment of a procedure; all that is given must hold, and nothing given always holds.
+
+    Attributes:
+        states: Each branch is in one of its states.
+        running: One of these operations, ``branch.operation``, is running.
+        accepted: Each of these operations would be accepted now; ``stop`` is Stop.
+    """
+
+    states: Requirement = {}
+    running: list[str] = []
+    accepted: list[str] = []
+
+
+class PropertySpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Something the workflow promises, for the verifier to prove; exactly one of the four is given.
+
+    Attributes:
+        id: Its name in findings.
+        text: The promise in the words of those who asked for it.
+        when: Only moments at which this holds are looked at.
+        always: Holds at every reachable moment.
+        never: Holds at no reachable moment.
+        reachable: Holds at some reachable moment.
+        leads_to: From every reachable moment, a moment at which it holds can be reached.
+    """
+
+    id: str
+    text: str = ""
+    when: Condition = Condition()
+    always: Condition | None = None
+    never: Condition | None = None
+    reachable: Condition | None = None
+    leads_to: Condition | None = None
+
+
+class MigrationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An older blueprint of the same workflow whose journal may be taken up under this one.
+
+    Attributes:
+        version: Of the older blueprint.
+        hash: Of the older blueprint.
+        why: Why that is safe.
+    """
+
+    version: str
+    hash: str
+    why: str
+
+
 class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
     """A whole workflow.
 
     Attributes:
         id: Name of the workflow.
         version: Its version, which journals and snapshots carry.
-        hash: SHA-256 of the file it was read from, hexadecimal; filled when it is read.
+        goal: What the procedure is for: joint states that must stay within reach.
+        properties: What it promises.
+        migrations: Older blueprints whose journals may be taken up.
+        defaults: What it changes in the defaults of the configuration, such as limits.
+        hash: SHA-256 of its content, hexadecimal, without regard to comments and layout; filled when it is read.
     """
 
     id: str
     version: str
     title: str = ""
+    goal: Requirement = {}
     branches: dict[str, BranchSpec]
+    properties: list[PropertySpec] = []
+    migrations: list[MigrationSpec] = []
+    defaults: dict[str, Any] = {}
     hash: str = ""
 
     def initial(self) -> dict[str, str]:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from pcmrs.fsm.blueprint import Blueprint, OperationSpec, ParentSpec, Requirement
+from pcmrs.fsm.blueprint import Blueprint, OperationSpec, ParentSpec, Requirement, Target, target_from
 
 MAX_EFFECTS = 64
 """Longest cascade at run time; the loader has proved that none reaches it."""
@@ -140,9 +140,9 @@ def _examined(blueprint: Blueprint, branch: str, spec: OperationSpec) -> frozens
     return frozenset(examined)
 
 
-def _change(blueprint: Blueprint, states: Mapping[str, str], branch: str, operation: str, target: str) -> Change:
+def _change(blueprint: Blueprint, states: Mapping[str, str], branch: str, operation: str, target: Target) -> Change:
     cascade = _Cascade(blueprint, dict(states))
-    cascade.perform("operation", branch, operation, target)
+    cascade.perform("operation", branch, operation, target_from(target, states[branch]))
     return Change(cascade.states, tuple(cascade.effects))
 
 
@@ -188,7 +188,7 @@ class _Cascade:
             fields = {"branch": parent, "state": state, "operation": operation}
             raise _DeniedError(Denial("parent_refuses", text, fields))
         for ending in parent_spec.operations[operation].endings.values():
-            self.perform("signal", parent, operation, ending.to)
+            self.perform("signal", parent, operation, target_from(ending.to, state))
 
     def _fit_children(self, branch: str, source: str, target: str, *, direct: bool) -> None:
         """Rule 3 for a direct change into a child's starting state, and children that no longer fit."""

@@ -1,24 +1,54 @@
-"""Reads a blueprint file and refuses an unsound one."""
+"""Reads blueprint files: what is wrong with one, or the workflow in it."""
 
 from __future__ import annotations
 
 import hashlib
-import tomllib
-from pathlib import Path
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
 
 import msgspec
 
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.finding import Finding, summary
+from pcmrs.fsm.places import Places
 from pcmrs.fsm.rules import check_rules
+from pcmrs.fsm.sequence import SequenceError, expand
+from pcmrs.fsm.toml import convert, read_toml
+from pcmrs.fsm.verify import MAX_JOINT_STATES, verify
 
 
-def load_blueprint(path: Path) -> Blueprint:
-    """Reads and checks the blueprint at `path`.
+@dataclass(frozen=True, slots=True)
+class Examination:
+    """What there is to say of a blueprint file.
+
+    Attributes:
+        blueprint: The workflow as far as it could be read; None where it could not.
+        findings: All that is wrong; empty for a sound workflow.
+        joint_states: How many of them can be reached, where the search came to its end.
+    """
+
+    blueprint: Blueprint | None
+    findings: list[Finding] = field(default_factory=list)
+    joint_states: int = 0
+
+    @property
+    def readable(self) -> bool:
+        """Whether the file is a blueprint, sound or not."""
+        return self.blueprint is not None
+
+    @property
+    def sound(self) -> bool:
+        """Whether a daemon would run it."""
+        return self.readable and not self.findings
+
+
+def load_blueprint(path: FilePath) -> Blueprint:
+    """Reads the blueprint at `path`; see `parse_blueprint`.
 
     Raises:
-        BlueprintError: The file cannot be read, holds an unknown key or wrong type, or breaks a rule;
-            the text names the file, the rule, the branch and the state.
+        BlueprintError: The file cannot be read, or is no sound blueprint.
     """
     try:
         raw = path.read_bytes()
@@ -28,19 +58,76 @@ def load_blueprint(path: Path) -> Blueprint:
 
 
 def parse_blueprint(raw: bytes, *, origin: str = "blueprint") -> Blueprint:
-    """Parses and checks a blueprint; `origin` is how errors call it. Raises `BlueprintError`."""
+    """The sound workflow in a file.
+
+    Args:
+        raw: The file.
+        origin: How findings call it.
+
+    Raises:
+        BlueprintError: It cannot be read or is unsound; `findings` has all that is wrong.
+    """
+    examination = examine(raw, origin=origin)
+    if examination.blueprint is None or examination.findings:
+        raise BlueprintError(summary(examination.findings), findings=examination.findings)
+    return examination.blueprint
+
+
+def examine(
+    raw: bytes,
+    *,
+    origin: str = "blueprint",
+    limit: int = MAX_JOINT_STATES,
+    progress: Callable[[int, int], None] | None = None,
+) -> Examination:
+    """Reads a blueprint, checks its rules, and searches all its joint states.
+
+    Args:
+        raw: The file.
+        origin: How findings call it.
+        limit: A workflow of more joint states is refused.
+        progress: See `pcmrs.fsm.verify.verify`.
+    """
     try:
-        table = tomllib.loads(raw.decode())
-        blueprint = msgspec.convert(table, Blueprint)
-    except UnicodeDecodeError as error:
-        raise BlueprintError(f"{origin}: not UTF-8 at byte {error.start}", path=origin) from error
-    except tomllib.TOMLDecodeError as error:
-        raise BlueprintError(f"{origin}: not TOML: {error}", path=origin) from error
-    except msgspec.ValidationError as error:
-        raise BlueprintError(f"{origin}: {error}", path=origin) from error
-    blueprint = msgspec.structs.replace(blueprint, hash=hashlib.sha256(raw).hexdigest())
-    try:
-        check_rules(blueprint)
+        blueprint, places = _read(raw, origin)
     except BlueprintError as error:
-        raise BlueprintError(f"{origin}: {error.text}", **error.fields) from error
-    return blueprint
+        return Examination(None, error.fields["findings"])
+    broken = list(check_rules(blueprint))
+    if broken:
+        return Examination(blueprint, _placed(broken, places, origin))
+    verification = verify(blueprint, limit=limit, progress=progress)
+    return Examination(blueprint, _placed(verification.findings, places, origin), verification.joint_states)
+
+
+def read_blueprint(raw: bytes, origin: str) -> tuple[Blueprint | None, list[Finding]]:
+    """The workflow in a file, sound or not, or why it cannot be read."""
+    try:
+        return _read(raw, origin)[0], []
+    except BlueprintError as error:
+        return None, error.fields["findings"]
+
+
+def _read(raw: bytes, origin: str) -> tuple[Blueprint, Places]:
+    table, places = read_toml(raw, origin)
+    blueprint = convert(table, Blueprint, places, origin)
+    try:
+        blueprint = expand(blueprint)
+    except SequenceError as error:
+        finding = Finding(code="bad_sequence", text=error.text, path=error.path)
+        raise BlueprintError(error.text, findings=_placed([finding], places, origin)) from None
+    return msgspec.structs.replace(blueprint, hash=content_hash(blueprint)), places
+
+
+def content_hash(blueprint: Blueprint) -> str:
+    """SHA-256 of what a blueprint says, hexadecimal: comments and layout of its file do not matter."""
+    content = msgspec.json.encode(msgspec.structs.replace(blueprint, hash=""))
+    return hashlib.sha256(content).hexdigest()
+
+
+def _placed(findings: Iterable[Finding], places: Places, origin: str) -> list[Finding]:
+    """The findings with file, line and column."""
+    placed = []
+    for finding in findings:
+        line, column = places.of(finding.path)
+        placed.append(msgspec.structs.replace(finding, file=origin, line=line, column=column))
+    return placed

@@ -1,174 +1,80 @@
-"""Rules 1 to 3 and what they rest on, checked when a blueprint is loaded: an unsound one does not start."""
+"""What can be said of a blueprint by reading it: names, references, shapes, and rules 1 to 3."""
 
 from __future__ import annotations
 
-import keyword
-import math
-import re
 from collections.abc import Iterator
 
-from pcmrs.errors import BlueprintError
-from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
-from pcmrs.fsm.explore import explore
-
-NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
-STATE_NAME = re.compile(r"[a-z0-9][a-z0-9_]{0,31}")
-RESERVED = frozenset({"ask", "allowed", "activate", "active", "deactivate", "branch", "name", "spec"})
+from pcmrs.fsm.blueprint import Blueprint, BranchSpec
+from pcmrs.fsm.finding import Finding, Path
+from pcmrs.fsm.names import check_names
+from pcmrs.fsm.references import check_references
+from pcmrs.fsm.shapes import check_shapes
 
 
-def check_rules(blueprint: Blueprint) -> None:
-    """Checks the whole blueprint.
+def check_rules(blueprint: Blueprint) -> Iterator[Finding]:
+    """All that is wrong; each kind is looked at only where the kinds before it are right.
 
-    Raises:
-        BlueprintError: The first fault found: which rule, branch, state and operation, and what to do.
+    Args:
+        blueprint: Expanded, see `pcmrs.fsm.sequence`.
     """
-    if not blueprint.branches:
-        raise BlueprintError("a workflow needs at least one branch")
+    for check in (check_names, check_references, check_shapes, _rules):
+        findings = list(check(blueprint))
+        yield from findings
+        if findings:
+            return
+
+
+def _rules(blueprint: Blueprint) -> Iterator[Finding]:
     for name, branch in blueprint.branches.items():
-        _check_names(name, branch)
-        _check_flags(blueprint, name, branch)
-        _check_parent(blueprint, name, branch)
-    for name, branch in blueprint.branches.items():
-        for operation_name, operation in branch.operations.items():
-            _check_operation(blueprint, name, operation_name, operation)
-        _check_revocations(blueprint, name, branch)
-        _check_rule_1(name, branch)
-        _check_rule_2(blueprint, name, branch)
-        _check_rule_3(blueprint, name, branch)
-    explore(blueprint)
+        yield from _rule_1(name, branch)
+        yield from _rule_2(blueprint, name, branch)
+        yield from _rule_3(blueprint, name, branch)
 
 
-def _fault(rule: str, branch: str, text: str, **fields: object) -> BlueprintError:
-    return BlueprintError(f"{rule}: branch {branch}: {text}", rule=rule, branch=branch, **fields)
-
-
-def _check_names(name: str, branch: BranchSpec) -> None:
-    for word in (name, *branch.operations, *branch.flags):
-        if not NAME.fullmatch(word) or keyword.iskeyword(word) or word in RESERVED:
-            raise _fault("names", name, f"{word!r} cannot be a name: use a-z, 0-9 and _, no reserved word", word=word)
-    if not branch.states:
-        raise _fault("names", name, "a branch needs at least one state")
-    for state in branch.states:
-        if not STATE_NAME.fullmatch(state):
-            raise _fault("names", name, f"{state!r} cannot be a state: use a-z, 0-9 and _", state=state)
-
-
-def _check_flags(blueprint: Blueprint, name: str, branch: BranchSpec) -> None:
-    for state in branch.states:
-        if branch.flags and (len(state) != len(branch.flags) or set(state) - {"0", "1"}):
-            raise _fault("flags", name, f"state {state} has not one digit for each of {branch.flags}", state=state)
-    everywhere = [flag for other in blueprint.branches.values() for flag in other.flags]
-    for flag in branch.flags:
-        if everywhere.count(flag) > 1:
-            raise _fault("flags", name, f"flag {flag} is declared twice; one would hide the other", flag=flag)
-
-
-def _check_parent(blueprint: Blueprint, name: str, branch: BranchSpec) -> None:
-    parent = branch.parent
-    if parent is None:
-        if branch.level != 1:
-            raise _fault("levels", name, f"level {branch.level} needs a parent; only level 1 has none")
-        return
-    above = blueprint.branches.get(parent.branch)
-    if above is None:
-        raise _fault("levels", name, f"its parent {parent.branch} does not exist")
-    if branch.level != above.level + 1:
-        raise _fault("levels", name, f"level {branch.level} under {parent.branch} of level {above.level}")
-    if set(parent.compatible) != set(branch.states):
-        raise _fault("levels", name, f"`compatible` must name exactly its states {list(branch.states)}")
-    for state in {parent.start, *(state for states in parent.compatible.values() for state in states)}:
-        _known_state(blueprint, name, parent.branch, state)
-
-
-def _known_state(blueprint: Blueprint, where: str, branch: str, state: str) -> None:
-    if branch not in blueprint.branches:
-        raise _fault("references", where, f"branch {branch} does not exist")
-    if state not in blueprint.branches[branch].states:
-        raise _fault("references", where, f"{branch} has no state {state}", state=state)
-
-
-def _check_operation(blueprint: Blueprint, branch: str, name: str, operation: OperationSpec) -> None:
-    def fault(text: str) -> BlueprintError:
-        return _fault("operations", branch, f"{name}: {text}", operation=name)
-
-    if (operation.to is None) == (not operation.outcomes):
-        raise fault("needs either `to` or `outcomes`")
-    if not 0 < operation.timeout_s < math.inf:
-        raise fault(f"timeout_s is {operation.timeout_s}; it must be above 0 and finite")
-    if not operation.from_ or ("*" in operation.from_ and len(operation.from_) > 1):
-        raise fault("`from` names states, or is exactly ['*']")
-    if operation.iio and (operation.steps or operation.checks or operation.outcomes):
-        raise fault("is called by a child (iio): it has a target, no checks, steps or outcomes")
-    if operation.motion != "none" and (operation.on_failure is None or operation.on_unknown is None):
-        raise fault("moves: it needs `on_failure` and `on_unknown`, since it cannot end where it began")
-    for state in _states_named(operation):
-        _known_state(blueprint, branch, branch, state)
-    for other, states in _branches_named(operation):
-        for state in states:
-            _known_state(blueprint, branch, other, state)
-    for child in operation.sets:
-        if child not in blueprint.children[branch]:
-            raise fault(f"sets {child}, which is no child of {branch}")
-
-
-def _states_named(operation: OperationSpec) -> Iterator[str]:
-    yield from (state for state in operation.from_ if state != "*")
-    yield from sorted(operation.targets())
-
-
-def _branches_named(operation: OperationSpec) -> Iterator[tuple[str, list[str]]]:
-    yield from operation.requires.items()
-    yield from ((child, [state]) for child, state in operation.sets.items())
-    for ending in operation.endings.values():
-        yield from ending.requires.items()
-
-
-def _check_revocations(blueprint: Blueprint, name: str, branch: BranchSpec) -> None:
-    for revocation in branch.revocations:
-        for by in revocation.by:
-            if by not in blueprint.branches:
-                raise _fault("references", name, f"is revoked by {by}, which does not exist")
-        for state in (*revocation.from_, revocation.to):
-            _known_state(blueprint, name, name, state)
-
-
-def _check_rule_1(name: str, branch: BranchSpec) -> None:
+def _rule_1(name: str, branch: BranchSpec) -> Iterator[Finding]:
     """Rule 1: every state at level > 1 has a re-initiation operation."""
+    path: Path = ("branches", name)
+    rios = [key for key, operation in branch.operations.items() if operation.rio]
+    if len(rios) > 1:
+        text = f"Rule 1: {name} has the re-initiations {' and '.join(rios)}: nobody could tell which one is called."
+        yield Finding(code="rule_1", text=text, path=(*path, "operations", rios[1]))
+    for key in rios[:1]:
+        operation, where = branch.operations[key], (*path, "operations", key)
+        if operation.outcomes or operation.targets() != {branch.start}:
+            text = f"Rule 1: {name}.{key} must lead to the start {branch.start}, and only there."
+            yield Finding(code="rule_1", text=text, path=where)
     if branch.level == 1:
         return
-    if branch.rio is None:
-        raise _fault("rule 1", name, "has no re-initiation operation (rio)")
-    operation = branch.operations[branch.rio]
-    if operation.to != branch.start:
-        raise _fault("rule 1", name, f"{branch.rio} leads to {operation.to}, not to the start {branch.start}")
-    for state in branch.states:
-        if not branch.valid_in(branch.rio, state):
-            raise _fault("rule 1", name, f"state {state} has no re-initiation operation", state=state)
+    if not rios:
+        text = f"Rule 1: {name} is of level {branch.level} and has no re-initiation operation (rio = true)."
+        yield Finding(code="rule_1", text=text, path=path)
+    for state in branch.states if rios else ():
+        if not branch.valid_in(rios[0], state):
+            text = f"Rule 1: {name}.{rios[0]} is not valid in {state}: every state needs a re-initiation operation."
+            yield Finding(code="rule_1", text=text, path=(*path, "operations", rios[0], "from"))
 
 
-def _check_rule_2(blueprint: Blueprint, name: str, branch: BranchSpec) -> None:
+def _rule_2(blueprint: Blueprint, name: str, branch: BranchSpec) -> Iterator[Finding]:
     """Rule 2: every change at level N+1 calls an operation at level N."""
     if branch.parent is None:
         return
-    above = blueprint.branches[branch.parent.branch]
+    above, path = blueprint.branches[branch.parent.branch], ("branches", name, "emits")
     for state in branch.states:
         called = branch.emits.get(state)
         if called is None:
-            text = f"a change to state {state} emits nothing to {branch.parent.branch}"
-            raise _fault("rule 2", name, text, state=state)
-        if called not in above.operations or not above.operations[called].iio:
-            text = f"state {state} emits {called}, which is no operation of {branch.parent.branch} with iio = true"
-            raise _fault("rule 2", name, text, state=state)
-    for state in set(branch.emits) - set(branch.states):
-        raise _fault("rule 2", name, f"emits for state {state}, which does not exist", state=state)
+            text = f"Rule 2: a change of {name} to {state} calls nothing of {branch.parent.branch}: add it to `emits`."
+            yield Finding(code="rule_2", text=text, path=path)
+        elif not above.operations[called].iio:
+            text = f"Rule 2: {branch.parent.branch}.{called}, called at {name} {state}, must be marked iio = true."
+            yield Finding(code="rule_2", text=text, path=(*path, state))
 
 
-def _check_rule_3(blueprint: Blueprint, name: str, branch: BranchSpec) -> None:
+def _rule_3(blueprint: Blueprint, name: str, branch: BranchSpec) -> Iterator[Finding]:
     """Rule 3: a direct change into the parent's start state re-initiates the child: both must fit."""
-    parent = branch.parent
-    if parent is not None and parent.start not in parent.compatible[branch.start]:
-        text = f"its start {branch.start} does not fit {parent.branch} {parent.start}, where it starts"
-        raise _fault("rule 3", name, text, state=branch.start)
-    if parent is not None and blueprint.branches[parent.branch].start not in parent.compatible[branch.start]:
-        text = f"its start {branch.start} does not fit the start of {parent.branch}"
-        raise _fault("rule 3", name, text, state=branch.start)
+    parent, path = branch.parent, ("branches", name, "parent", "compatible")
+    if parent is None:
+        return
+    for state in dict.fromkeys((parent.start, blueprint.branches[parent.branch].start)):
+        if state not in parent.compatible[branch.start]:
+            text = f"Rule 3: the start {branch.start} of {name} must fit {parent.branch} {state}, where both start."
+            yield Finding(code="rule_3", text=text, path=(*path, branch.start))

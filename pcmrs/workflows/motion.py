@@ -33,10 +33,9 @@ def remember_approach(run: Run) -> None:
 
 
 def remember_nudge(run: Run) -> None:
-    """Nudges add up; the tool stays at the standoff or at the target."""
+    """Nudges add up."""
     translation, rotation = nudges_with(run)
     run.keep(nudge_translation=translation, nudge_rotation_zyx=rotation)
-    run.outcome = run.states["placement"]
 
 
 async def correct_from_tracker(run: Run) -> None:

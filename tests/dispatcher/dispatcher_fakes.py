@@ -110,7 +110,6 @@ def _usual_outcome(run: Run[Any, Notes]) -> str | None:
     return {
         "digitization.digitize_one": "complete",
         "placement.locate": "retracted",
-        "placement.nudge": run.states["placement"],
         "placement.back_off": "standoff" if ready else "retracted",
     }.get(_name(run))
 

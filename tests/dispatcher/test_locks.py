@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from clock import settle
-from dispatcher_fakes import PLACED, RETRACTED, STANDOFF, Bench, Notes
+from dispatcher_fakes import HELD, PLACED, RETRACTED, STANDOFF, Bench, Notes
 from hypothesis import given
 from hypothesis import strategies as st
 from ratms_oracle import USER_OPERATIONS
@@ -173,3 +173,39 @@ def test_whatever_is_asked_at_once_everybody_gets_an_answer(names: list[str]) ->
 async def test_locks_are_free_after_every_ending(bench: Bench, ending: str) -> None:
     await bench.take("robot", "connect", ending)
     assert (await bench.do("robot.connect")).decision == "accepted"
+
+
+async def test_a_commit_waits_for_the_motion_that_it_would_revoke_under_way(bench: Bench) -> None:
+    """Found by the verifier: a digitization begun while held, a retreat to the standoff, then a way home.
+
+    When the digitization ends, the registration that the standoff rests on ends with it: placement would go to held
+    while the arm moves home, and the way home could not be concluded any more.
+    """
+    await bench.go(HELD)
+    digitized, at_home = bench.script.hang("digitization.digitize_all"), bench.script.hang("placement.home")
+    digitizing = await bench.begin("digitization.digitize_all")
+    assert (await bench.do("placement.back_off")).state == "standoff"
+    homing = await bench.begin("placement.home")
+    digitized.set()
+    await settle()
+    assert not digitizing.done()
+    assert bench.joint == STANDOFF
+    at_home.set()
+    assert (await homing).state == "retracted"
+    assert (await digitizing).decision == "accepted"
+    assert bench.joint == ("110", "1", "1", "1", "retracted")
+    assert (await bench.do("toolplan.clear")).decision == "accepted"
+
+
+async def test_stop_ends_both_when_a_commit_waits_for_a_motion(bench: Bench) -> None:
+    await bench.go(HELD)
+    digitized, _ = bench.script.hang("digitization.digitize_all"), bench.script.hang("placement.home")
+    digitizing = await bench.begin("digitization.digitize_all")
+    await bench.do("placement.back_off")
+    homing = await bench.begin("placement.home")
+    digitized.set()
+    await settle()
+    assert await bench.dispatcher.stop("test:user")
+    assert (await homing).decision == "failed"
+    assert (await digitizing).decision == "accepted"
+    assert bench.joint == ("110", "1", "1", "1", "held")

@@ -431,7 +431,7 @@ async def test_15_a_flag_that_does_not_mirror_its_state_is_fail_stop(bench: Benc
 
 
 async def test_15_two_active_states_are_fail_stop(bench: Bench) -> None:
-    bench.dispatcher.procedure._states.objects["robot"]["1"].activate()
+    bench.dispatcher.procedure._engine._states.objects["robot"]["1"].activate()
     assert (await bench.do("toolplan.plan")).decision == "unknown"
     assert bench.holds == 1
     assert (await bench.do("toolplan.plan")).decision == "rejected"

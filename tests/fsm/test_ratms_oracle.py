@@ -18,7 +18,8 @@ from ratms_oracle import (
     reachable,
 )
 
-from pcmrs.fsm import Closure, close, explore, load_blueprint
+from pcmrs.fsm import Closure, close, load_blueprint
+from pcmrs.fsm.verify import explore
 
 RATMS = load_blueprint(BLUEPRINT)
 REACHABLE = reachable()

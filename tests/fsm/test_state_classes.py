@@ -2,14 +2,31 @@
 
 from __future__ import annotations
 
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from ratms_oracle import BLUEPRINT
 
 from pcmrs.errors import BlueprintError
-from pcmrs.fsm import OperationSpec, State, StateSet, flags_of, load_blueprint
-from pcmrs.fsm.closure import Denial
+from pcmrs.fsm import (
+    Blueprint,
+    BranchSpec,
+    Closure,
+    Denial,
+    Engine,
+    OperationSpec,
+    State,
+    StateSet,
+    flags_of,
+    load_blueprint,
+)
+from pcmrs.fsm.classes import source_of, states_of
 
 RATMS = load_blueprint(BLUEPRINT)
 
@@ -22,17 +39,18 @@ def test_the_base_class_refuses_every_operation() -> None:
     for state in every_state(StateSet(RATMS)):
         (base,) = type(state).__bases__
         assert base.__bases__ == (State,)
-        for operation in state.spec.operations:
+        for operation in RATMS.branches[state.branch].operations:
             assert isinstance(getattr(base, operation)(state), Denial)
 
 
 def test_a_state_class_overrides_exactly_what_is_valid_there() -> None:
     for state in every_state(StateSet(RATMS)):
-        overridden = {name for name in vars(type(state)) if name in state.spec.operations}
-        assert overridden == {name for name in state.spec.operations if state.spec.valid_in(name, state.name)}
-        for name, spec in state.spec.operations.items():
+        branch = RATMS.branches[state.branch]
+        overridden = {name for name in vars(type(state)) if name in branch.operations}
+        assert overridden == {name for name in branch.operations if branch.valid_in(name, state.name)}
+        for name, spec in branch.operations.items():
             answer = state.ask(name)
-            assert (answer is spec) if name in overridden else isinstance(answer, Denial)
+            assert (answer == spec) if name in overridden else isinstance(answer, Denial)
 
 
 def test_a_refusal_names_branch_state_and_operation() -> None:
@@ -99,7 +117,52 @@ def test_flags_mirror_the_digits() -> None:
 
 
 def test_allowed_lists_what_a_user_may_ask_for() -> None:
-    assert StateSet(RATMS).objects["robot"]["1"].allowed() == ["disconnect", "acknowledge"]
-    spec = RATMS.branches["robot"].operations["link_lost"]
-    assert isinstance(spec, OperationSpec)
-    assert spec.event
+    engine = Engine(RATMS)
+    assert engine.allowed("robot") == ["connect"]
+    assert engine.perform("robot", "connect")
+    assert engine.allowed("robot") == ["disconnect", "acknowledge"]
+    assert RATMS.branches["robot"].operations["link_lost"].event
+    assert isinstance(engine.ask("robot", "link_lost"), Closure)
+
+
+TEXTS = st.text() | st.sampled_from(
+    ['"""', "\\", "'\n'", '"""\nimport os\n"""', "\\N{DIGIT ONE}", "{0}", "\u2028", "\x00"]
+)
+
+
+@given(TEXTS, TEXTS, TEXTS)
+def test_texts_of_a_blueprint_are_only_texts_in_its_source(title: str, meaning: str, refusal: str) -> None:
+    connect = OperationSpec(from_=["*"], to="1", refusal=refusal, title=title)
+    branch = BranchSpec(title=title, states={"0": meaning, "1": title}, operations={"connect": connect})
+    blueprint = Blueprint(id="texts", version="1", title=title, branches={"robot": branch})
+    tree = ast.parse(source_of(blueprint))
+    assert [type(node).__name__ for node in tree.body] == [
+        "Expr",
+        "ImportFrom",
+        "ImportFrom",
+        *["ClassDef"] * 3,
+        "AnnAssign",
+    ]
+    kinds = states_of(blueprint)["robot"]
+    assert [kind.meaning for kind in kinds] == [meaning, title]
+    assert [kind().ask("connect") for kind in kinds] == [connect, connect]
+
+
+def test_the_source_is_typed_and_formatted(tmp_path: Path) -> None:
+    source = tmp_path / "ratms_states.py"
+    source.write_text(source_of(RATMS))
+    line_length = max(len(line) for line in source.read_text().splitlines())
+    assert line_length <= 120
+    checked = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", str(source)], capture_output=True, text=True, check=False
+    )
+    assert checked.returncode == 0, checked.stdout
+
+
+def test_classes_that_do_not_say_what_the_blueprint_says_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    later = msgspec.structs.replace(RATMS, branches={"robot": RATMS.branches["robot"]})
+    monkeypatch.setattr("pcmrs.fsm.branch.states_of", lambda _: states_of(RATMS))
+    operations = later.branches["robot"].operations | {"connect": OperationSpec(from_=["0"], to="0")}
+    changed = msgspec.structs.replace(later.branches["robot"], operations=operations)
+    with pytest.raises(BlueprintError, match="robot 0 does not say of connect"):
+        StateSet(msgspec.structs.replace(later, branches={"robot": changed}))

@@ -1,0 +1,80 @@
+"""Files that `pcmrs fsm` reads and writes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+import click
+
+from pcmrs.errors import PcmrsError
+from pcmrs.fsm import Blueprint, examine
+from pcmrs.fsm.finding import Finding, summary
+from pcmrs.fsm.toml import MAX_BYTES
+
+EXIT_UNSOUND = 1
+EXIT_UNREADABLE = 2
+
+file_argument = click.argument("file")
+output_option = click.option(
+    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Write to this file, not to the terminal."
+)
+
+
+def read(file: str) -> tuple[bytes, str]:
+    """The bytes of a file, and how findings call it; of a huge one no more than shows that it is too large.
+
+    Args:
+        file: A path, the name of an installed workflow, or ``-`` for standard input.
+    """
+    if file == "-":
+        return sys.stdin.buffer.read(MAX_BYTES + 1), "<stdin>"
+    path = Path(file)
+    try:
+        if not path.exists() and path.suffix == "":
+            path = _installed(file)
+        with path.open("rb") as stream:
+            return stream.read(MAX_BYTES + 1), str(path)
+    except OSError as error:
+        refuse(f"{file} cannot be read: {error.strerror}.")
+    except PcmrsError as error:
+        refuse(error.text)
+
+
+def sound(file: str) -> Blueprint:
+    """The sound workflow in a file; otherwise the findings are printed and the command ends."""
+    raw, origin = read(file)
+    examination = examine(raw, origin=origin)
+    if examination.blueprint is None or examination.findings:
+        end_with(examination.findings, readable=examination.readable)
+    return examination.blueprint
+
+
+def end_with(findings: list[Finding], *, readable: bool) -> NoReturn:
+    """Prints findings to standard error and ends: unsound where the file could be read, unreadable otherwise."""
+    click.echo(summary(findings), err=True)
+    sys.exit(EXIT_UNSOUND if readable else EXIT_UNREADABLE)
+
+
+def refuse(text: str) -> NoReturn:
+    """Ends a command that cannot be done."""
+    click.echo(f"{click.get_current_context().command_path}: {text}", err=True)
+    sys.exit(EXIT_UNREADABLE)
+
+
+def write(text: str | bytes, output: Path | None) -> None:
+    """Writes a result to the file that was asked for, or to standard output."""
+    if output is None:
+        click.echo(text, nl=False)
+        return
+    try:
+        output.write_bytes(text.encode() if isinstance(text, str) else text)
+    except OSError as error:
+        refuse(f"{output} cannot be written: {error.strerror}.")
+
+
+def _installed(name: str) -> Path:
+    from pcmrs.workflows.find import find_workflow  # loads the procedures: not for a mere path
+
+    return find_workflow(name).blueprint

@@ -1,0 +1,22 @@
+"""`pcmrs fsm generate`: the state classes that a daemon runs, to be read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pcmrs.cli.fsm.files import file_argument, output_option, sound, write
+
+
+@click.command()
+@file_argument
+@output_option
+def generate(file: str, output: Path | None) -> None:
+    """Print the Python source of the branch and state classes of FILE.
+
+    A daemon makes its state objects by executing exactly this text: what is reviewed is what runs.
+    """
+    from pcmrs.fsm.classes import source_of
+
+    write(source_of(sound(file)), output)

@@ -1,0 +1,58 @@
+"""`pcmrs fsm render`: the state chart of a workflow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import click
+
+from pcmrs.cli.fsm.files import file_argument, output_option, refuse, sound, write
+from pcmrs.errors import ConfigurationError
+from pcmrs.fsm import Blueprint
+
+FORMATS = ("svg", "png", "mermaid", "dot")
+
+
+def _states(_context: click.Context, _parameter: click.Parameter, given: tuple[str, ...]) -> dict[str, str]:
+    pairs = [text.partition("=") for text in given]
+    for branch, equals, state in pairs:
+        if not (branch and equals and state):
+            raise click.BadParameter(f"{branch + equals + state!r} is not of the form branch=state.")
+    return {branch: state for branch, _, state in pairs}
+
+
+@click.command()
+@file_argument
+@click.option("--format", "form", type=click.Choice(FORMATS), default="svg", show_default=True, help="What to write.")
+@click.option(
+    "--state",
+    "current",
+    multiple=True,
+    metavar="BRANCH=STATE",
+    callback=_states,
+    help="Highlight this state; may be repeated.",
+)
+@output_option
+def render(file: str, form: str, current: Mapping[str, str], output: Path | None) -> None:
+    """Draw the state chart of FILE.
+
+    Branches stand side by side, those of a deeper level inside the frame of the branch that they refine. svg and
+    png are the same picture; dot is for Graphviz, mermaid for pages that draw stateDiagram-v2.
+    """
+    try:
+        write(_drawing(form)(sound(file), current), output)
+    except ConfigurationError as error:
+        refuse(error.text)
+
+
+def _drawing(form: str) -> Callable[[Blueprint, Mapping[str, str]], str | bytes]:
+    from pcmrs.fsm import chart
+
+    drawings: dict[str, Callable[[Blueprint, Mapping[str, str]], str | bytes]] = {
+        "svg": chart.svg,
+        "png": lambda blueprint, current: chart.png(chart.svg(blueprint, current)),
+        "mermaid": chart.mermaid,
+        "dot": chart.dot,
+    }
+    return drawings[form]

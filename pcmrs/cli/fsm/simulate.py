@@ -1,0 +1,146 @@
+"""`pcmrs fsm simulate`: a workflow in the terminal, command by command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+import click
+import msgspec
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from pcmrs.cli.options import json_option
+from pcmrs.cli.running import readable_errors
+
+if TYPE_CHECKING:
+    from pcmrs.fsm.walk import Step, Walk
+
+HELP = """\
+<number>                    ask for that line of the list
+<branch.operation>          ask for an operation; it must have one outcome only
+<branch.operation:ending>   the same, and say how it ends: an outcome, failed or unknown
+why <branch.operation>      why it is refused now
+state                       the states, and what can be asked for
+undo, reset                 take the last command back, or all of them
+help, quit"""
+
+
+@click.command()
+@click.argument("file")
+@click.option("--random", "count", type=click.IntRange(min=1), help="Ask so many times for something at random.")
+@click.option("--seed", default=1, show_default=True, help="Of what is asked for at random.")
+@json_option
+@readable_errors
+def simulate(file: str, count: int | None, seed: int, as_json: bool) -> None:
+    """Step through the workflow FILE: what can be asked for, and what comes of it.
+
+    Commands are read line by line, from the terminal or a pipe; `help` lists them. With --json every step is
+    one JSON object.
+    """
+    from pcmrs.cli.fsm.files import sound
+    from pcmrs.fsm.walk import Walk
+
+    walk = Walk(sound(file))
+    show = _show_json if as_json else _show
+    if count is not None:
+        for step in walk.wander(count, seed):
+            show(step)
+    else:
+        _converse(walk, show, tables=not as_json)
+
+
+def _converse(walk: Walk, show: Callable[[Step], None], *, tables: bool) -> None:
+    """Answers line after line until there are no more."""
+    if tables:
+        _show_state(walk)
+    for line in _lines():
+        word, _, rest = line.partition(" ")
+        if word == "quit":
+            return
+        if word == "state":
+            _show_state(walk)
+        elif word in REPLIES:
+            click.echo(REPLIES[word](walk, rest.strip()))
+        elif line:
+            _ask(walk, line, show)
+
+
+def _lines() -> Iterator[str]:
+    source = click.get_text_stream("stdin")
+    prompt = "> " if source.isatty() else ""
+    while True:
+        click.echo(prompt, nl=False)
+        line = source.readline()
+        if not line:
+            return
+        yield line.strip()
+
+
+def _ask(walk: Walk, line: str, show: Callable[[Step], None]) -> None:
+    from pcmrs.errors import RefusalError
+
+    try:
+        show(walk.ask(_chosen(walk.choices(), int(line)) if line.isdecimal() else line))
+    except RefusalError as error:
+        click.echo(error.text, err=True)
+
+
+def _chosen(choices: list[str], number: int) -> str:
+    from pcmrs.errors import RefusalError
+
+    if not 1 <= number <= len(choices):
+        raise RefusalError("unknown_choice", f"{number} is not in the list; it has 1 to {len(choices)}.")
+    return choices[number - 1]
+
+
+def _why(walk: Walk, name: str) -> str:
+    from pcmrs.errors import RefusalError
+
+    try:
+        denial = walk.denial(name)
+    except RefusalError as error:
+        return error.text
+    return f"{name} is allowed." if denial is None else f"{denial.code}: {denial.text}"
+
+
+def _undo(walk: Walk, _rest: str) -> str:
+    return _where(walk) if walk.undo() else "There is nothing to undo."
+
+
+def _reset(walk: Walk, _rest: str) -> str:
+    walk.reset()
+    return _where(walk)
+
+
+REPLIES: dict[str, Callable[[Walk, str], str]] = {
+    "help": lambda _walk, _rest: HELP,
+    "why": _why,
+    "undo": _undo,
+    "reset": _reset,
+}
+
+
+def _where(walk: Walk) -> str:
+    return " ".join(f"{branch}={state}" for branch, state in walk.states().items())
+
+
+def _show_json(step: Step) -> None:
+    click.echo(msgspec.json.encode(step))
+
+
+def _show(step: Step) -> None:
+    click.echo(f"{step.command}: {step.decision}")
+    for line in step.lines():
+        click.echo(f"    {line}")
+
+
+def _show_state(walk: Walk) -> None:
+    """The state of every branch with its meaning, then the numbered choices."""
+    table = Table("branch", "state", "meaning", box=SIMPLE_HEAD)
+    for branch, state in walk.states().items():
+        table.add_row(branch, state, walk.blueprint.branches[branch].states[state])
+    Console().print(table)
+    for number, command in enumerate(walk.choices(), 1):
+        click.echo(f"{number:>4}  {command}")

@@ -1,0 +1,83 @@
+"""`pcmrs fsm verify`: proves that workflows are sound, or shows how they are not."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+import click
+import msgspec
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from pcmrs.cli.fsm.files import EXIT_UNREADABLE, EXIT_UNSOUND, read
+from pcmrs.cli.options import json_option
+from pcmrs.cli.running import readable_errors
+
+if TYPE_CHECKING:
+    from pcmrs.fsm import Examination
+
+LONG = 20_000
+"""From so many joint states on the search takes long enough for a progress bar."""
+
+
+@click.command()
+@click.argument("files", metavar="FILE...", nargs=-1, required=True)
+@click.option(
+    "--limit", type=click.IntRange(min=1), default=2_000_000, show_default=True, help="Refuse more joint states."
+)
+@json_option
+@readable_errors
+def verify(files: tuple[str, ...], limit: int, as_json: bool) -> None:
+    """Search all joint states of each FILE for what breaks a rule or a property.
+
+    A finding says where in the file it is, and with which commands one gets there. Exit status 0: all are sound,
+    1: one is not, 2: one cannot be read.
+    """
+    found = [_examine(file, limit) for file in files]
+    if as_json:
+        click.echo(msgspec.json.encode([_as_object(origin, examination) for origin, examination in found]))
+    else:
+        for origin, examination in found:
+            _show(origin, examination)
+    if not all(examination.readable for _, examination in found):
+        sys.exit(EXIT_UNREADABLE)
+    if not all(examination.sound for _, examination in found):
+        sys.exit(EXIT_UNSOUND)
+
+
+def _examine(file: str, limit: int) -> tuple[str, Examination]:
+    from pcmrs.fsm import examine
+
+    raw, origin = read(file)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(f"joint states of {origin}", total=None, visible=False)
+
+        def show(looked_at: int, known: int) -> None:
+            bar.update(task, completed=looked_at, total=known, visible=known > LONG)
+
+        return origin, examine(raw, origin=origin, limit=limit, progress=show)
+
+
+def _as_object(origin: str, examination: Examination) -> dict[str, Any]:
+    return {
+        "file": origin,
+        "readable": examination.readable,
+        "sound": examination.sound,
+        "joint_states": examination.joint_states,
+        "findings": examination.findings,
+    }
+
+
+def _show(origin: str, examination: Examination) -> None:
+    if examination.blueprint is not None and examination.sound:
+        promised = len(examination.blueprint.properties)
+        click.echo(f"{origin}: sound: {examination.joint_states} joint states, {promised} properties")
+        return
+    for finding in examination.findings:
+        click.echo(f"{finding.file}:{finding.line}:{finding.column}: {finding.code}: {finding.text}")
+        for number, command in enumerate(finding.commands or (), 1):
+            click.echo(f"    {number}. {command}")
+    word = "unsound" if examination.readable else "unreadable"
+    click.echo(f"{origin}: {word}: {len(examination.findings)} findings")

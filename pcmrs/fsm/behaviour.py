@@ -1,0 +1,77 @@
+"""What a workflow answers to every operation in every joint state it can reach."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from pcmrs.errors import BlueprintError
+from pcmrs.fsm.blueprint import Blueprint, OperationSpec
+from pcmrs.fsm.closure import Change, Closure, Denial, close
+
+Joint = tuple[str, ...]
+"""The states of all branches, in the blueprint's order."""
+
+Answer = Closure | Denial
+
+MAX_JOINT_STATES = 20_000
+"""Beyond this nobody can review the answers, and a tour through all of them takes too long."""
+
+
+def operations(blueprint: Blueprint) -> Iterator[tuple[str, str, OperationSpec]]:
+    """Branch, name and declaration of every operation, those that nobody may ask for included."""
+    for branch, spec in blueprint.branches.items():
+        for operation, declared in spec.operations.items():
+            yield branch, operation, declared
+
+
+def joint_of(blueprint: Blueprint, states: Mapping[str, str]) -> Joint:
+    """The joint state as a tuple."""
+    return tuple(states[branch] for branch in blueprint.branches)
+
+
+def states_of(blueprint: Blueprint, joint: Joint) -> dict[str, str]:
+    """The joint state as branch to state."""
+    return dict(zip(blueprint.branches, joint, strict=True))
+
+
+def shown(blueprint: Blueprint, joint: Joint) -> str:
+    """The joint state in a line of text."""
+    return " ".join(f"{branch}={state}" for branch, state in states_of(blueprint, joint).items())
+
+
+def answer(blueprint: Blueprint, states: Mapping[str, str], branch: str, operation: str) -> Answer:
+    """The closure of an operation asked for in a joint state, or why it is denied."""
+    if blueprint.branches[branch].valid_in(operation, states[branch]):
+        return close(blueprint, states, branch, operation)
+    return Denial("invalid_in_state", f"{branch} in {states[branch]} does not allow {operation}.")
+
+
+def endings(spec: OperationSpec, closure: Closure) -> dict[str, Change | None]:
+    """Every way an allowed operation can end, and what that changes; only steps can fail or leave doubt."""
+    doubtful = {"failed": closure.failure, "unknown": closure.unknown} if spec.steps else {}
+    return {**closure.outcomes, **doubtful}
+
+
+def behaviour(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> dict[Joint, dict[str, Answer]]:
+    """Every reachable joint state, the initial one first, and the answer there to each ``branch.operation``.
+
+    Raises:
+        BlueprintError: There are more than `limit` joint states.
+    """
+    start = joint_of(blueprint, blueprint.initial())
+    found: dict[Joint, dict[str, Answer]] = {start: {}}
+    waiting = [start]
+    for joint in waiting:
+        states = states_of(blueprint, joint)
+        for branch, operation, spec in operations(blueprint):
+            said = found[joint][f"{branch}.{operation}"] = answer(blueprint, states, branch, operation)
+            if spec.iio or isinstance(said, Denial):
+                continue
+            for change in endings(spec, said).values():
+                after = joint if change is None else joint_of(blueprint, change.states)
+                if after not in found:
+                    found[after] = {}
+                    waiting.append(after)
+        if len(found) > limit:
+            raise BlueprintError(f"over {limit} joint states: too many to go through one by one.", limit=limit)
+    return found

@@ -1,0 +1,142 @@
+"""Python source of the branch and state classes of a blueprint, and the classes that it defines.
+
+There is one way from a blueprint to what the dispatcher asks: this source is written and then executed. Texts
+of a blueprint get into it as string literals only, its names only after `pcmrs.fsm.names` has accepted them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+
+from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
+from pcmrs.fsm.state import State
+
+RESERVED = frozenset(name for name in dir(State) if not name.startswith("_")) | {"active", "self"}
+"""Names that an operation or branch cannot have: the state classes use them."""
+
+
+def class_name(branch: str) -> str:
+    """Name of a branch's class: ``tool_plan`` is ``ToolPlanBranch``."""
+    return "".join(word.capitalize() for word in branch.split("_")) + "Branch"
+
+
+def states_of(blueprint: Blueprint) -> dict[str, list[type[State]]]:
+    """The state classes of each branch, in the blueprint's order: those that `source_of` defines.
+
+    Args:
+        blueprint: One that passed `pcmrs.fsm.rules.check_rules`.
+    """
+    module: dict[str, Any] = {"__name__": f"blueprint_{blueprint.id}"}
+    exec(compile(source_of(blueprint), f"<blueprint {blueprint.id}>", "exec"), module)
+    states: dict[str, list[type[State]]] = module["STATES"]
+    return states
+
+
+def source_of(blueprint: Blueprint) -> str:
+    """The Python source that a daemon of this blueprint executes.
+
+    Args:
+        blueprint: One that passed `pcmrs.fsm.rules.check_rules`.
+    """
+    return "\n".join([*_header(blueprint), *_classes(blueprint), *_index(blueprint), ""])
+
+
+def _header(blueprint: Blueprint) -> Iterator[str]:
+    yield _docstring(f"State Branches of {blueprint.title or blueprint.id}, generated from its blueprint.")
+    yield ""
+    yield f"# {blueprint.id} {blueprint.version}, blueprint {blueprint.hash}"
+    yield ""
+    outcomes = any(o.outcomes for branch in blueprint.branches.values() for o in branch.operations.values())
+    yield f"from pcmrs.fsm.blueprint import OperationSpec{', OutcomeSpec' if outcomes else ''}"
+    yield "from pcmrs.fsm.state import Answer, State"
+
+
+def _classes(blueprint: Blueprint) -> Iterator[str]:
+    for name, branch in blueprint.branches.items():
+        yield from ("", "", f"class {class_name(name)}(State):")
+        yield f"    {_docstring(branch.title or name)}"
+        yield from (f"    # {line}" for line in _relations(branch))
+        yield from ("", f"    branch = {_literal(name)}")
+        for key, operation in branch.operations.items():
+            yield ""
+            yield from _constant(key, operation)
+        for key in branch.operations:
+            yield from ("", f"    def {key}(self) -> Answer:")
+            yield f"        return self.refuse({_literal(key)})"
+        for state in branch.states:
+            yield from _state_class(name, branch, state)
+
+
+def _relations(branch: BranchSpec) -> Iterator[str]:
+    """What a reader of the class must know of other branches."""
+    parent = branch.parent
+    if parent is not None:
+        yield f"Level {branch.level}, refines {parent.branch}; starts anew when that comes to {parent.start} (Rule 3)."
+        for state, called in branch.emits.items():
+            yield f"A change to {state} calls {parent.branch}.{called} (Rule 2)."
+            yield f"{state} fits {parent.branch} {', '.join(parent.compatible[state])}."
+    for rule in branch.revocations:
+        yield f"A change of {' or '.join(rule.by)} takes {' or '.join(rule.from_)} to {rule.to}."
+
+
+def _constant(name: str, operation: OperationSpec) -> Iterator[str]:
+    yield f"    {name.upper()} = OperationSpec("
+    for key, value in _given(operation):
+        if key == "outcomes":
+            yield "        outcomes={"
+            yield from (f"            {_literal(n)}: {_literal(o)}," for n, o in operation.outcomes.items())
+            yield "        },"
+        else:
+            yield f"        {key}={value},"
+    yield "    )"
+
+
+def _state_class(name: str, branch: BranchSpec, state: str) -> Iterator[str]:
+    base = class_name(name)
+    yield from ("", "", f"class {_state_name(name, state)}({base}):")
+    yield f"    {_docstring(branch.states[state])}"
+    yield from ("", f"    name = {_literal(state)}", f"    meaning = {_literal(branch.states[state])}")
+    for key in branch.operations:
+        if branch.valid_in(key, state):
+            yield from ("", f"    def {key}(self) -> Answer:", f"        return self.{key.upper()}")
+
+
+def _index(blueprint: Blueprint) -> Iterator[str]:
+    yield from ("", "", "STATES: dict[str, list[type[State]]] = {")
+    for name, branch in blueprint.branches.items():
+        yield f"    {_literal(name)}: [{', '.join(_state_name(name, state) for state in branch.states)}],"
+    yield "}"
+
+
+def _state_name(branch: str, state: str) -> str:
+    return f"{class_name(branch).removesuffix('Branch')}_{state}"
+
+
+def _given(spec: msgspec.Struct) -> Iterator[tuple[str, str]]:
+    """Fields that differ from their defaults, as Python."""
+    for field in msgspec.structs.fields(spec):
+        value = getattr(spec, field.name)
+        default = field.default_factory() if field.default_factory is not msgspec.NODEFAULT else field.default
+        if value != default:
+            yield field.name, _literal(value)
+
+
+def _literal(value: Any) -> str:
+    """Plain data as Python; a JSON string is a Python string that can end nowhere but at its end."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, list):
+        return f"[{', '.join(map(_literal, value))}]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_literal(key)}: {_literal(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, msgspec.Struct):
+        return f"{type(value).__name__}({', '.join(f'{key}={item}' for key, item in _given(value))})"
+    return repr(value)
+
+
+def _docstring(text: str) -> str:
+    return f'""{_literal(text)}""'

@@ -1,0 +1,43 @@
+"""What is wrong with a workflow, said so that a person and a program can go and mend it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import msgspec
+
+Path = tuple[str, ...]
+"""Keys from the root of a file; the elements of an array count from ``"0"``."""
+
+
+class Finding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One thing that is wrong.
+
+    Attributes:
+        code: Which kind, a key of `CODES`.
+        text: What, which value, which limit, and what to do.
+        path: Keys from the root of the file to where it is wrong.
+        file: The file as it was named.
+        line: In the file, from 1; 0 where it is not known.
+        column: In the line, from 1; 0 where it is not known.
+        commands: A shortest sequence of commands that shows it, ``branch.operation`` or
+            ``branch.operation:outcome`` each, from the initial states; None where commands do not show it.
+    """
+
+    code: str
+    text: str
+    path: tuple[str, ...] = ()
+    file: str = ""
+    line: int = 0
+    column: int = 0
+    commands: tuple[str, ...] | None = None
+
+    def __str__(self) -> str:
+        where = ":".join(str(part) for part in (self.file, self.line, self.column) if part)
+        shown = f" (after {', '.join(self.commands) or 'the start'})" if self.commands is not None else ""
+        return f"{where}: {self.code}: {self.text}{shown}" if where else f"{self.code}: {self.text}{shown}"
+
+
+def summary(findings: Iterable[Finding]) -> str:
+    """All findings, a line each."""
+    return "\n".join(str(finding) for finding in findings)

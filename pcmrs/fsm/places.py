@@ -1,0 +1,87 @@
+"""Where in a TOML file a key is: what the parser of the standard library does not tell."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from typing import Any
+
+from tree_sitter import Node, Tree
+
+from pcmrs.fsm.finding import Path
+
+
+class Places:
+    """Line and column of every key of a file.
+
+    Args:
+        tree: The syntax of a file that `tomllib` can read.
+        raw: The file.
+    """
+
+    def __init__(self, tree: Tree, raw: bytes) -> None:
+        self._lines = raw.split(b"\n")
+        self._places: dict[Path, tuple[int, int]] = {}
+        self._lengths: dict[Path, int] = {}  # of arrays of tables
+        for node in tree.root_node.named_children:
+            self._take(node, ())
+
+    def of(self, path: Path) -> tuple[int, int]:
+        """Line and column, from 1, of the key at `path`, or of the nearest above it that is in the file."""
+        while path and path not in self._places:
+            path = path[:-1]
+        return self._places.get(path, (1, 1))
+
+    def _take(self, node: Node, above: Path) -> None:
+        if node.type == "pair":
+            key, value = node.named_children[:2]
+            path = (*above, *_keys(key))
+            self._note(key, path, above)
+            self._take_value(value, path)
+        elif node.type in ("table", "table_array_element"):
+            key = node.named_children[0]
+            path = self._resolved(_keys(key), new=node.type == "table_array_element")
+            self._note(key, path, ())
+            for child in node.named_children[1:]:
+                self._take(child, path)
+
+    def _take_value(self, node: Node, path: Path) -> None:
+        if node.type == "inline_table":
+            for child in node.named_children:
+                self._take(child, path)
+        elif node.type == "array":
+            for index, child in enumerate(item for item in node.named_children if item.type != "comment"):
+                self._note(child, (*path, str(index)), path)
+                self._take_value(child, (*path, str(index)))
+
+    def _note(self, node: Node, path: Path, above: Path) -> None:
+        """Remembers where `path` is, and the tables on the way to it from `above`."""
+        row, byte = node.start_point
+        column = len(self._lines[row][:byte].decode(errors="replace"))
+        for length in range(len(above) + 1, len(path) + 1):
+            self._places.setdefault(path[:length], (row + 1, column + 1))
+
+    def _resolved(self, keys: Path, *, new: bool) -> Path:
+        """The path of a header, with the number of the newest element after each array of tables."""
+        path: Path = ()
+        for key in keys[:-1]:
+            path = (*path, key)
+            if path in self._lengths:
+                path = (*path, str(self._lengths[path] - 1))
+        path = (*path, keys[-1])
+        if not new:
+            return path
+        self._lengths[path] = self._lengths.get(path, 0) + 1
+        return (*path, str(self._lengths[path] - 1))
+
+
+def _keys(node: Node) -> Path:
+    text = (node.text or b"").decode()
+    return tuple(_flat(tomllib.loads(f"{text} = 0")))
+
+
+def _flat(table: dict[str, Any]) -> Iterator[str]:
+    for key, inner in table.items():
+        yield key
+        if isinstance(inner, dict):
+            yield from _flat(inner)

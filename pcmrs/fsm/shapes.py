@@ -1,0 +1,71 @@
+"""Shapes of branches, operations and properties: what cannot be meant, whatever the names stand for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
+from pcmrs.fsm.finding import Finding
+
+
+def check_shapes(blueprint: Blueprint) -> Iterator[Finding]:
+    """What cannot be meant; every name must stand for something."""
+    for name, branch in blueprint.branches.items():
+        yield from _level(blueprint, name, branch)
+        for key, operation in branch.operations.items():
+            path = ("branches", name, "operations", key)
+            for text in _faults(blueprint, name, branch, operation):
+                yield Finding(code="bad_operation", text=f"{name}.{key} {text}", path=path)
+    identities: set[str] = set()
+    for index, promise in enumerate(blueprint.properties):
+        given = [promise.always, promise.never, promise.reachable, promise.leads_to]
+        path = ("properties", str(index))
+        if sum(condition is not None for condition in given) != 1:
+            text = f"The property {promise.id} needs exactly one of always, never, reachable and leads_to."
+            yield Finding(code="bad_property", text=text, path=path)
+        if promise.id in identities:
+            text = f"There are two properties {promise.id!r}: findings could not tell them apart."
+            yield Finding(code="bad_property", text=text, path=path)
+        identities.add(promise.id)
+
+
+def _level(blueprint: Blueprint, name: str, branch: BranchSpec) -> Iterator[Finding]:
+    parent, path = branch.parent, ("branches", name, "level")
+    if parent is None and branch.level != 1:
+        text = f"{name} is of level {branch.level} without a parent: only level 1 has none."
+        yield Finding(code="bad_level", text=text, path=path)
+    elif parent is None and branch.emits:
+        text = f"{name} emits operations, but has no parent that they could call."
+        yield Finding(code="bad_level", text=text, path=("branches", name, "emits"))
+    elif parent is not None and branch.level != (above := blueprint.branches[parent.branch].level) + 1:
+        text = f"{name} is of level {branch.level} under {parent.branch} of level {above}: it must be {above + 1}."
+        yield Finding(code="bad_level", text=text, path=path)
+    elif parent is not None and set(parent.compatible) != set(branch.states):
+        missing = ", ".join(state for state in branch.states if state not in parent.compatible)
+        text = f"`compatible` must name every state of {name}; missing: {missing}."
+        yield Finding(code="bad_level", text=text, path=("branches", name, "parent", "compatible"))
+
+
+def _faults(blueprint: Blueprint, branch: str, spec: BranchSpec, operation: OperationSpec) -> Iterator[str]:
+    """What is wrong with an operation whose names all stand for something."""
+    if (operation.to is None) == (not operation.outcomes):
+        yield "needs either `to` or `outcomes`."
+        return
+    if not 0 < operation.timeout_s < math.inf:
+        yield f"has timeout_s = {operation.timeout_s}: it must be above 0 and finite."
+    if not operation.from_ or ("*" in operation.from_ and len(operation.from_) > 1):
+        yield "needs states in `from`, or exactly ['*']."
+    if operation.iio and (operation.steps or operation.checks or operation.outcomes or operation.requires):
+        yield "is called by a child (iio): it has a target, no checks, steps, outcomes or requires."
+    if operation.iio and (operation.event or operation.rio or operation.motion != "none"):
+        yield "is called by a child (iio): it cannot be an event, a motion or the re-initiation as well."
+    if operation.motion != "none" and (operation.on_failure is None or operation.on_unknown is None):
+        yield "moves: it needs `on_failure` and `on_unknown`, since it cannot end where it began."
+    sources = {state for state in spec.states if state in operation.from_ or operation.from_ == ["*"]}
+    for target in (*(e.to for e in operation.endings.values()), operation.on_failure, operation.on_unknown):
+        if isinstance(target, dict) and set(target) != sources:
+            yield f"goes to a state by where it comes from: the keys must be {sorted(sources)}, not {sorted(target)}."
+    for child in operation.sets:
+        if child not in blueprint.children[branch]:
+            yield f"sets {child}, which is no child of {branch}."

@@ -1,0 +1,130 @@
+"""Reads TOML that anybody may have written: bounded in size and depth, with the place of every fault."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from typing import Any, NoReturn, TypeVar
+
+import msgspec
+import tree_sitter_toml
+from tree_sitter import Language, Parser, Tree
+
+from pcmrs.errors import BlueprintError
+from pcmrs.fsm.finding import Finding, Path
+from pcmrs.fsm.places import Places
+
+MAX_BYTES = 256 * 1024
+MAX_DEPTH = 64
+"""Of nested arrays, inline tables and dotted keys, counted in nodes of the grammar."""
+
+T = TypeVar("T")
+
+_PLACE = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
+_UNKNOWN_KEY = re.compile(r"unknown field `([^`]+)`")
+_PATH = re.compile(r" - at (?:`[^`]*` in )?`\$?([^`]*)`$")
+
+
+def read_toml(raw: bytes, origin: str) -> tuple[dict[str, Any], Places]:
+    """The table in a file, and where its keys are.
+
+    Raises:
+        BlueprintError: It is too large or too deep, or not TOML; `findings` has where.
+    """
+    if len(raw) > MAX_BYTES:
+        _refuse(origin, "too_large", f"The file has {len(raw)} bytes; the limit is {MAX_BYTES}. Split the workflow.")
+    try:
+        text = raw.decode()
+    except UnicodeDecodeError as error:
+        before = raw[: error.start]
+        line, column = before.count(b"\n") + 1, len(before.rpartition(b"\n")[2].decode()) + 1
+        value = raw[error.start]
+        _refuse(origin, "not_utf8", f"Byte 0x{value:02x} is not UTF-8: save the file as UTF-8.", line, column)
+    tree = Parser(Language(tree_sitter_toml.language())).parse(raw)
+    _check_depth(tree, origin)
+    try:
+        return tomllib.loads(text), Places(tree, raw)
+    except RecursionError:  # brackets that nobody closes are no nodes
+        _refuse(origin, "too_deep", f"Values are nested over {MAX_DEPTH} deep.")
+    except ValueError as error:  # more than TOMLDecodeError: a number may have too many digits
+        place = _PLACE.search(str(error))
+        line, column = (int(place[1]), int(place[2])) if place and place[1] else (0, 0)
+        _refuse(
+            origin, "not_toml", f"This is not TOML: {_PLACE.sub('', str(error))}.", line or text.count("\n") + 1, column
+        )
+
+
+def convert(table: Mapping[str, Any], kind: type[T], places: Places, origin: str) -> T:
+    """The table as a typed structure.
+
+    Raises:
+        BlueprintError: A key is unknown or missing, or a value has the wrong type; `findings` has where.
+    """
+    try:
+        return msgspec.convert(table, kind)
+    except msgspec.ValidationError as error:
+        path = _narrowed(table, kind, error)
+        line, column = places.of(path)
+        where = ".".join(path) or "the file"
+        _refuse(origin, "bad_value", f"In {where}: {_PATH.sub('', str(error))}.", line, column, path)
+
+
+def _refuse(origin: str, code: str, text: str, line: int = 1, column: int = 1, path: Path = ()) -> NoReturn:
+    finding = Finding(code=code, text=text, file=origin, line=line, column=column, path=path)
+    raise BlueprintError(str(finding), findings=[finding])
+
+
+def _check_depth(tree: Tree, origin: str) -> None:
+    """Refuses what would take the parser's stack or its memory; looks no deeper than the limit."""
+    cursor, depth = tree.walk(), 0
+    while True:
+        if depth > MAX_DEPTH:
+            row, column = cursor.node.start_point if cursor.node is not None else (0, 0)
+            _refuse(origin, "too_deep", f"Keys or values are nested over {MAX_DEPTH} deep.", row + 1, column + 1)
+        if cursor.goto_first_child():
+            depth += 1
+            continue
+        while not cursor.goto_next_sibling():
+            if not cursor.goto_parent():
+                return
+            depth -= 1
+
+
+def _narrowed(table: Mapping[str, Any], kind: type[Any], error: msgspec.ValidationError) -> Path:
+    """The path of a fault; msgspec does not name the keys of dictionaries, so each is tried alone."""
+    path: Path = ()
+    found = _PATH.search(str(error))
+    for step in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", found[1] if found else ""):
+        key = step[0] or step[1]
+        if key == "...":
+            inner = _at(table, path)
+            key = next((k for k in inner if _is_at_fault(_only(table, path, k), kind, str(error))), key)
+        path = (*path, key)
+    unknown = _UNKNOWN_KEY.search(str(error))
+    return (*path, unknown[1]) if unknown else path
+
+
+def _at(table: Mapping[str, Any], path: Path) -> Any:
+    value: Any = table
+    for key in path:
+        value = value[int(key)] if isinstance(value, list) else value[key]
+    return value
+
+
+def _only(table: Any, path: Path, key: str) -> Any:
+    """The table with nothing but `key` at `path`."""
+    if not path:
+        return {key: table[key]}
+    if isinstance(table, list):
+        index = int(path[0])
+        return [*table[:index], _only(table[index], path[1:], key), *table[index + 1 :]]
+    return {**table, path[0]: _only(table[path[0]], path[1:], key)}
+
+
+def _is_at_fault(table: Any, kind: type[Any], text: str) -> bool:
+    try:
+        msgspec.convert(table, kind)
+    except msgspec.ValidationError as error:
+        return str(error) == text
+    return False

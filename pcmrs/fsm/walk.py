@@ -1,0 +1,176 @@
+"""A person's way through a workflow, a command at a time, as simulations show it."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+
+import msgspec
+
+from pcmrs.errors import RefusalError
+from pcmrs.fsm.behaviour import endings, operations
+from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint
+from pcmrs.fsm.closure import Change, Closure, Denial, Effect
+from pcmrs.fsm.engine import Engine
+
+WORDS = {
+    "operation": "{branch}: {source} → {target}",
+    "signal": "signals {branch}.{operation}: {source} → {target}",
+    "reinit": "re-initiates {branch}: {source} → {target}",
+    "set": "sets {branch}: {source} → {target}",
+    "revoke": "revokes {branch}: {source} → {target}",
+}
+"""How each kind of effect is told."""
+
+
+class Step(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One command and what came of it.
+
+    Attributes:
+        command: ``branch.operation`` or ``branch.operation:ending``.
+        decision: ``accepted``, ``failed``, ``unknown`` or ``rejected``.
+        code: Of a rejection.
+        text: Why it was rejected.
+        effects: What it did, in order.
+        states: The joint state after it.
+    """
+
+    command: str
+    decision: str
+    code: str = ""
+    text: str = ""
+    effects: tuple[Effect, ...] = ()
+    states: dict[str, str]
+
+    def lines(self) -> list[str]:
+        """What came of it in words: why not, or every effect."""
+        if self.decision == "rejected":
+            return [f"{self.code}: {self.text}"]
+        return [told(effect) for effect in self.effects] or ["nothing changes"]
+
+
+class Walk:
+    """Commands so far, and where they have led.
+
+    Args:
+        blueprint: The workflow, at its start.
+
+    Attributes:
+        steps: What has been asked, in order.
+    """
+
+    def __init__(self, blueprint: Blueprint) -> None:
+        self.blueprint = blueprint
+        self.steps: list[Step] = []
+        self._engine = Engine(blueprint)
+
+    def states(self) -> dict[str, str]:
+        """The present joint state."""
+        return self._engine.joint()
+
+    def choices(self) -> list[str]:
+        """Everything that can be asked for now, and every way in which it can end."""
+        return [command for branch, operation in self._asked() for command in self._commands(branch, operation)]
+
+    def ask(self, command: str) -> Step:
+        """Asks for ``branch.operation`` or ``branch.operation:ending`` and moves on when it is allowed.
+
+        Raises:
+            RefusalError: There is no such command, or it does not say how the operation ends.
+        """
+        step = self._step(command)
+        self._engine.place(step.states)
+        self.steps.append(step)
+        return step
+
+    def denial(self, name: str) -> Denial | None:
+        """Why ``branch.operation`` is denied now; None when it is allowed.
+
+        Raises:
+            RefusalError: There is no such operation.
+        """
+        answer = self._engine.ask(*self._found(name))
+        return answer if isinstance(answer, Denial) else None
+
+    def undo(self) -> bool:
+        """Takes the last command back; false when there is none."""
+        if self.steps:
+            self.steps.pop()
+            self._engine.place(self.steps[-1].states if self.steps else self.blueprint.initial())
+            return True
+        return False
+
+    def reset(self) -> None:
+        """Back to the start."""
+        self.steps.clear()
+        self._engine.place(self.blueprint.initial())
+
+    def wander(self, count: int, seed: int) -> Iterator[Step]:
+        """Asks `count` times for something at random, allowed or not; the same for the same seed."""
+        dice = random.Random(seed)
+        asked = self._asked()
+        for _ in range(count if asked else 0):
+            branch, operation = dice.choice(asked)
+            yield self.ask(dice.choice(self._commands(branch, operation) or [f"{branch}.{operation}"]))
+
+    def _asked(self) -> list[tuple[str, str]]:
+        """Operations that a person or a device may ask for."""
+        return [(branch, operation) for branch, operation, spec in operations(self.blueprint) if not spec.iio]
+
+    def _commands(self, branch: str, operation: str) -> list[str]:
+        return [_command(f"{branch}.{operation}", ending) for ending in self._endings(branch, operation)]
+
+    def _endings(self, branch: str, operation: str) -> dict[str, Change | None]:
+        answer = self._engine.ask(branch, operation)
+        spec = self.blueprint.branches[branch].operations[operation]
+        return endings(spec, answer) if isinstance(answer, Closure) else {}
+
+    def _found(self, name: str) -> tuple[str, str]:
+        branch, _, operation = name.partition(".")
+        spec = self.blueprint.branches.get(branch)
+        if spec is None:
+            known = ", ".join(self.blueprint.branches)
+            raise RefusalError("unknown_branch", f"There is no branch {branch!r}; the branches are {known}.")
+        if operation not in spec.operations:
+            known = ", ".join(spec.operations)
+            raise RefusalError("unknown_operation", f"{branch} has no operation {operation!r}; it has {known}.")
+        return branch, operation
+
+    def _step(self, command: str) -> Step:
+        name, _, ending = command.partition(":")
+        branch, operation = self._found(name)
+        if self.blueprint.branches[branch].operations[operation].iio:
+            denial: Denial | None = Denial("internal_operation", f"{name} is called by a child branch only.")
+        else:
+            denial = self.denial(name)
+        if denial is not None:
+            states = self.states()
+            return Step(command=command, decision="rejected", code=denial.code, text=denial.text, states=states)
+        possible = self._endings(branch, operation)
+        ending = ending or _only_outcome(possible)
+        if ending not in possible:
+            ways = ", ".join(_command(name, way) for way in possible)
+            raise RefusalError("unknown_outcome", f"{command} does not say how it ends; say one of {ways}.")
+        change = possible[ending]
+        return Step(
+            command=_command(name, ending),
+            decision=ending if ending in ("failed", "unknown") else "accepted",
+            effects=change.effects if change is not None else (),
+            states=dict(change.states) if change is not None else self.states(),
+        )
+
+
+def told(effect: Effect) -> str:
+    """An effect in words."""
+    return WORDS[effect.kind].format(
+        branch=effect.branch, operation=effect.operation, source=effect.source, target=effect.target
+    )
+
+
+def _command(name: str, ending: str) -> str:
+    return name if ending == START_OUTCOME else f"{name}:{ending}"
+
+
+def _only_outcome(possible: dict[str, Change | None]) -> str:
+    outcomes = [ending for ending in possible if ending not in ("failed", "unknown")]
+    return outcomes[0] if len(outcomes) == 1 else ""

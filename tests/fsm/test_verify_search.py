@@ -1,0 +1,116 @@
+"""The vectorised search against a search that does it one joint state at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from large_blueprints import free
+from random_blueprints import blueprints
+
+from pcmrs.fsm.behaviour import answer, endings, joint_of, states_of
+from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.closure import Closure
+from pcmrs.fsm.verify import explore, verify
+from pcmrs.fsm.verify.encoding import Encoding
+from pcmrs.fsm.verify.search import leading_to
+from pcmrs.fsm.verify.space import Space
+from pcmrs.fsm.verify.visited import MAX_BITMAP, visited
+
+Joint = tuple[str, ...]
+
+
+def successors(blueprint: Blueprint, joint: Joint) -> dict[Joint, int]:
+    """How often each joint state follows on `joint`, worked out with nothing but `answer`."""
+    found: dict[Joint, int] = {}
+    states = states_of(blueprint, joint)
+    for branch, spec in blueprint.branches.items():
+        for operation, declared in spec.operations.items():
+            closure = answer(blueprint, states, branch, operation)
+            if isinstance(closure, Closure) and not declared.iio:
+                for change in endings(declared, closure).values():
+                    after = joint if change is None else joint_of(blueprint, change.states)
+                    found[after] = found.get(after, 0) + 1
+    return found
+
+
+def levels(blueprint: Blueprint) -> dict[Joint, int]:
+    """Every reachable joint state and the length of the shortest way to it."""
+    start = joint_of(blueprint, blueprint.initial())
+    found, waiting = {start: 0}, [start]
+    for joint in waiting:
+        for after in successors(blueprint, joint):
+            if after not in found:
+                found[after] = found[joint] + 1
+                waiting.append(after)
+    return found
+
+
+@settings(max_examples=150, deadline=None)
+@given(blueprints())
+def test_finds_each_joint_state_on_its_level_and_counts_every_transition(blueprint: Blueprint) -> None:
+    expected = levels(blueprint)
+    space = Space(blueprint, 10_000)
+    found = {
+        joint_of(blueprint, space.encoding.decoded(int(code))): length
+        for length, level in enumerate(space.reached.levels)
+        for code in level
+    }
+    assert found == expected
+    assert space.taken == sum(sum(successors(blueprint, joint).values()) for joint in expected)
+
+
+@settings(max_examples=100, deadline=None)
+@given(blueprints(), st.data())
+def test_the_way_back_is_the_way_there(blueprint: Blueprint, data: st.DataObject) -> None:
+    space = Space(blueprint, 10_000)
+    goal = data.draw(st.sampled_from(explore(blueprint)))
+    code = space.encoding.code(goal)
+    known = leading_to(space.reached, np.array([code]), space.transitions)
+    for joint in levels(blueprint):
+        expected = joint_of(blueprint, goal) in _from(blueprint, joint)
+        own = np.array([space.encoding.code(states_of(blueprint, joint))])
+        assert bool(known.has(own)[0]) == expected
+
+
+def _from(blueprint: Blueprint, joint: Joint) -> set[Joint]:
+    found, waiting = {joint}, [joint]
+    for each in waiting:
+        new = set(successors(blueprint, each)) - found
+        found |= new
+        waiting.extend(new)
+    return found
+
+
+@given(st.lists(st.lists(st.integers(0, 10**15), unique=True), max_size=30), st.booleans())
+def test_a_set_of_codes_is_a_set(batches: list[list[int]], sparse: bool) -> None:
+    modulus = 10**15 if sparse else 1000
+    known, expected = visited(MAX_BITMAP + 1 if sparse else modulus), set[int]()
+    for batch in batches:
+        codes = sorted({code % modulus for code in batch})
+        new = known.add(np.array(codes, dtype=np.int64))
+        assert sorted(new.tolist()) == sorted(set(codes) - expected)
+        expected |= set(codes)
+        assert known.has(np.array(codes, dtype=np.int64)).all()
+
+
+@given(st.lists(st.integers(1, 5), min_size=1, max_size=8), st.data())
+def test_a_code_means_the_combination_it_was_made_of(sizes: list[int], data: st.DataObject) -> None:
+    encoding = Encoding({f"b{n}": [str(value) for value in range(size)] for n, size in enumerate(sizes)})
+    values = {name: data.draw(st.sampled_from(taken)) for name, taken in zip(encoding.names, encoding.values)}
+    code = encoding.code(values)
+    assert 0 <= code < encoding.combinations
+    assert encoding.decoded(code) == values
+
+
+@pytest.mark.parametrize("limit", [1, 2, 3])
+def test_beyond_the_limit_it_says_so_and_nothing_else(limit: int) -> None:
+    blueprint = free(4, 2)
+    found = verify(blueprint, limit=limit).findings
+    assert [finding.code for finding in found] == ["too_many_states"]
+    assert str(limit) in found[0].text
+
+
+def test_more_combinations_than_an_integer_holds_are_refused() -> None:
+    assert [finding.code for finding in verify(free(63, 2)).findings] == ["too_many_states"]
