@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 from pcmrs.fsm.blueprint import Blueprint, OperationSpec, ParentSpec, Requirement, Target, target_from
@@ -30,19 +31,19 @@ class Effect:
     target: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Change:
     """One way a command can end: the joint state after it, and the effects in order."""
 
     states: Mapping[str, str]
     effects: tuple[Effect, ...]
 
-    @property
+    @cached_property
     def moved(self) -> frozenset[str]:
         """Branches whose state or data it changes; a signal that finds its target reached changes nothing."""
         return frozenset(e.branch for e in self.effects if e.kind != "signal" or e.source != e.target)
 
-    @property
+    @cached_property
     def targets(self) -> dict[str, str]:
         """The state that each branch it touches is in after it."""
         return {effect.branch: self.states[effect.branch] for effect in self.effects}

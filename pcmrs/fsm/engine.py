@@ -3,30 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.branch import StateSet
 from pcmrs.fsm.closure import Change, Closure, Denial, close
 
-Answers = dict[tuple[str, str], Closure | Denial]
+
+@dataclass(slots=True)
+class _Situation:
+    """A joint state, and what has been worked out for it: all of that depends on nothing else."""
+
+    states: dict[str, str]
+    answers: dict[tuple[str, str], Closure | Denial] = field(default_factory=dict)
+    allowed: dict[str, list[str]] = field(default_factory=dict)
 
 
 class Engine:
     """One workflow and the joint state it is in.
 
-    The active state object of a branch is asked for each operation; since its answer and the closure depend on
-    the joint state only, they are worked out once for each.
+    The active state object of a branch is asked for each operation, and the closure of what it allows is worked
+    out: once for each joint state, on which alone they depend.
     """
 
     def __init__(self, blueprint: Blueprint) -> None:
         self.blueprint = blueprint
         self._states = StateSet(blueprint)
-        self._answers: dict[tuple[str, ...], Answers] = {}
-        self._here = self._answers_in(self._states.joint())
+        self._situations: dict[tuple[str, ...], _Situation] = {}
+        self._here = self._situation(self._states.joint())
 
     def joint(self) -> dict[str, str]:
         """The joint state: branch to state."""
-        return self._states.joint()
+        return self._here.states.copy()
 
     def ask(self, branch: str, operation: str) -> Closure | Denial:
         """What the operation would change now, or why it is not allowed.
@@ -34,28 +42,26 @@ class Engine:
         Raises:
             KeyError: There is no such branch or operation.
         """
-        try:
-            return self._here[branch, operation]
-        except KeyError:
-            return self.ask_in(self._states.joint(), branch, operation)
+        return self._ask(self._here, branch, operation)
 
     def ask_in(self, states: Mapping[str, str], branch: str, operation: str) -> Closure | Denial:
-        """The same for any joint state: the state object of the branch is asked, then the closure worked out."""
-        answers = self._answers_in(states)
-        if (branch, operation) not in answers:
-            answer = self._states.objects[branch][states[branch]].ask(operation)
-            if isinstance(answer, Denial):
-                answers[branch, operation] = answer
-            else:
-                answers[branch, operation] = close(self.blueprint, states, branch, operation)
-        return answers[branch, operation]
+        """The same for any joint state."""
+        return self._ask(self._situation(states), branch, operation)
 
     def allowed(self, branch: str, states: Mapping[str, str] | None = None) -> list[str]:
-        """Operations of a branch that users may ask for and would not be denied, in the blueprint's order."""
-        joint = self._states.joint() if states is None else states
-        operations = self.blueprint.branches[branch].operations
-        asked = (name for name, spec in operations.items() if not spec.iio and not spec.event)
-        return [name for name in asked if isinstance(self.ask_in(joint, branch, name), Closure)]
+        """Operations of a branch that users may ask for and would not be denied, in the blueprint's order.
+
+        Args:
+            branch: The branch asked.
+            states: A joint state; the present one by default.
+        """
+        situation = self._here if states is None else self._situation(states)
+        if branch not in situation.allowed:
+            operations = self.blueprint.branches[branch].operations
+            asked = (name for name, spec in operations.items() if not spec.iio and not spec.event)
+            able = [name for name in asked if isinstance(self._ask(situation, branch, name), Closure)]
+            situation.allowed[branch] = able
+        return situation.allowed[branch].copy()
 
     def perform(self, branch: str, operation: str, outcome: str | None = None) -> Change | Denial:
         """Performs an operation at once.
@@ -89,15 +95,28 @@ class Engine:
             KeyError: A branch or state does not exist; nothing has moved.
         """
         self._states.transition(states)
-        self._here = self._answers_in(self._states.joint())
+        self._here = self._situation(self._states.joint())
 
     def _ending(self, closure: Closure, outcome: str | None) -> Change:
         if outcome in ("failed", "unknown"):
             change = closure.failure if outcome == "failed" else closure.unknown
-            return change or Change(self._states.joint(), ())
+            return change or Change(self.joint(), ())
         if outcome is None and len(closure.outcomes) == 1:
             return next(iter(closure.outcomes.values()))
         return closure.outcomes[outcome or ""]
 
-    def _answers_in(self, states: Mapping[str, str]) -> Answers:
-        return self._answers.setdefault(tuple(states[branch] for branch in self.blueprint.branches), {})
+    def _ask(self, situation: _Situation, branch: str, operation: str) -> Closure | Denial:
+        """Asks the state object of the branch, then works out the closure of what it allows."""
+        try:
+            return situation.answers[branch, operation]
+        except KeyError:
+            states = situation.states
+            answer = self._states.objects[branch][states[branch]].ask(operation)
+            found = answer if isinstance(answer, Denial) else close(self.blueprint, states, branch, operation)
+            return situation.answers.setdefault((branch, operation), found)
+
+    def _situation(self, states: Mapping[str, str]) -> _Situation:
+        key = tuple(states[branch] for branch in self.blueprint.branches)
+        if key not in self._situations:
+            self._situations[key] = _Situation(dict(zip(self.blueprint.branches, key, strict=True)))
+        return self._situations[key]
