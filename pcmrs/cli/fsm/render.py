@@ -7,9 +7,11 @@ from pathlib import Path
 
 import click
 
-from pcmrs.cli.fsm.files import file_argument, output_option, refuse, sound, write
+from pcmrs.cli.fsm.files import end_with, file_argument, output_option, read, refuse, write
 from pcmrs.errors import ConfigurationError
-from pcmrs.fsm import Blueprint
+from pcmrs.fsm import Blueprint, examine
+from pcmrs.fsm.load import read_blueprint
+from pcmrs.fsm.rules import check_rules
 
 FORMATS = ("svg", "png", "mermaid", "dot")
 
@@ -38,12 +40,24 @@ def render(file: str, form: str, current: Mapping[str, str], output: Path | None
     """Draw the state chart of FILE.
 
     Branches stand side by side, those of a deeper level inside the frame of the branch that they refine. svg and
-    png are the same picture; dot is for Graphviz, mermaid for pages that draw stateDiagram-v2.
+    png are the same picture; dot is for Graphviz, mermaid for pages that draw stateDiagram-v2. What only the search
+    of `verify` finds wrong does not keep FILE from being drawn.
     """
     try:
-        write(_drawing(form)(sound(file), current), output)
+        write(_drawing(form)(_drawable(file), current), output)
     except ConfigurationError as error:
         refuse(error.text)
+
+
+def _drawable(file: str) -> Blueprint:
+    """The workflow in a file if it keeps the static rules; otherwise its findings are printed and the command ends."""
+    raw, origin = read(file)
+    blueprint, findings = read_blueprint(raw, origin)
+    if blueprint is None:
+        end_with(findings, readable=False)
+    if any(True for _ in check_rules(blueprint)):
+        end_with(examine(raw, origin=origin).findings, readable=True)
+    return blueprint
 
 
 def _drawing(form: str) -> Callable[[Blueprint, Mapping[str, str]], str | bytes]:

@@ -1,0 +1,41 @@
+"""The same picture as pixels."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import resvg_py
+
+from pcmrs.errors import ConfigurationError
+
+ZOOM = 2.0
+"""Pixels per px of the drawing."""
+
+MAX_PIXELS = 100_000_000
+"""Largest picture; it takes 4 bytes per pixel in memory."""
+
+_SAMPLE = (
+    '<svg xmlns="http://www.w3.org/2000/svg" width="20" height="20">'
+    '<text y="15" font-family="monospace, sans-serif">{}</text></svg>'
+)
+
+
+def png(svg: str) -> bytes:
+    """Renders a chart with the system's fonts, `ZOOM` pixels for each px of the drawing.
+
+    Raises:
+        ConfigurationError: There is no font, so that the names would be missing, or the picture is too large.
+    """
+    root = ElementTree.fromstring(svg)
+    pixels = float(root.attrib["width"]) * float(root.attrib["height"]) * ZOOM**2
+    if pixels > MAX_PIXELS:
+        text = f"the picture would have {pixels / 1e6:.0f} million pixels; {MAX_PIXELS / 1e6:.0f} are possible: use svg"
+        raise ConfigurationError(text, pixels=pixels)
+    if not _has_font():
+        raise ConfigurationError("no font to write the names with: install one (Debian: fonts-dejavu-core), or use svg")
+    return resvg_py.svg_to_bytes(svg_string=svg, zoom=ZOOM, background="#ffffff")
+
+
+def _has_font() -> bool:
+    """Whether text shows at all; the renderer leaves it out in silence where there is no font."""
+    return resvg_py.svg_to_bytes(svg_string=_SAMPLE.format("M")) != resvg_py.svg_to_bytes(svg_string=_SAMPLE.format(""))

@@ -1,0 +1,77 @@
+"""Texts of a chart: made fit for XML, measured without a font, wrapped and cut."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+import unicodedata
+from collections.abc import Iterable, Sequence
+
+MONO = "'DejaVu Sans Mono', 'Liberation Mono', Menlo, Consolas, monospace"
+SANS = "Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif"
+
+MONO_EM = 0.602
+"""Advance of a glyph in em: the same in nearly all monospaced fonts, so that names are measured exactly."""
+
+BOLD = 1.1
+"""How much wider bold text is."""
+
+_ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_WIDE = frozenset("mwMW@%&—…")
+_NARROW = frozenset("iljtfr.,:;'|!()[] ")
+
+
+def clean(text: str) -> str:
+    """The text on one line, with what XML cannot hold replaced by U+FFFD."""
+    return " ".join(_ILLEGAL.sub("\ufffd", text).split())
+
+
+def mono_width(text: str, size: float) -> float:
+    """Width of monospaced text in the unit of `size`."""
+    return MONO_EM * size * sum(_columns(character) for character in text)
+
+
+def sans_width(text: str, size: float) -> float:
+    """Width that proportional text has at most in the usual fonts, in the unit of `size`."""
+    return size * sum(map(_sans_em, text))
+
+
+def cut(text: str, columns: int) -> str:
+    """The text, or as much as fits in `columns` characters with an ellipsis."""
+    return text if len(text) <= columns else text[: columns - 1] + "…"
+
+
+def wrap(text: str, columns: int, lines: int) -> list[str]:
+    """Text in at most `lines` lines of `columns` characters; an ellipsis shows that more was there."""
+    return textwrap.wrap(text, columns, max_lines=lines, placeholder="…")
+
+
+def flow(words: Sequence[str], columns: int) -> list[str]:
+    """Words in as many lines as they need; one longer than a line is broken at its spaces, then cut."""
+    lines: list[str] = []
+    pieces = (piece for word in words for piece in ([word] if len(word) <= columns else word.split()))
+    for word in (cut(clean(piece), columns) for piece in pieces):
+        if lines and len(lines[-1]) + 1 + len(word) <= columns:
+            lines[-1] += f" {word}"
+        else:
+            lines.append(word)
+    return lines
+
+
+def widest(widths: Iterable[float]) -> float:
+    """The largest, 0 if there is none."""
+    return max(widths, default=0.0)
+
+
+def _columns(character: str) -> int:
+    return 2 if unicodedata.east_asian_width(character) in "WF" else 1
+
+
+def _sans_em(character: str) -> float:
+    if _columns(character) == 2:
+        return 1.0
+    if character in _WIDE:
+        return 0.95
+    if character in _NARROW:
+        return 0.36
+    return 0.72 if character.isupper() else 0.6
