@@ -161,11 +161,12 @@ class _Cascade:
         spec = self.blueprint.branches[branch].operations.get(operation)
         if spec is not None and kind == "operation":
             for child, state in spec.sets.items():
-                self._move("set", child, operation, state)
+                before = self._move("set", child, operation, state)
+                self._fit_children(child, before, state, direct=False)
         if kind != "reinit" and (source != target or (spec is not None and spec.signals)):
             self._signal_parent(branch, target)
         direct = kind != "signal"
-        self._fit_children(branch, source, target, direct=direct)
+        self._fit_children(branch, source, self.states[branch], direct=direct)
         if source != target or direct:
             self._revoke(branch)
 
