@@ -15,29 +15,50 @@ from pcmrs.errors import ConfigurationError
 S = TypeVar("S", bound=msgspec.Struct)
 
 
-def read_config(kind: type[S], file: Path | None = None, overrides: Sequence[str] = ()) -> S:
-    """Reads a configuration.
+def as_config(kind: type[S], values: Mapping[str, Any], origin: str = "The configuration") -> S:
+    """The values as a configuration.
 
     Args:
         kind: Type of the whole configuration; it holds the defaults.
-        file: TOML file with what differs from the defaults.
+        values: What differs from the defaults.
+        origin: How errors call the values.
+
+    Raises:
+        ConfigurationError: A key is unknown, or a value has the wrong type or range or is no finite number; the
+            text says which.
+    """
+    try:
+        _check_finite(values, "")
+        return msgspec.convert(values, kind)
+    except (msgspec.ValidationError, ValueError) as error:
+        raise ConfigurationError(f"{origin} is wrong: {error}.") from None
+
+
+def overlaid(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Both, table by table; where both have a value, that of `over`."""
+    both = dict(base)
+    for key, value in over.items():
+        below = both.get(key)
+        both[key] = overlaid(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+    return both
+
+
+def set_values(values: dict[str, Any], overrides: Sequence[str]) -> None:
+    """Sets single values.
+
+    Args:
+        values: Set there.
         overrides: ``key=value`` each, such as ``robot.model=iiwa7``; the value is TOML, or plain text.
 
     Raises:
-        ConfigurationError: The file cannot be read, or a key is unknown, or a value has the wrong type or
-            range or is no finite number; the text says which.
+        ConfigurationError: One is not of that form, or a key on its way is no table.
     """
-    values = _read_file(file) if file is not None else {}
     for override in overrides:
         _set(values, override)
-    _check_finite(values, "")
-    try:
-        return msgspec.convert(values, kind)
-    except msgspec.ValidationError as error:
-        raise ConfigurationError(f"The configuration is wrong: {error}.") from None
 
 
-def _read_file(file: Path) -> dict[str, Any]:
+def read_file(file: Path) -> dict[str, Any]:
+    """The tables of a TOML file. Raises `ConfigurationError`."""
     try:
         return tomllib.loads(file.read_text())
     except OSError as error:
@@ -70,8 +91,7 @@ def _value(text: str) -> Any:
 def _check_finite(value: Any, path: str) -> None:
     """TOML has nan and inf, but no limit or distance may be one: nothing would ever be beyond it."""
     if isinstance(value, float) and not math.isfinite(value):
-        text = f"The configuration is wrong: {path[1:]} is {value}; every number must be finite."
-        raise ConfigurationError(text, key=path[1:])
+        raise ValueError(f"{path[1:]} is {value}; every number must be finite")
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, item in items:
         _check_finite(item, f"{path}.{key}")

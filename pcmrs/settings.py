@@ -12,14 +12,18 @@ import msgspec
 
 from pcmrs.bus import BusSettings
 from pcmrs.bus.keys import cell_prefix
-from pcmrs.config import read_config
+from pcmrs.config import as_config, overlaid, read_file, set_values
 from pcmrs.errors import ConfigurationError, PayloadError
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.kinematics.arms import ARMS
+from pcmrs.workflows import find_workflow, read_workflow
 from pcmrs.workflows.settings import ProcedureSettings
 
 DRIVERS = "pcmrs.drivers"
 DRIVER_SETTINGS = "pcmrs.driver_settings"
+
+OF_WORKFLOW = {"procedure", "sim"}
+"""Tables whose defaults a workflow may change; the cell, its devices and links are none of its business."""
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -50,6 +54,10 @@ class CellSettings(Table, frozen=True, forbid_unknown_fields=True):
         state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
         return Path(state) / "pcmrs" / f"{self.site}-{self.name}"
 
+    def journal(self, workflow: str) -> Path:
+        """The journal of the workflow whose blueprint has this id."""
+        return self.path() / f"{workflow}.sqlite"
+
 
 class DeviceSettings(Table, frozen=True, forbid_unknown_fields=True):
     """Which driver serves a device; ``none`` where another machine runs its node."""
@@ -70,7 +78,12 @@ class JournalSettings(Table, frozen=True, forbid_unknown_fields=True):
 
 
 class Settings(Table, frozen=True, forbid_unknown_fields=True):
-    """The root of the configuration; `sim` is read by the simulated devices."""
+    """The root of the configuration.
+
+    Attributes:
+        workflow: Name of a workflow, or path of its blueprint: ``something.toml``.
+        sim: Read by the simulated devices.
+    """
 
     workflow: str = "ratms"
     cell: CellSettings = CellSettings()
@@ -99,12 +112,66 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
 
 
 def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Settings:
-    """Reads and checks the whole configuration.
+    """Reads and checks the whole configuration: what the workflow changes in the defaults, the file, single values.
+
+    Args:
+        file: TOML file; a path of a workflow in it is relative to its folder.
+        overrides: ``key=value`` each; a path of a workflow there is relative to the working directory.
 
     Raises:
         ConfigurationError: A key is unknown or a value cannot be used; the text says which and what to do.
     """
-    settings = read_config(Settings, file, overrides)
+    values = _values(file, overrides)
+    defaults = _defaults_of(values)
+    settings = as_config(Settings, overlaid(defaults, values))
+    _check_limits(settings, defaults)
+    _check_cell(settings)
+    if settings.sim or "sim" in settings.drivers():
+        _check_driver_tables({"sim": settings.sim})
+    return settings
+
+
+def _values(file: Path | None, overrides: Sequence[str]) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    if file is not None:
+        values = read_file(file)
+        _resolve_workflow(values, file.absolute().parent)
+    set_values(values, overrides)
+    _resolve_workflow(values, Path.cwd())
+    return values
+
+
+def _resolve_workflow(values: dict[str, Any], folder: Path) -> None:
+    """Makes the path of a workflow absolute; an absolute one stays."""
+    name = values.get("workflow")
+    if isinstance(name, str) and name.endswith(".toml"):
+        values["workflow"] = str(folder / Path(name).expanduser())
+
+
+def _defaults_of(values: Mapping[str, Any]) -> dict[str, Any]:
+    """What the workflow changes in the defaults, checked by itself so that errors name its blueprint."""
+    name = values.get("workflow", Settings().workflow)
+    if not isinstance(name, str):
+        return {}  # refused with all the other values
+    defaults = read_workflow(name).defaults
+    origin = f"The table [defaults] of {find_workflow(name).blueprint}"
+    for table in sorted(defaults.keys() - OF_WORKFLOW):
+        text = f"{origin} sets {table}; a workflow may change {' and '.join(sorted(OF_WORKFLOW))} only."
+        raise ConfigurationError(text, table=table)
+    as_config(Settings, defaults, origin)
+    _check_driver_tables({"sim": defaults.get("sim", {})}, f" in {origin}")
+    return defaults
+
+
+def _check_limits(settings: Settings, defaults: Mapping[str, Any]) -> None:
+    known = defaults.get("procedure", {}).get("limits", {})
+    for name in sorted(settings.procedure.limits.keys() - known):
+        text = f"procedure.limits.{name} is no limit of {settings.workflow}; it has {', '.join(known) or 'none'}."
+        raise ConfigurationError(text, limit=name)
+
+
+def _check_cell(settings: Settings) -> None:
+    """Name, arm and drivers: what the types alone do not refuse."""
     try:
         cell_prefix(settings.cell.site, settings.cell.name)
     except PayloadError as error:
@@ -121,12 +188,9 @@ def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Se
     if settings.cell.rate != 1.0 and real:
         text = f"cell.rate is {settings.cell.rate:g}, but {', '.join(real)} runs in real time: only 1 is possible."
         raise ConfigurationError(text, rate=settings.cell.rate)
-    if settings.sim or "sim" in settings.drivers():
-        _check_driver_tables({"sim": settings.sim})
-    return settings
 
 
-def _check_driver_tables(tables: Mapping[str, Mapping[str, Any]]) -> None:
+def _check_driver_tables(tables: Mapping[str, Mapping[str, Any]], where: str = "") -> None:
     """Each driver's own table, against the type that the driver declares for it."""
     for point in entry_points(group=DRIVER_SETTINGS):
         if point.name in tables:
@@ -135,4 +199,4 @@ def _check_driver_tables(tables: Mapping[str, Mapping[str, Any]]) -> None:
             except ImportError as error:
                 raise ConfigurationError(f"The driver {point.name!r} is not installed: {error}") from None
             except msgspec.ValidationError as error:
-                raise ConfigurationError(f"The table [{point.name}] is wrong: {error}.") from None
+                raise ConfigurationError(f"The table [{point.name}]{where} is wrong: {error}.") from None

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -11,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs import settings as settings_module
-from pcmrs.config import as_table, read_config
+from pcmrs.config import as_config, as_table, overlaid, read_file, set_values
 from pcmrs.errors import ConfigurationError
 from pcmrs.settings import Settings, read_settings
 
@@ -25,6 +27,34 @@ class Inner(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Outer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     inner: Inner = Inner()
     flag: bool = False
+
+
+def read_config(kind: type[Outer], file: Path | None = None, overrides: Sequence[str] = ()) -> Outer:
+    values = read_file(file) if file is not None else {}
+    set_values(values, overrides)
+    return as_config(kind, values)
+
+
+Tables = st.recursive(st.integers(), lambda inner: st.dictionaries(st.sampled_from("abc"), inner, max_size=3))
+
+
+@given(*[st.dictionaries(st.sampled_from("abc"), Tables, max_size=3)] * 3)
+def test_layers_may_be_laid_one_by_one_or_first_the_upper_ones(low: Any, middle: Any, high: Any) -> None:
+    assert overlaid({}, low) == overlaid(low, {}) == overlaid(low, low) == low
+    both = overlaid(low, high)
+    assert both.keys() == low.keys() | high.keys()
+    for key, value in both.items():
+        tables = isinstance(low.get(key), dict) and isinstance(high.get(key), dict)
+        assert value == (overlaid(low[key], high[key]) if tables else high.get(key, low.get(key)))
+    if not _clashes(low, middle) and not _clashes(middle, high) and not _clashes(low, high):
+        assert overlaid(overlaid(low, middle), high) == overlaid(low, overlaid(middle, high))
+
+
+def _clashes(a: Any, b: Any) -> bool:
+    """Whether one has a table where the other has a value."""
+    if isinstance(a, dict) != isinstance(b, dict):
+        return True
+    return isinstance(a, dict) and any(_clashes(a[key], b[key]) for key in a.keys() & b.keys())
 
 
 def test_without_anything_the_defaults_hold() -> None:

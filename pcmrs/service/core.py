@@ -32,12 +32,12 @@ class GatewayCore:
         return self._dispatcher.snapshot()
 
     def joints(self) -> list[float] | None:
-        state, connected = self._cell.joints, self._dispatcher.procedure.joint()["robot"] == "1"
+        state, connected = self._cell.joints, self._dispatcher.procedure.joint().get("robot") == "1"
         return list(state.positions) if state is not None and connected else None
 
     def remember_initial_joints(self) -> list[float] | None:
         joints = self.joints()
-        if joints is None or self._dispatcher.procedure.joint()["placement"] != "retracted":
+        if joints is None or self._dispatcher.procedure.joint().get("placement") != "retracted":
             return None  # a posture near the body is no place to return to
         self._cell.initial_joints = joints
         text = "The present joints are the initial ones from now on."

@@ -26,19 +26,18 @@ from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import BlueprintTag, BodyPose, DeviceEvent, JointState, Snapshot, Verdict
 from pcmrs.service.core import GatewayCore
+from pcmrs.service.hearing import Hearing, awaited
 from pcmrs.service.nodes import NodeProcesses
 from pcmrs.service.publishing import Publishing, answer_queries
 from pcmrs.service.recorder import JournalRecorder
+from pcmrs.service.resume import check_resumable
 from pcmrs.service.watch import RobotWatch
 from pcmrs.settings import Settings
-from pcmrs.workflows import open_workflow
+from pcmrs.workflows import find_workflow, open_workflow
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 
 log = structlog.get_logger(__name__)
-
-DEVICES_TIME = 30.0
-"""The simulated or real devices must have been heard within this after the start, s of the machine."""
 
 
 class Ready(msgspec.Struct, frozen=True):
@@ -48,12 +47,14 @@ class Ready(msgspec.Struct, frozen=True):
         prefix: Prefix of all its keys on the bus.
         links: Host and port of every gateway link.
         folder: Journal and records.
+        journal: The journal of its workflow.
     """
 
     prefix: str
     endpoint: str
     links: dict[str, tuple[str, int]]
     folder: str
+    journal: str
     workflow: str
     rate: float
 
@@ -70,7 +71,8 @@ class Daemon:
         """Runs the daemon for as long as the context lasts; on leaving, motion is held first.
 
         Raises:
-            ConfigurationError: Another daemon runs this cell, or a port is taken.
+            ConfigurationError: Another daemon runs this cell, a port is taken, there is no such workflow, or the
+                journal is of another version of it.
             BusError: The bus endpoint is taken.
             BlueprintError: The workflow is unsound.
             JournalError: The journal cannot be opened.
@@ -84,14 +86,15 @@ class Daemon:
             stack.enter_context(_only_daemon_of(folder))
             bus = await Bus.open(settings.bus("router"))
             stack.push_async_callback(bus.close)
-            journal = Journal.open(folder / "journal.sqlite", durable=settings.journal.durable)
-            stack.push_async_callback(journal.close)
             blueprint = workflow.blueprint
+            journal = Journal.open(settings.cell.journal(blueprint.id), durable=settings.journal.durable)
+            stack.push_async_callback(journal.close)
+            check_resumable(journal.reader, blueprint, find_workflow(settings.workflow).blueprint)
             tag = BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash)
             recorder = JournalRecorder(journal, clock, uuid.uuid4().hex, tag)
             for verdict in await recorder.close_unfinished():
                 log.warning("unknown_outcome", command=verdict.id, operation=f"{verdict.branch}.{verdict.operation}")
-            workflow = replace(workflow, initial=recorder.previous())
+            workflow = replace(workflow, initial=recorder.previous(workflow.initial))
             cell = _open_cell(settings, bus, clock)
             dispatcher = _open_dispatcher(bus, workflow, cell, clock, recorder)
             await self._start_devices(stack, bus, cell, dispatcher)
@@ -112,6 +115,7 @@ class Daemon:
                 endpoint=settings.cell.endpoint,
                 links=gateway.addresses,
                 folder=str(folder),
+                journal=str(journal.reader.path),
                 workflow=f"{blueprint.id} {blueprint.version}",
                 rate=settings.cell.rate,
             )
@@ -119,27 +123,27 @@ class Daemon:
     async def _start_devices(
         self, stack: AsyncExitStack, bus: Bus, cell: Cell, dispatcher: Dispatcher[Cell, PlacementData]
     ) -> None:
-        """Starts the nodes, and waits until the robot's joints and a tracked pose have been heard."""
+        """Starts the nodes, and waits until robot and tracker have been heard, where they are needed."""
 
         def connected() -> bool:
-            return dispatcher.procedure.joint()["robot"] == "1"
+            return dispatcher.procedure.joint().get("robot") == "1"
 
         watch = RobotWatch(bus.publish, connected, lambda: dispatcher.in_doubt, dispatcher.report, SystemClock())
-        heard: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        hearing = Hearing(awaited(self._settings, dispatcher.procedure.blueprint.branches))
 
         def take_pose(_key: str, pose: BodyPose) -> None:
             cell.poses.update(pose)
-            if cell.joints is not None and not heard.done():
-                heard.set_result(None)
+            hearing.hear("tracker")
 
         def take_joints(_key: str, state: JointState) -> None:
             cell.update_joints(state)
             watch.hear()
+            hearing.hear("robot")
 
         def lose(devices: list[str]) -> None:
-            if not heard.done():
+            if not hearing.complete:
                 text = f"The node of {', '.join(devices)} ended while it started; the log says why."
-                heard.set_exception(DeviceError(text, devices=devices))
+                hearing.fail(DeviceError(text, devices=devices))
             elif "robot" in devices:
                 self._spawn(watch.lose("The robot's node has ended."))
 
@@ -149,12 +153,7 @@ class Daemon:
         stack.push_async_callback(nodes.stop)
         await nodes.start()
         self._spawn(watch.run())
-        try:
-            async with asyncio.timeout(DEVICES_TIME):
-                await heard
-        except TimeoutError:
-            text = f"Robot and tracker were not heard within {DEVICES_TIME:g} s; the log says why."
-            raise DeviceError(text) from None
+        await hearing.wait()
 
     def _stopper(self, dispatcher: Dispatcher[Cell, PlacementData]) -> Callable[[str], None]:
         def stop(source: str) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from pcmrs.clock import Clock
+from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalRow, Kind
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Verdict
 from pcmrs.workflows.data import PlacementData
@@ -91,14 +92,24 @@ class JournalRecorder:
             verdicts.append(verdict)
         return verdicts
 
-    def previous(self) -> PlacementData:
-        """What earlier runs registered and digitized last, for explicit operations to take back."""
+    def previous(self, initial: PlacementData) -> PlacementData:
+        """The initial data, with what earlier runs registered and digitized last for explicit operations to take back.
+
+        Raises:
+            JournalError: What an earlier run has left is not of the types that this program knows.
+        """
         changes: dict[str, Any] = {}
         for branch, field in TAKEN_BACK.items():
             for stored in self._journal.reader.read(kind="outcome", branch=branch):
                 kept = stored.row.result or {}
                 changes |= {field: kept[field]} if kept.get(field) else {}
-        return msgspec.convert(changes, PlacementData)
+        try:
+            previous = msgspec.convert(changes, PlacementData)
+        except msgspec.ValidationError as error:
+            path = self._journal.reader.path
+            text = f"{path} holds registrations that this version cannot read ({error}): give another cell.folder."
+            raise JournalError(text, path=str(path)) from None
+        return msgspec.structs.replace(initial, **{field: getattr(previous, field) for field in TAKEN_BACK.values()})
 
     def _of_command(self, kind: Kind, command: Command, states: Mapping[str, str], **more: Any) -> JournalRow:
         return self._row(

@@ -2,34 +2,77 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import Any
 
 from pcmrs.dispatcher import Registry, Workflow
-from pcmrs.errors import ConfigurationError
-from pcmrs.fsm import load_blueprint
+from pcmrs.errors import BlueprintError, ConfigurationError
+from pcmrs.fsm import Blueprint, load_blueprint
+from pcmrs.fsm.toml import MAX_BYTES, convert, read_toml
 from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.code import Code, load_code, told_with_line
 from pcmrs.workflows.connection import register_connection_operations
-from pcmrs.workflows.data import PlacementData, settle
+from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.find import Place, find_workflow
 from pcmrs.workflows.landmarks import register_landmark_operations
 from pcmrs.workflows.motion import register_motion_steps
 from pcmrs.workflows.placement import register_placement_checks
 from pcmrs.workflows.toolplan import register_plan_operations
 
-FOLDER = Path(__file__).parent
+__all__ = ["Place", "find_workflow", "open_workflow", "placement_registry", "read_workflow"]
+
+
+def read_workflow(name: str) -> Blueprint:
+    """The blueprint of the workflow of that name or path, as it is written: neither verified nor run.
+
+    Raises:
+        ConfigurationError: There is no such workflow, or its file cannot be opened.
+        BlueprintError: It is no blueprint.
+    """
+    place = find_workflow(name)
+    try:
+        with place.blueprint.open("rb") as stream:
+            raw = stream.read(MAX_BYTES + 1)  # of a huge file no more than shows that it is too large
+    except OSError as error:
+        text = f"{place.blueprint} cannot be read: {error.strerror}."
+        raise ConfigurationError(text, file=str(place.blueprint)) from None
+    table, places = read_toml(raw, str(place.blueprint))
+    return convert(table, Blueprint, places, str(place.blueprint))
 
 
 def open_workflow(name: str) -> Workflow[Cell, PlacementData]:
-    """The workflow of that name, ready to run.
+    """The workflow of that name or path, ready to run: its blueprint verified, its Python file run.
 
     Raises:
-        ConfigurationError: There is no such workflow.
-        BlueprintError: Its blueprint is unsound.
+        ConfigurationError: There is no such workflow, or its Python file is faulty.
+        BlueprintError: Its blueprint is unsound, or uses a name that nobody registers.
     """
-    path = FOLDER / f"{name}.toml"
-    known = sorted(file.stem for file in FOLDER.glob("*.toml"))
-    if name not in known:
-        raise ConfigurationError(f"There is no workflow {name!r}; there are {', '.join(known)}.", workflow=name)
-    return Workflow(load_blueprint(path), placement_registry(), PlacementData(), settle)
+    place = find_workflow(name)
+    blueprint = load_blueprint(place.blueprint)
+    code = load_code(place)
+    registry = _registry_with(place, code)
+    initial = told_with_line(place.code, code.data.begin, blueprint)
+    try:
+        return Workflow(blueprint, registry, initial, code.settle)
+    except BlueprintError as error:
+        text = f"{place.blueprint}: {error.text}; PCMRS has none of that name, nor does {place.code} register one."
+        raise BlueprintError(text, **error.fields) from None
+
+
+def _registry_with(place: Place, code: Code) -> Registry[Cell, PlacementData]:
+    """The shared registry and what the workflow adds; a name of the one never means something of the other."""
+    shared, registry = placement_registry(), placement_registry()
+    told_with_line(place.code, code.register, registry)
+    kinds: list[tuple[dict[str, Any], dict[str, Any]]] = [
+        (shared.payloads, registry.payloads),
+        (shared.checks, registry.checks),
+        (shared.steps, registry.steps),
+    ]
+    for before, after in kinds:
+        for name in before:
+            if after[name] is not before[name]:
+                text = f"{place.code}: registers {name!r}, which PCMRS has already: give it another name."
+                raise ConfigurationError(text, file=str(place.code), name=name)
+    return registry
 
 
 def placement_registry() -> Registry[Cell, PlacementData]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Self
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from pcmrs.dispatcher import ProcedureData
-from pcmrs.fsm import Effect
+from pcmrs.fsm import Blueprint, Effect
 from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Transform
 
@@ -77,6 +78,11 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
     nudge_rotation_zyx: Point = (0.0, 0.0, 0.0)
     approached: tuple[str, str] | None = None
 
+    @classmethod
+    def begin(cls, _blueprint: Blueprint) -> Self:
+        """What a procedure under the blueprint begins with."""
+        return cls()
+
     def complete_digitization(self) -> tuple[Point, ...]:
         """The digitized points; empty unless every landmark has one."""
         points = tuple(point for point in self.digitized if point is not None)
@@ -84,17 +90,18 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
 
 
 def settle(data: PlacementData, states: Mapping[str, str], effects: Sequence[Effect]) -> PlacementData:
-    """Drops what the joint state no longer stands for. Pure."""
+    """Drops what the joint state no longer stands for; a branch that the workflow has not says nothing. Pure."""
     changes: dict[str, object] = {}
-    if states["registration"] == "000":
+    registration = states.get("registration", "111")
+    if registration == "000":
         changes |= {"landmarks": (), "digitized": ()}
     if any(effect.branch == "digitization" and effect.operation == "reinit" for effect in effects):
-        changes["digitized"] = tuple(None for _ in data.landmarks) if states["registration"] != "000" else ()
-    if states["registration"] != "111":
+        changes["digitized"] = tuple(None for _ in data.landmarks) if registration != "000" else ()
+    if registration != "111":
         changes |= {"registered": None, "registration_id": None}
-    if states["toolplan"] != "1":
+    if states.get("toolplan", "1") != "1":
         changes |= {"plan": None, "plan_id": None}
-    if states["placement"] in ("unknown", "retracted"):
+    if states.get("placement") in ("unknown", "retracted"):
         changes["approached"] = None
     return msgspec.structs.replace(data, **changes) if changes else data
 

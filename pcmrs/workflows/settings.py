@@ -127,6 +127,7 @@ class ProcedureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
         max_pose_age: A tracked pose older than this is stale, s of the cell's clock.
         home: Posture for `placement.home`, rad, base to flange.
         patient: Whose registration it is; a previous registration of another patient is refused.
+        limits: Further limits of the workflow's own checks, by name; its blueprint's defaults name them all.
     """
 
     patient: str = "phantom"
@@ -136,3 +137,4 @@ class ProcedureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     registration: RegistrationSettings = RegistrationSettings()
     motion: MotionSettings = MotionSettings()
     placement: PlacementSettings = PlacementSettings()
+    limits: dict[str, float] = {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -17,6 +17,7 @@ from pcmrs.workflows.data import PlacementData, Point, as_message
 from pcmrs.workflows.paths import along_axis
 
 Run = AnyRun[Cell, PlacementData]
+P = TypeVar("P", bound=PlacementData)
 
 FARTHEST_TARGET = 1.0
 """A target farther than this from the origin of the image (m) was probably given in mm."""
@@ -31,17 +32,32 @@ class ToolPose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def plan_reachable(run: Run) -> None:
     """Refuses what is no pose, and once everything is known to decide it, what the arm cannot reach."""
-    pose = Transform.from_quat_xyzw(run.payload.position, run.payload.quat_xyzw)
+    accept_pose(run, pose_of(run.payload))
+
+
+def pose_of(asked: ToolPose) -> Transform:
+    """``image_from_coil`` that was asked for.
+
+    Raises:
+        GeometryError: It is no pose.
+        RefusalError: It is too far away to be in m.
+    """
+    pose = Transform.from_quat_xyzw(asked.position, asked.quat_xyzw)
     farthest = float(np.abs(pose.translation).max())
     if farthest > FARTHEST_TARGET:
         text = f"A coordinate is {farthest:g} m; the limit is {FARTHEST_TARGET:g} m. Were these millimetres?"
         raise RefusalError("wrong_unit", text, value=farthest, limit=FARTHEST_TARGET)
-    if run.states["registration"] == "111" and run.states["robot"] == "1" and _all_seen(run):
+    return pose
+
+
+def accept_pose(run: AnyRun[Cell, P], pose: Transform) -> None:
+    """Prepares a pose as the plan; refuses it where it is known to be out of the arm's reach."""
+    if run.states.get("registration") == "111" and run.states.get("robot") == "1" and _all_seen(run):
         check_reachable(run, pose)
     run.prepared = pose
 
 
-def check_reachable(run: Run, image_from_coil: Transform) -> Any:
+def check_reachable(run: AnyRun[Cell, P], image_from_coil: Transform) -> Any:
     """Joints at the standoff of a planned pose, rad, (7,).
 
     Raises:
@@ -62,7 +78,7 @@ def keep_plan(run: Run) -> None:
     run.keep(plan=as_message(run.prepared), plan_id=f"plan-{run.command.id}")
 
 
-def _all_seen(run: Run) -> bool:
+def _all_seen(run: AnyRun[Cell, P]) -> bool:
     poses = run.cell.poses
     return poses.seen("coil") and poses.seen("body_ref") and run.cell.joints is not None
 

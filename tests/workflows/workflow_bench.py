@@ -15,9 +15,10 @@ import msgspec
 import numpy as np
 from clock import ManualClock, settle
 
+from pcmrs.config import overlaid
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.protocols import RobotDriver, Scene, TrackerDriver
-from pcmrs.dispatcher import Dispatcher
+from pcmrs.dispatcher import Dispatcher, Recorder, Workflow
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
@@ -96,7 +97,14 @@ class WorkflowBench:
         published: Snapshots, verdicts and events in order.
     """
 
-    def __init__(self, devices: Mapping[str, Any], settings: ProcedureSettings, clock: ManualClock) -> None:
+    def __init__(
+        self,
+        workflow: Workflow[Cell, PlacementData],
+        devices: Mapping[str, Any],
+        settings: ProcedureSettings,
+        clock: ManualClock,
+        journal: Recorder | None,
+    ) -> None:
         self.clock = clock
         self.robot: RobotDriver = devices["robot"]
         self.scene: Scene = devices["scene"]
@@ -111,8 +119,8 @@ class WorkflowBench:
             clock=clock,
             settings=settings,
         )
-        workflow = open_workflow("ratms")
-        self.dispatcher = Dispatcher(workflow, self.cell, clock, self.recorder, self.robot.hold, self.published.append)
+        recorder = journal or self.recorder
+        self.dispatcher = Dispatcher(workflow, self.cell, clock, recorder, self.robot.hold, self.published.append)
         self._ids = itertools.count(1)
 
     @property
@@ -218,24 +226,30 @@ class WorkflowBench:
 
 @asynccontextmanager
 async def open_bench(
-    procedure: Mapping[str, Any] | None = None, sim: Mapping[str, Any] | None = None
+    procedure: Mapping[str, Any] | None = None,
+    sim: Mapping[str, Any] | None = None,
+    *,
+    workflow: str | Workflow[Cell, PlacementData] = "ratms",
+    journal: Recorder | None = None,
 ) -> AsyncIterator[WorkflowBench]:
-    """A bench with quick motions and touches, and with what the test sets itself, table by table."""
-    settings = msgspec.convert(_merged(QUICK_PROCEDURE, procedure or {}), ProcedureSettings)
+    """A bench with quick motions and touches, and with what the test sets itself, table by table.
+
+    The workflow's own defaults are in force; `journal` takes the place of the bench's recorder.
+    """
+    opened_workflow = open_workflow(workflow) if isinstance(workflow, str) else workflow
+    defaults = opened_workflow.blueprint.defaults
+    quick = overlaid(defaults, {"procedure": QUICK_PROCEDURE, "sim": QUICK_SIM})
+    values = overlaid(quick, {"procedure": procedure or {}, "sim": sim or {}})
+    settings = msgspec.convert(values["procedure"], ProcedureSettings)
     clock = FlyingClock()
     async with _background(clock.fly()):
-        devices = open_devices(("robot", "tracker", "pointer", "scene"), {"sim": _merged(QUICK_SIM, sim or {})}, clock)
+        devices = open_devices(("robot", "tracker", "pointer", "scene"), {"sim": values["sim"]}, clock)
         async with devices as opened:
-            bench = WorkflowBench(opened, settings, clock)
+            bench = WorkflowBench(opened_workflow, opened, settings, clock, journal)
             async with _background(bench.pump()):
                 await bench.until(lambda: bench.cell.poses.seen("coil") and bench.cell.joints is not None)
                 yield bench
                 await bench.dispatcher.close()
-
-
-def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    tables = {key: {**base[key], **over[key]} for key in base.keys() & over.keys()}
-    return {**base, **over, **tables}
 
 
 @asynccontextmanager

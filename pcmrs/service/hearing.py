@@ -1,0 +1,63 @@
+"""Waiting at the start until robot and tracker have been heard."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Collection
+
+from pcmrs.errors import DeviceError
+from pcmrs.settings import Settings
+
+DEVICES_TIME = 30.0
+"""The simulated or real devices must have been heard within this after the start, s of the machine."""
+
+NEEDED_BY = {"robot": "robot", "tracker": "registration"}
+"""Device to the branch that cannot do without it, also where another machine runs its node."""
+
+
+def awaited(settings: Settings, branches: Collection[str]) -> set[str]:
+    """Devices that a daemon waits for: all that it starts itself, and those that the workflow needs."""
+    here = {device for devices in settings.drivers().values() for device in devices}
+    return {device for device, branch in NEEDED_BY.items() if device in here or branch in branches}
+
+
+class Hearing:
+    """Knows which of the awaited devices have not been heard yet."""
+
+    def __init__(self, devices: set[str]) -> None:
+        self._silent = set(devices)
+        self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._end_when_complete()
+
+    @property
+    def complete(self) -> bool:
+        """All have been heard."""
+        return not self._silent
+
+    def hear(self, device: str) -> None:
+        """The device has said something."""
+        self._silent.discard(device)
+        self._end_when_complete()
+
+    def fail(self, error: DeviceError) -> None:
+        """Some device will never be heard."""
+        if not self._ended.done():
+            self._ended.set_exception(error)
+
+    async def wait(self) -> None:
+        """Returns once all have been heard.
+
+        Raises:
+            DeviceError: One ended, or was not heard within `DEVICES_TIME`.
+        """
+        try:
+            async with asyncio.timeout(DEVICES_TIME):
+                await self._ended
+        except TimeoutError:
+            silent = " and ".join(sorted(self._silent))
+            text = f"Not heard within {DEVICES_TIME:g} s: {silent}; the log says why."
+            raise DeviceError(text, devices=sorted(self._silent)) from None
+
+    def _end_when_complete(self) -> None:
+        if self.complete and not self._ended.done():
+            self._ended.set_result(None)

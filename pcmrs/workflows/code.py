@@ -1,0 +1,90 @@
+"""The Python file beside a blueprint: a workflow's own checks, steps and data."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from pcmrs.dispatcher import Registry
+from pcmrs.dispatcher.workflow import Settle
+from pcmrs.errors import ConfigurationError
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData, settle
+from pcmrs.workflows.find import Place
+
+
+@dataclass(frozen=True, slots=True)
+class Code:
+    """What a workflow's Python file says.
+
+    Attributes:
+        register: Adds its payloads, checks and steps to those that all procedures share.
+        data: What a procedure gathers.
+        settle: Fits the data to a commit.
+    """
+
+    register: Callable[[Registry[Cell, PlacementData]], None] = lambda _: None
+    data: type[PlacementData] = PlacementData
+    settle: Settle[PlacementData] = settle
+
+
+def load_code(place: Place) -> Code:
+    """Runs the Python file of a workflow, if there is one; it is trusted like any other program of the user's.
+
+    Raises:
+        ConfigurationError: It cannot be run or is no such file; the text names the file and the line.
+    """
+    if not place.code.is_file():
+        return Code()
+    module = told_with_line(place.code, _import, place)
+    register, data = getattr(module, "register", None), getattr(module, "Data", PlacementData)
+    if not callable(register):
+        raise ConfigurationError(f"{place.code}: defines no function register(registry): add it.", file=str(place.code))
+    if not (isinstance(data, type) and issubclass(data, PlacementData)):
+        raise ConfigurationError(
+            f"{place.code}: Data is no subclass of PlacementData: make it one.", file=str(place.code)
+        )
+    return Code(register, data, getattr(module, "settle", settle))
+
+
+def told_with_line(file: Path, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Calls a function of the user's file.
+
+    Raises:
+        ConfigurationError: It raises; the text names the file, the line in it, and what was raised.
+    """
+    try:
+        return function(*arguments)
+    except (Exception, SystemExit) as error:
+        line = _line_in(file, error)
+        where = f"{file}, line {line}" if line else str(file)
+        text = f"{where}: {type(error).__name__}: {error}"
+        raise ConfigurationError(text, file=str(file), line=line) from error
+
+
+def _import(place: Place) -> ModuleType:
+    if place.module:
+        return importlib.import_module(place.module)
+    name = f"pcmrs_workflow_{place.code.stem}"
+    spec = importlib.util.spec_from_file_location(name, place.code)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{place.code} is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses and msgspec look up their own module there
+    spec.loader.exec_module(module)
+    return module
+
+
+def _line_in(file: Path, error: BaseException) -> int:
+    """The innermost line of the file that led to the error; 0 where there is none."""
+    if isinstance(error, SyntaxError) and error.filename == str(file):
+        return error.lineno or 0
+    frames: Sequence[traceback.FrameSummary] = traceback.extract_tb(error.__traceback__)
+    return next((frame.lineno or 0 for frame in reversed(frames) if frame.filename == str(file)), 0)

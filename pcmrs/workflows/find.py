@@ -1,0 +1,84 @@
+"""Where a workflow is: shipped with PCMRS, in an installed package, or a file of the user's."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.machinery import ModuleSpec
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from pcmrs.errors import ConfigurationError
+
+FOLDER = Path(__file__).parent
+GROUP = "pcmrs.workflows"
+"""Entry points whose values are modules; the blueprint lies beside the module."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A workflow that was found; nothing of it has been read or run.
+
+    Attributes:
+        blueprint: Its TOML file.
+        module: Import name of the Python file beside it; empty where that belongs to no package.
+    """
+
+    blueprint: Path
+    module: str = ""
+
+    @property
+    def code(self) -> Path:
+        """The Python file of its own checks and steps; need not exist."""
+        return self.blueprint.with_suffix(".py")
+
+
+def find_workflow(name: str) -> Place:
+    """The workflow that a configuration or a user means.
+
+    Args:
+        name: Of a shipped workflow or of an entry point; or a path that ends in ``.toml``.
+
+    Raises:
+        ConfigurationError: There is none, or more than one; the text lists what there is.
+    """
+    if name.endswith(".toml"):
+        return _at(Path(name).expanduser())
+    found = [place for known, place in _installed() if known == name]
+    if not found:
+        names = ", ".join(sorted({known for known, _ in _installed()}))
+        text = f"There is no workflow {name!r}; there are {names}, or give the path of a .toml file."
+        raise ConfigurationError(text, workflow=name)
+    if len(found) > 1:
+        files = " and ".join(str(place.blueprint) for place in found)
+        text = f"More than one workflow is called {name!r}: {files}. Give the path of the one."
+        raise ConfigurationError(text, workflow=name)
+    return found[0]
+
+
+def _at(path: Path) -> Place:
+    if not path.is_file():
+        raise ConfigurationError(f"There is no workflow {path}: no such file.", workflow=str(path))
+    return Place(path.absolute())
+
+
+def _installed() -> Iterator[tuple[str, Place]]:
+    for path in FOLDER.glob("*.toml"):
+        yield path.stem, Place(path, f"{__package__}.{path.stem}")
+    for point in entry_points(group=GROUP):
+        spec = _spec_of(point.module)
+        if spec is not None and spec.origin is not None:
+            yield point.name, Place(Path(spec.origin).with_suffix(".toml"), point.module)
+
+
+def _spec_of(module: str) -> ModuleSpec | None:
+    """Finds a module without running it or the packages around it, as `importlib.util.find_spec` would."""
+    parts, spec, path = module.split("."), None, None
+    for depth in range(1, len(parts) + 1):
+        found = (finder.find_spec(".".join(parts[:depth]), path, None) for finder in sys.meta_path)
+        spec = next((candidate for candidate in found if candidate is not None), None)
+        if spec is None:
+            return None
+        path = spec.submodule_search_locations
+    return spec

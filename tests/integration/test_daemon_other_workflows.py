@@ -1,0 +1,65 @@
+"""Daemons of workflows from outside the package: one without a robot, and one that changes under its journal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from daemon_process import PLAN, as_words, own_settings, run_pcmrs, running_daemon
+from driving import accepted, register
+
+from pcmrs.errors import CommandRefusedError
+from pcmrs.workflows import find_workflow
+
+BIOPSY = Path(__file__).parents[2] / "examples" / "biopsy" / "biopsy.toml"
+
+
+async def test_a_workflow_of_two_branches_without_a_robot(tmp_path: Path) -> None:
+    with running_daemon([*own_settings(tmp_path), f"workflow={BIOPSY}"], tmp_path) as daemon:
+        assert daemon.ready.workflow == "biopsy 1.0.0"
+        assert Path(daemon.ready.journal) == tmp_path / "biopsy.sqlite"
+        async with daemon.client() as client, daemon.planner() as planner:
+            await planner.plan_landmarks([landmark["position"] for landmark in PLAN["landmarks"]])
+            await accepted(client, "registration.digitize_all")
+            assert 0.1 < await planner.register() < 4.0
+            for refused in (planner.connect(), planner.approach(), planner.digitize_all()):
+                with pytest.raises(CommandRefusedError, match="unknown_branch"):
+                    await refused
+            with pytest.raises(CommandRefusedError, match="unknown_branch"):
+                await planner.plan_pose(PLAN["poses"][0]["position"], PLAN["poses"][0]["quat_xyzw"])
+            await accepted(client, "needle.plan_path", entry=[0.01, 0.02, 0.12], target=[0.01, 0.02, 0.05])
+            assert (await accepted(client, "needle.insert")).state == "at_target"
+            await planner.stop()
+            await accepted(client, "needle.sample")
+            assert (await accepted(client, "needle.withdraw")).state == "out"
+        assert daemon.end() == 0
+        assert "Traceback" not in daemon.log
+
+
+async def test_a_journal_is_taken_up_under_a_changed_workflow_only_by_a_declared_migration(tmp_path: Path) -> None:
+    workflow = tmp_path / "mine.toml"
+    shipped = find_workflow("ratms").blueprint.read_text()
+    workflow.write_text(shipped)
+    settings = [*own_settings(tmp_path / "cell"), f"workflow={workflow}"]
+    (tmp_path / "cell").mkdir()
+    with running_daemon(settings, tmp_path) as daemon:
+        async with daemon.client() as client:
+            await register(client)
+    workflow.write_text(f"# A comment changes nothing.\n{shipped}")
+    with running_daemon(settings, tmp_path) as daemon:
+        async with daemon.client() as client:
+            await accepted(client, "registration.use_previous")
+    changed = shipped.replace("timeout_s = 300", "timeout_s = 200")
+    assert changed != shipped
+    workflow.write_text(changed)
+    refused = run_pcmrs("serve", *as_words(settings))
+    assert refused.returncode == 4, refused.stderr
+    assert "Traceback" not in refused.stderr
+    for word in ("ratms 1.0.0", str(workflow), "pcmrs fsm diff", "[[migrations]]", "cell.folder"):
+        assert word in refused.stderr
+    table = refused.stderr[refused.stderr.index("[[migrations]]") :].split("\n\n")[0]
+    workflow.write_text(f"{changed}\n{table}\n")
+    with running_daemon(settings, tmp_path) as daemon:
+        async with daemon.client() as client:
+            await accepted(client, "registration.use_previous")
+        assert "Traceback" not in daemon.log

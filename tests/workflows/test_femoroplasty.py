@@ -1,0 +1,211 @@
+"""Femoroplasty on the simulated cell: a femur, a drill guide, and a surgeon who confirms."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from workflow_bench import WorkflowBench, open_bench
+
+from pcmrs.dispatcher import Workflow
+from pcmrs.messages import DeviceEvent
+from pcmrs.workflows import open_workflow
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData, as_transform
+from pcmrs.workflows.femoroplasty import guide_pose
+
+PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "femoroplasty_plan.json").read_text())
+ENTRY, TARGET = [0.1190896, 0.0086103, -0.0247955], [0.0652414, 0.0161782, -0.0051043]
+TRAJECTORY = {"entry": ENTRY, "target": TARGET}
+SURGEON = {"surgeon": "A. Surgeon"}
+LOST = DeviceEvent(device="robot", code="link_lost", text="The robot is silent.", danger=True)
+
+coordinate = st.floats(-0.5, 0.5)
+points = st.tuples(coordinate, coordinate, coordinate).map(np.array)
+
+
+@cache
+def workflow() -> Workflow[Cell, PlacementData]:
+    """Proving it takes seconds, so that is done once."""
+    return open_workflow("femoroplasty")
+
+
+@asynccontextmanager
+async def open_femur(procedure: dict[str, Any] | None = None) -> AsyncIterator[WorkflowBench]:
+    """The guide placed at a planned trajectory of a registered femur."""
+    async with open_bench(procedure, workflow=workflow()) as bench:
+        await bench.connect()
+        await bench.accept("registration.plan_landmarks", landmarks=PLAN["landmarks"])
+        await bench.accept("digitization.digitize_all")
+        registered = await bench.accept("registration.register")
+        assert registered.result is not None
+        assert registered.result["limit"] == 0.0027
+        await bench.accept("toolplan.plan_trajectory", **TRAJECTORY)
+        await place(bench)
+        yield bench
+
+
+@pytest.fixture
+async def femur() -> AsyncIterator[WorkflowBench]:
+    async with open_femur() as bench:
+        yield bench
+
+
+async def place(bench: WorkflowBench) -> None:
+    await bench.accept("placement.approach")
+    await bench.accept("placement.confirm")
+
+
+async def drill(bench: WorkflowBench) -> None:
+    await bench.accept("treatment.start_drilling", **SURGEON)
+    await bench.accept("treatment.confirm_drilled", **SURGEON)
+
+
+async def check_that_nothing_moves(bench: WorkflowBench) -> None:
+    for motion in ("back_off", "home", "to_initial"):
+        await bench.refuse(f"placement.{motion}", "drill_in_bone")
+    await bench.refuse("placement.nudge", "drill_in_bone", translation=[0.0, 0.0, 0.001])
+    for leaving in ("robot.disconnect", "registration.reinit", "toolplan.reinit", "placement.reinit"):
+        refused = await bench.refuse(leaving, "tool_near_patient")
+        assert refused.reason is not None
+        assert refused.reason.fields["branch"] == "treatment"
+    await bench.refuse("treatment.reinit", "drill_in_bone")
+
+
+async def test_a_whole_procedure_from_the_landmarks_to_the_injection(femur: WorkflowBench) -> None:
+    assert femur.data.plan is not None
+    assert as_transform(femur.data.plan).translation.tolist() == ENTRY
+    for name, state in (("start_drilling", "drilling"), ("confirm_drilled", "drilled")):
+        said = await femur.accept(f"treatment.{name}", **SURGEON)
+        assert (said.state, said.result) == (state, {"surgeon": "A. Surgeon", "confirmed": name})
+        if state == "drilling":
+            await check_that_nothing_moves(femur)
+    await femur.refuse("treatment.start_injection", "invalid_in_state", **SURGEON)
+    checked = await femur.accept("treatment.check_guide")
+    assert checked.result is not None
+    assert 0.0 < checked.result["translation_error"] < 0.0005
+    await femur.accept("treatment.start_injection", **SURGEON)
+    await check_that_nothing_moves(femur)
+    assert (await femur.accept("treatment.confirm_injected", **SURGEON)).state == "injected"
+    assert (await femur.accept("placement.home")).state == "retracted"
+    assert [verdict.operation for verdict in femur.recorder.verdicts if (verdict.result or {}).get("surgeon")] == [
+        "start_drilling",
+        "confirm_drilled",
+        "start_injection",
+        "confirm_injected",
+    ]
+
+
+async def test_no_confirmation_without_a_name_and_no_drilling_without_a_guide(femur: WorkflowBench) -> None:
+    nameless: list[dict[str, Any]] = [{}, {"surgeon": ""}, {"surgeon": "  "}, {"surgeon": 1}, {"surgeon": "x" * 101}]
+    for arguments in nameless:
+        await femur.refuse("treatment.start_drilling", "bad_arguments", **arguments)
+        await femur.refuse("treatment.abandon", "bad_arguments", **arguments)
+    await femur.accept("placement.back_off")
+    await femur.refuse("treatment.start_drilling", "guide_not_placed", **SURGEON)
+
+
+async def test_a_guide_beside_the_plan_is_not_checked(femur: WorkflowBench) -> None:
+    await drill(femur)
+    await femur.accept("treatment.check_guide")
+    await femur.scene.move_body((0.0, 0.003, 0.0))
+    await femur.clock.sleep(1.0)
+    failed = await femur.refuse("treatment.check_guide", "guide_off", decision="failed")
+    assert failed.reason is not None
+    assert failed.reason.fields["shift_mm"] == pytest.approx(3.0, abs=0.5)
+    assert failed.state == "drilled", "an earlier check is taken back"
+    await femur.refuse("treatment.start_injection", "invalid_in_state", **SURGEON)
+
+
+async def test_a_guide_askew_is_not_checked() -> None:
+    async with open_femur({"limits": {"guide_error_mm": 2.0, "guide_error_deg": 1e-6}}) as bench:
+        await drill(bench)
+        failed = await bench.refuse("treatment.check_guide", "guide_off", decision="failed")
+        assert failed.state == "drilled"
+
+
+async def test_a_guide_that_was_moved_must_be_checked_again(femur: WorkflowBench) -> None:
+    await drill(femur)
+    await femur.accept("treatment.check_guide")
+    await femur.accept("placement.nudge", translation=[0.001, 0.0, 0.0])
+    assert femur.states["treatment"] == "drilled"
+    await femur.refuse("treatment.start_injection", "invalid_in_state", **SURGEON)
+    await femur.accept("treatment.check_guide")
+    await femur.accept("placement.back_off")
+    assert femur.states["treatment"] == "drilled"
+    await femur.refuse("treatment.check_guide", "guide_not_placed")
+
+
+async def test_a_new_plan_ends_the_work_along_the_old_one(femur: WorkflowBench) -> None:
+    await femur.accept("treatment.start_drilling", **SURGEON)
+    await femur.accept("toolplan.plan_trajectory", **TRAJECTORY)
+    assert (femur.states["treatment"], femur.states["placement"]) == ("interrupted", "held")
+    await femur.refuse("treatment.confirm_drilled", "invalid_in_state", **SURGEON)
+    await femur.refuse("placement.back_off", "drill_in_bone")
+    assert (await femur.accept("treatment.withdraw", **SURGEON)).state == "ready"
+    await femur.accept("placement.back_off")
+    await femur.accept("placement.home")
+    await place(femur)
+    await drill(femur)
+    await femur.accept("toolplan.plan_trajectory", **TRAJECTORY)
+    assert (femur.states["treatment"], femur.states["placement"]) == ("ready", "held")
+
+
+async def test_a_lost_link_while_injecting_is_an_interruption(femur: WorkflowBench) -> None:
+    await drill(femur)
+    await femur.accept("treatment.check_guide")
+    await femur.accept("treatment.start_injection", **SURGEON)
+    await femur.scene.cut_robot(True)
+    await femur.dispatcher.report(LOST)
+    assert (femur.states["treatment"], femur.states["placement"]) == ("interrupted", "unknown")
+    await femur.refuse("treatment.confirm_injected", "invalid_in_state", **SURGEON)
+    await femur.scene.cut_robot(False)
+    await femur.clock.sleep(1.0)
+    await femur.connect()
+    assert femur.states["placement"] == "held"
+    await femur.accept("robot.acknowledge")
+    await femur.refuse("placement.back_off", "drill_in_bone")
+    await femur.refuse("robot.disconnect", "tool_near_patient")
+    assert (await femur.accept("treatment.withdraw", **SURGEON)).state == "ready"
+    await femur.accept("placement.back_off")
+
+
+async def test_giving_up_is_for_the_record_and_a_next_trajectory_begins_anew(femur: WorkflowBench) -> None:
+    await femur.accept("treatment.start_drilling", **SURGEON)
+    await femur.refuse("treatment.abandon", "invalid_in_state", **SURGEON)
+    await femur.accept("treatment.withdraw", **SURGEON)
+    given_up = await femur.accept("treatment.abandon", **SURGEON)
+    assert (given_up.state, given_up.result) == ("abandoned", {**SURGEON, "confirmed": "abandon"})
+    await femur.refuse("treatment.start_drilling", "invalid_in_state", **SURGEON)
+    assert (await femur.accept("treatment.reinit")).state == "ready"
+
+
+async def test_what_is_no_trajectory_is_refused(femur: WorkflowBench) -> None:
+    refused: list[tuple[dict[str, Any], str]] = [
+        ({"entry": ENTRY, "target": ENTRY}, "bad_trajectory"),
+        ({"entry": [0.1, 0.0, 0.0], "target": [-0.1001, 0.0, 0.0]}, "bad_trajectory"),
+        ({"entry": [119.1, 8.6, -24.8], "target": [65.2, 16.2, -5.1]}, "wrong_unit"),
+        ({"entry": ENTRY}, "bad_arguments"),
+        ({"entry": ENTRY, "target": [0.0, 0.0, float("nan")]}, "bad_arguments"),
+        ({"entry": [-0.9, 0.0, 0.0], "target": [-0.95, 0.0, 0.0]}, "unreachable"),
+    ]
+    for trajectory, code in refused:
+        await femur.refuse("toolplan.plan_trajectory", code, **trajectory)
+
+
+@given(points, points)
+def test_a_guide_stands_at_the_entry_and_points_away_from_the_target(entry: Any, target: Any) -> None:
+    assume(np.linalg.norm(entry - target) > 0.005)
+    pose = guide_pose(entry, target)
+    target_in_guide = pose.inverse() @ target
+    assert np.allclose(pose.translation, entry)
+    assert np.allclose(target_in_guide, (0.0, 0.0, -float(np.linalg.norm(entry - target))), atol=1e-9)
+    assert pose.rotation[2, 1] > -1e-9 or abs(pose.rotation[2, 2]) > 0.98

@@ -1,0 +1,200 @@
+"""Points of a grid in order: a failed one stops the next, and what the coil's pose is checked against."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from clock import ManualClock
+from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
+
+from pcmrs.dispatcher import Workflow
+from pcmrs.fsm import examine
+from pcmrs.journal import Journal
+from pcmrs.messages import BlueprintTag, Verdict
+from pcmrs.service.recorder import JournalRecorder
+from pcmrs.workflows import find_workflow, open_workflow
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData, as_message
+from pcmrs.workflows.grid_mapping import Data
+from pcmrs.workflows.toolplan import ToolPose, pose_of
+
+GRID = POSES[:3]
+
+
+@pytest.fixture(scope="module")
+def three_points(tmp_path_factory: pytest.TempPathFactory) -> Workflow[Cell, PlacementData]:
+    """The shipped workflow with a smaller grid, as a user makes one: copied, and the count changed."""
+    shipped, folder = find_workflow("grid_mapping"), tmp_path_factory.mktemp("grid")
+    text = shipped.blueprint.read_text()
+    assert text.count("count = 9") == 1
+    own = folder / "my_grid.toml"
+    own.write_text(text.replace("count = 9", "count = 3"))
+    own.with_suffix(".py").write_text(shipped.code.read_text())
+    return open_workflow(str(own))
+
+
+@asynccontextmanager
+async def mapping(
+    workflow: Workflow[Cell, PlacementData], procedure: Mapping[str, Any] | None = None
+) -> AsyncIterator[WorkflowBench]:
+    """A registered head and a planned grid."""
+    async with open_bench(procedure, workflow=workflow) as bench:
+        await bench.register()
+        await bench.accept("mapping.plan_grid", poses=GRID)
+        yield bench
+
+
+async def _go_to_next(bench: WorkflowBench) -> None:
+    if bench.states["placement"] != "retracted":
+        await bench.accept("placement.home")
+    await bench.accept("toolplan.aim")
+    await bench.accept("placement.approach")
+    await bench.accept("placement.confirm")
+
+
+async def _perform(bench: WorkflowBench) -> Verdict:
+    await _go_to_next(bench)
+    return await bench.accept("mapping.perform")
+
+
+async def test_points_in_order_with_a_failed_a_repeated_and_a_skipped_one(
+    three_points: Workflow[Cell, PlacementData],
+) -> None:
+    async with mapping(three_points) as bench:
+        await bench.refuse("mapping.perform", "not_at_point")
+        first = await _perform(bench)
+        assert first.state == "point_2"
+        assert first.result is not None
+        assert first.result["point"] == "point_1"
+        assert first.result["translation_error"] < 0.001
+        await bench.refuse("mapping.perform", "other_point_planned")
+        await _go_to_next(bench)
+        assert bench.data.plan == as_message(pose_of(ToolPose(**GRID[1])))
+        await bench.scene.occlude("coil", True)
+        failed = await bench.refuse("mapping.perform", "pose_missing", decision="failed")
+        assert failed.state == "point_2_stopped"
+        await bench.scene.occlude("coil", False)
+        await bench.refuse("mapping.perform", "invalid_in_state")
+        await bench.refuse("toolplan.aim", "no_next_point")
+        assert (await bench.accept("mapping.repeat")).state == "point_2"
+        assert (await bench.accept("mapping.perform")).state == "point_3"
+        assert (await bench.accept("mapping.skip")).state == "done"
+        await bench.refuse("mapping.abandon", "invalid_in_state")
+
+
+async def test_a_point_at_which_the_coil_is_not_stops_the_next(three_points: Workflow[Cell, PlacementData]) -> None:
+    async with mapping(three_points, {"limits": {"point_tolerance_mm": 1e-6}}) as bench:
+        await _go_to_next(bench)
+        missed = await bench.refuse("mapping.perform", "point_missed", decision="failed")
+        assert missed.state == "point_1_stopped"
+        assert missed.result is not None
+        assert missed.result["translation_error"] > 1e-9
+        assert (await bench.accept("mapping.skip")).state == "point_2"
+        assert (await bench.accept("mapping.abandon")).state == "abandoned"
+        await bench.refuse("toolplan.aim", "no_next_point")
+
+
+async def test_stop_in_the_middle_of_a_point_stops_the_point(three_points: Workflow[Cell, PlacementData]) -> None:
+    async with mapping(three_points) as bench:
+        await _go_to_next(bench)
+        performing = asyncio.create_task(bench.do("mapping.perform"))
+        await bench.until(lambda: bool(bench.dispatcher.snapshot().running))
+        await bench.dispatcher.stop("test")
+        assert (await performing).decision == "failed"
+        assert bench.states["mapping"] == "point_1_stopped"
+        await bench.accept("robot.acknowledge")
+        await bench.accept("mapping.repeat")
+        assert (await bench.accept("mapping.perform")).state == "point_2"
+
+
+async def test_a_grid_that_does_not_fit_is_refused(three_points: Workflow[Cell, PlacementData]) -> None:
+    async with open_bench(workflow=three_points) as bench:
+        await bench.refuse("toolplan.aim", "no_grid")
+        verdict = await bench.refuse("mapping.plan_grid", "wrong_number_of_points", poses=GRID[:2])
+        assert verdict.reason is not None
+        assert verdict.reason.fields["expected"] == 3
+        far = {**GRID[2], "position": [0.0, 0.0, 100.0]}
+        await bench.refuse("mapping.plan_grid", "wrong_unit", poses=[*GRID[:2], far])
+        flat = {**GRID[2], "quat_xyzw": [0.0, 0.0, 0.0, 0.0]}
+        await bench.refuse("mapping.plan_grid", "bad_geometry", poses=[*GRID[:2], flat])
+
+
+async def test_a_new_grid_begins_anew_and_a_new_registration_reopens_a_finished_map(
+    three_points: Workflow[Cell, PlacementData],
+) -> None:
+    async with mapping(three_points) as bench:
+        await bench.accept("mapping.skip")
+        await bench.accept("registration.register")
+        assert bench.states["mapping"] == "point_2", "a map under way goes on"
+        for ending in ("skip", "skip"):
+            await bench.accept(f"mapping.{ending}")
+        await bench.accept("registration.register")
+        assert bench.states["mapping"] == "point_1"
+        await bench.accept("mapping.abandon")
+        await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+        assert bench.states["mapping"] == "point_1"
+        await bench.accept("mapping.skip")
+        assert (await bench.accept("mapping.plan_grid", poses=GRID)).state == "point_1"
+
+
+async def test_a_new_plan_at_the_point_takes_the_tool_from_it(three_points: Workflow[Cell, PlacementData]) -> None:
+    async with mapping(three_points) as bench:
+        await _go_to_next(bench)
+        await bench.accept("mapping.skip")
+        await bench.accept("toolplan.aim")
+        assert bench.states["placement"] == "held"
+        await bench.refuse("mapping.perform", "not_at_point")
+
+
+async def test_after_a_restart_a_grid_must_be_planned_anew(
+    three_points: Workflow[Cell, PlacementData], tmp_path: Path
+) -> None:
+    journal = Journal.open(tmp_path / "my_grid.sqlite", durable=False)
+    blueprint = three_points.blueprint
+    tag = BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash)
+    recorder = JournalRecorder(journal, ManualClock(), "s1", tag)
+    async with open_bench(workflow=three_points, journal=recorder) as bench:
+        await bench.register()
+        await bench.accept("mapping.plan_grid", poses=GRID)
+        await _perform(bench)
+        registered = bench.data.previous
+    again = recorder.previous(three_points.initial)
+    assert registered is not None
+    assert again.previous == registered
+    assert getattr(again, "points", None) == ("point_1", "point_2", "point_3")
+    assert getattr(again, "grid", None) == ()
+    performed = [stored.row for stored in journal.reader.read(kind="outcome", branch="mapping")][-1]
+    assert performed.verdict is not None
+    assert performed.verdict.result is not None, "what was measured at a point outlives the daemon"
+    assert performed.verdict.result["point"] == "point_1"
+    await journal.close()
+
+
+def test_the_shipped_grid_knows_its_points_from_the_blueprint() -> None:
+    initial = open_workflow("grid_mapping").initial
+    assert isinstance(initial, Data)
+    assert initial.points == tuple(f"point_{number}" for number in range(1, 10))
+
+
+REQUIRED = 'requires = { registration = ["111"], toolplan = ["1"], robot = ["1"], placement = ["placed"] }\n'
+
+
+@pytest.mark.parametrize(
+    "weaker",
+    ["", REQUIRED.replace('"placed"', '"placed", "standoff"'), REQUIRED.replace(', placement = ["placed"]', "")],
+)
+def test_the_verifier_notices_points_that_could_be_performed_elsewhere(weaker: str) -> None:
+    text = find_workflow("grid_mapping").blueprint.read_text().replace("count = 9", "count = 1")
+    required = f'{REQUIRED}refusal = "not_at_point"'
+    assert text.count(required) == 1
+    assert examine(text.encode()).sound
+    (finding,) = examine(text.replace(required, f'{weaker}refusal = "not_at_point"').encode()).findings
+    assert finding.code == "property_violated"
+    assert "point_only_in_place" in finding.text
+    assert finding.commands is not None
+    assert "mapping.perform" in finding.commands[-1]

@@ -1,0 +1,65 @@
+"""The branches that the shipped workflows have in common stay the same, but for what is meant to differ."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+import pytest
+
+from pcmrs.fsm.sequence import expand
+from pcmrs.workflows import read_workflow
+
+SHARED = ("registration", "digitization", "toolplan", "robot", "placement")
+
+FROM_THE_BODY = tuple(f"placement.operations.{name}" for name in ("confirm", "nudge", "back_off", "home", "to_initial"))
+NOT_IN_BONE = (
+    *FROM_THE_BODY,
+    "placement.operations.approach",
+    "placement.operations.reinit",
+    "registration.operations.reinit",
+    "toolplan.operations.reinit",
+    "robot.operations.disconnect",
+)
+
+MEANT = {
+    "grid_mapping": {"toolplan.operations.aim"},
+    "femoroplasty": {
+        "toolplan.operations.plan_trajectory",
+        *(f"{name}.requires.treatment" for name in NOT_IN_BONE),
+        *(f"{name}.refusal" for name in FROM_THE_BODY),
+    },
+}
+"""What each workflow adds to, or has otherwise than, RATMS."""
+
+
+@pytest.mark.parametrize("workflow", MEANT)
+def test_shared_branches_differ_from_those_of_ratms_only_where_they_are_meant_to(workflow: str) -> None:
+    ratms, other = _leaves("ratms"), _leaves(workflow)
+    different = {path for path in ratms.keys() | other.keys() if ratms.get(path) != other.get(path)}
+    unexpected = {path for path in different if not any(_within(path, meant) for meant in MEANT[workflow])}
+    assert not unexpected, "change all, or say here why not"
+    unused = {meant for meant in MEANT[workflow] if not any(_within(path, meant) for path in different)}
+    assert not unused, "they do not differ there any more"
+
+
+def _leaves(workflow: str) -> dict[str, Any]:
+    """Everything but texts for people: dotted path to value."""
+    branches = expand(read_workflow(workflow)).branches
+    found = _flat({name: msgspec.to_builtins(branches[name]) for name in SHARED}, "")
+    return {path: value for path, value in found if not path.endswith(".title") and ".states." not in path} | {
+        f"{name}.states": list(branches[name].states) for name in SHARED
+    }
+
+
+def _flat(table: Any, path: str) -> Iterator[tuple[str, Any]]:
+    if not isinstance(table, dict):
+        yield path.removeprefix("."), table
+        return
+    for key, value in table.items():
+        yield from _flat(value, f"{path}.{key}")
+
+
+def _within(path: str, meant: str) -> bool:
+    return path == meant or path.startswith(f"{meant}.")
