@@ -77,7 +77,7 @@ class Running(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class BlueprintTag(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Which workflow a decision was made under; `hash` is the SHA-256 of the blueprint file."""
+    """Which workflow a decision was made under; `hash` is the SHA-256 of what the blueprint says."""
 
     id: str
     version: str

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pcmrs.experiment.setup import Setup, ShowProgress
 
 DEFAULT_RATE = 5.0
-NARROWEST = 100
+NARROWEST = 112
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,12 +26,17 @@ def journal() -> None:
 @readable_errors
 def show(path: Path | None, last: int, as_json: bool, file: Path | None, overrides: tuple[str, ...]) -> None:
     """Print the rows of the journal at PATH, or of the configured cell, oldest first."""
-    from pcmrs.settings import read_settings
-
-    path = path or read_settings(file, overrides).cell.path() / "journal.sqlite"
-    with JournalReader(path) as reader:
+    with JournalReader(path or _of_cell(file, overrides)) as reader:
         for row in reader.read(last=last or None):
             click.echo(msgspec.json.encode(row).decode() if as_json else _line(row))
+
+
+def _of_cell(file: Path | None, overrides: tuple[str, ...]) -> Path:
+    from pcmrs.settings import read_settings
+    from pcmrs.workflows import read_workflow
+
+    settings = read_settings(file, overrides)
+    return settings.cell.journal(read_workflow(settings.workflow).id)
 
 
 def _line(stored: StoredRow) -> str:

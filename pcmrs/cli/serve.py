@@ -85,7 +85,7 @@ def _text(ready: Ready) -> str:
     ]
     for name, (host, port) in ready.links.items():
         lines.append(f"  {name:<14} {'tcp' if name == 'tcp' else 'udp'} {host}:{port}")
-    lines.append(f"  journal        {ready.folder}/journal.sqlite")
+    lines.append(f"  journal        {ready.journal}")
     return "\n".join([*lines, "ready"])
 
 

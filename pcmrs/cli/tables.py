@@ -84,14 +84,14 @@ def failure_table(report: FailureReport) -> Table:
             f"Residual limit {limits}. {report.summary.as_published} of {report.summary.runs} runs ended as published."
         ),
     )
-    for name in ("run", "workflow", "injection", "rejected at", "paper", "mm", "paper mm", "reason", "motion"):
-        table.add_column(name, justify="right" if "mm" in name else "left")
+    for name in ("run", "workflow", "injection", "rejected", "paper", "mm", "paper ", "reason", "motion"):
+        table.add_column(name, justify="right" if name in ("mm", "paper ") else "left", no_wrap=True)
     for run in report.runs:
         landmark = f" #{run.landmark}" if run.landmark else ""
         table.add_row(
             str(run.run),
             run.workflow,
-            run.injection.replace("_", " ") + landmark,
+            run.injection.removeprefix("large_").replace("_", " ") + landmark,
             run.rejected_at or run.outcome,
             run.published_rejected_at or "completed",
             _number(run.residual_mm),

@@ -197,7 +197,8 @@ class Dispatcher(Generic[C, D]):
 
     def _barred(self, attempt: Attempt) -> Reason | None:
         if self._broken is None and attempt.moves and self.procedure.latched:
-            text = f"{attempt.name} would move, but Stop is latched: acknowledge with robot.acknowledge first."
+            release = " or ".join(self._workflow.blueprint.unlatching)
+            text = f"{attempt.name} would move, but Stop is latched: acknowledge with {release} first."
             return Reason(code="latched", text=text)
         return self._broken
 

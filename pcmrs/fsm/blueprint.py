@@ -243,7 +243,7 @@ class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dic
         properties: What it promises.
         migrations: Older blueprints whose journals may be taken up.
         defaults: What it changes in the defaults of the configuration, such as limits.
-        hash: SHA-256 of its content, hexadecimal, without regard to comments and layout; filled when it is read.
+        hash: SHA-256 of its content, hexadecimal, whatever its comments, layout and migrations; filled when it is read.
     """
 
     id: str
@@ -268,6 +268,12 @@ class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dic
             if branch.parent is not None:
                 found[branch.parent.branch][name] = branch.parent
         return found
+
+    @cached_property
+    def unlatching(self) -> list[str]:
+        """The operations, ``branch.operation``, that release the latch that Stop has set."""
+        branches = self.branches.items()
+        return [f"{name}.{key}" for name, branch in branches for key, o in branch.operations.items() if o.unlatches]
 
     @cached_property
     def revokers(self) -> frozenset[str]:

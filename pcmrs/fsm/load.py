@@ -15,7 +15,7 @@ from pcmrs.fsm.finding import Finding, summary
 from pcmrs.fsm.places import Places
 from pcmrs.fsm.rules import check_rules
 from pcmrs.fsm.sequence import SequenceError, expand
-from pcmrs.fsm.toml import convert, read_toml
+from pcmrs.fsm.toml import MAX_BYTES, convert, read_toml
 from pcmrs.fsm.verify import MAX_JOINT_STATES, verify
 
 
@@ -51,7 +51,8 @@ def load_blueprint(path: FilePath) -> Blueprint:
         BlueprintError: The file cannot be read, or is no sound blueprint.
     """
     try:
-        raw = path.read_bytes()
+        with path.open("rb") as stream:
+            raw = stream.read(MAX_BYTES + 1)
     except OSError as error:
         raise BlueprintError(f"{path}: cannot be read: {error.strerror}", path=str(path)) from error
     return parse_blueprint(raw, origin=str(path))
@@ -119,8 +120,8 @@ def _read(raw: bytes, origin: str) -> tuple[Blueprint, Places]:
 
 
 def content_hash(blueprint: Blueprint) -> str:
-    """SHA-256 of what a blueprint says, hexadecimal: comments and layout of its file do not matter."""
-    content = msgspec.json.encode(msgspec.structs.replace(blueprint, hash=""))
+    """SHA-256 of what a blueprint says, hexadecimal: neither comments and layout nor its migrations matter."""
+    content = msgspec.json.encode(msgspec.structs.replace(blueprint, hash="", migrations=[]))
     return hashlib.sha256(content).hexdigest()
 
 

@@ -114,7 +114,7 @@ def test_a_node_wants_a_configuration() -> None:
 
 def _write_journal(folder: Path) -> Path:
     async def write() -> None:
-        journal = Journal.open(folder / "journal.sqlite", durable=False)
+        journal = Journal.open(folder / "ratms.sqlite", durable=False)
         recorder = JournalRecorder(journal, SystemClock(), "session", BlueprintTag(id="ratms", version="1", hash="0"))
         for number in range(3):
             command = Command(id=f"c{number}", branch="robot", operation="connect", source="bus:local")
@@ -132,7 +132,7 @@ def _write_journal(folder: Path) -> Path:
         await journal.close()
 
     asyncio.run(write())
-    return folder / "journal.sqlite"
+    return folder / "ratms.sqlite"
 
 
 def test_the_journal_is_shown_oldest_first_and_the_last_rows_only(tmp_path: Path) -> None:

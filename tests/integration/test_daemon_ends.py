@@ -22,7 +22,7 @@ NODE_ENDS_WITHIN = 2.0
 
 
 def _rows(folder: Path) -> list[JournalRow]:
-    with JournalReader(folder / "journal.sqlite") as journal:
+    with JournalReader(folder / "ratms.sqlite") as journal:
         return [stored.row for stored in journal.read(after=0)]
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import click
 import msgspec
 
+from pcmrs.cli.fsm.files import refuse, sound
 from pcmrs.cli.options import json_option
 from pcmrs.cli.running import readable_errors
+from pcmrs.errors import BlueprintError
 
 
 @click.command()
@@ -17,12 +19,15 @@ from pcmrs.cli.running import readable_errors
 def diff(old: str, new: str, as_json: bool) -> None:
     """Say what the workflow NEW answers otherwise than OLD: joint states, accepted operations, where they lead.
 
-    Comments, layout, order and titles do not count. Exit status 0: the same behaviour, 1: it differs.
+    Comments, layout, order and titles do not count. Exit status 0: the same behaviour, 1: it differs, 2: one cannot
+    be read or is too large.
     """
-    from pcmrs.cli.fsm.files import sound
     from pcmrs.fsm.compare import compare
 
-    differences = compare(sound(old), sound(new))
+    try:
+        differences = compare(sound(old), sound(new))
+    except BlueprintError as error:
+        refuse(error.text)
     if as_json:
         click.echo(msgspec.json.encode(differences))
     else:

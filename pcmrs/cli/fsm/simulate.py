@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,10 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from pcmrs.cli.fsm.files import file_argument, sound
 from pcmrs.cli.options import json_option
 from pcmrs.cli.running import readable_errors
+from pcmrs.errors import RefusalError
 
 if TYPE_CHECKING:
     from pcmrs.fsm.walk import Step, Walk
@@ -28,7 +31,7 @@ help, quit"""
 
 
 @click.command()
-@click.argument("file")
+@file_argument
 @click.option("--random", "count", type=click.IntRange(min=1), help="Ask so many times for something at random.")
 @click.option("--seed", default=1, show_default=True, help="Of what is asked for at random.")
 @json_option
@@ -39,11 +42,10 @@ def simulate(file: str, count: int | None, seed: int, as_json: bool) -> None:
     Commands are read line by line, from the terminal or a pipe; `help` lists them. With --json every step is
     one JSON object.
     """
-    from pcmrs.cli.fsm.files import sound
     from pcmrs.fsm.walk import Walk
 
     walk = Walk(sound(file))
-    show = _show_json if as_json else _show
+    show: Callable[[Step], None] = _show_json if as_json else _show
     if count is not None:
         for step in walk.wander(count, seed):
             show(step)
@@ -52,7 +54,7 @@ def simulate(file: str, count: int | None, seed: int, as_json: bool) -> None:
 
 
 def _converse(walk: Walk, show: Callable[[Step], None], *, tables: bool) -> None:
-    """Answers line after line until there are no more."""
+    """Answers line after line until there are no more; at a terminal every answer ends with the new state."""
     if tables:
         _show_state(walk)
     for line in _lines():
@@ -65,22 +67,21 @@ def _converse(walk: Walk, show: Callable[[Step], None], *, tables: bool) -> None
             click.echo(REPLIES[word](walk, rest.strip()))
         elif line:
             _ask(walk, line, show)
+            if tables and sys.stdin.isatty():
+                _show_state(walk)
 
 
 def _lines() -> Iterator[str]:
-    source = click.get_text_stream("stdin")
-    prompt = "> " if source.isatty() else ""
+    prompt = "> " if sys.stdin.isatty() else ""
     while True:
         click.echo(prompt, nl=False)
-        line = source.readline()
+        line = sys.stdin.readline()
         if not line:
             return
         yield line.strip()
 
 
 def _ask(walk: Walk, line: str, show: Callable[[Step], None]) -> None:
-    from pcmrs.errors import RefusalError
-
     try:
         show(walk.ask(_chosen(walk.choices(), int(line)) if line.isdecimal() else line))
     except RefusalError as error:
@@ -88,16 +89,12 @@ def _ask(walk: Walk, line: str, show: Callable[[Step], None]) -> None:
 
 
 def _chosen(choices: list[str], number: int) -> str:
-    from pcmrs.errors import RefusalError
-
     if not 1 <= number <= len(choices):
         raise RefusalError("unknown_choice", f"{number} is not in the list; it has 1 to {len(choices)}.")
     return choices[number - 1]
 
 
 def _why(walk: Walk, name: str) -> str:
-    from pcmrs.errors import RefusalError
-
     try:
         denial = walk.denial(name)
     except RefusalError as error:

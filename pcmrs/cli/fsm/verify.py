@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -51,11 +52,14 @@ def _examine(file: str, limit: int) -> tuple[str, Examination]:
 
     raw, origin = read(file)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(f"joint states of {origin}", total=None, visible=False)
+    bar = Progress(*columns, console=Console(stderr=True), transient=True)
+    task = bar.add_task(f"joint states of {origin}", total=None)
+    with ExitStack() as shown:
 
         def show(looked_at: int, known: int) -> None:
-            bar.update(task, completed=looked_at, total=known, visible=known > LONG)
+            if known > LONG and not bar.live.is_started:
+                shown.enter_context(bar)
+            bar.update(task, completed=looked_at, total=known)
 
         return origin, examine(raw, origin=origin, limit=limit, progress=show)
 
@@ -80,4 +84,5 @@ def _show(origin: str, examination: Examination) -> None:
         for number, command in enumerate(finding.commands or (), 1):
             click.echo(f"    {number}. {command}")
     word = "unsound" if examination.readable else "unreadable"
-    click.echo(f"{origin}: {word}: {len(examination.findings)} findings")
+    number = len(examination.findings)
+    click.echo(f"{origin}: {word}: {number} finding{'s' if number != 1 else ''}")

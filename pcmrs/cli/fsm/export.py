@@ -1,0 +1,44 @@
+"""`pcmrs fsm export`: a workflow for other tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pcmrs.cli.fsm.files import output_option, refuse, sound, write
+from pcmrs.errors import BlueprintError
+
+FORMATS = ("scxml", "promela", "json-schema", "table")
+
+
+@click.command()
+@click.argument("file", required=False)
+@click.option("--format", "form", type=click.Choice(FORMATS), required=True, help="What to write.")
+@output_option
+def export(file: str | None, form: str, output: Path | None) -> None:
+    """Write FILE for other tools.
+
+    scxml: a state chart with the same behaviour, which tools for the W3C's SCXML execute. promela: a model for SPIN,
+    with the properties of the workflow as claims. table: the transition table in Markdown. json-schema: what any
+    blueprint may hold, for editors; it needs no FILE.
+    """
+    if form == "json-schema":
+        from pcmrs.fsm.exchange.schema import schema
+
+        write(schema(), output)
+    elif file is None:
+        raise click.UsageError(f"--format {form} needs a FILE.")
+    else:
+        try:
+            write(_exported(file, form), output)
+        except BlueprintError as error:
+            refuse(error.text)
+
+
+def _exported(file: str, form: str) -> str:
+    from pcmrs.fsm.exchange.promela import promela
+    from pcmrs.fsm.exchange.scxml import scxml
+    from pcmrs.fsm.exchange.table import table
+
+    return {"scxml": scxml, "promela": promela, "table": table}[form](sound(file))
