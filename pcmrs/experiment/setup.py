@@ -35,9 +35,13 @@ class Setup:
     progress: ShowProgress
 
     def settings(self) -> list[str]:
-        """What differs from the default configuration, for the daemon and for the report.
+        """What differs from the default configuration, for the daemon and for the report."""
+        return [*at_rate(self.rate), *self.overrides]
 
-        A pose is as long on the bus as ever, which is `rate` times as long for the cell: it may be so much older.
-        """
-        at_rate = [f"cell.rate={self.rate:g}", f"procedure.max_pose_age={MAX_POSE_AGE * self.rate:g}"]
-        return [*at_rate, *self.overrides]
+
+def at_rate(rate: float) -> list[str]:
+    """Settings of a simulated cell that is `rate` times as fast as real time.
+
+    A pose is as long on the bus as ever, which is `rate` times as long for the cell: it may be so much older.
+    """
+    return [f"cell.rate={rate:g}", f"procedure.max_pose_age={MAX_POSE_AGE * rate:g}"]

@@ -59,14 +59,13 @@ class Agenda:
         return path[0] if path else None
 
     def made(self, move: Move) -> None:
-        """It has ended as it may; nothing more is wanted of it."""
-        self._misses.pop(move, None)
+        """It has ended as it may; nothing more is wanted of it, but ways may lead over it."""
         self._blocked.discard(move)
         wanted = self._remove(move) or self._aside.pop(move, None) is not None
         self._gained = self._gained or wanted
 
     def missed(self, move: Move, reason: str) -> None:
-        """It has not ended as wanted; once too often, and it is put aside."""
+        """It has not led where it was to; once too often, and it is put aside."""
         self._misses[move] += 1
         if self._misses[move] >= self._patience.get(move.name, DEFAULT_PATIENCE):
             self.put_aside(move, reason)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 import msgspec
 
-from pcmrs.fsm.behaviour import operations, shown
+from pcmrs.fsm.behaviour import Joint, joint_of, operations, shown
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Denial
 from pcmrs.fsm.engine import Engine
@@ -67,7 +67,7 @@ def is_complete(counts: dict[str, Count]) -> bool:
     return all(count.covered == count.total for count in counts.values())
 
 
-def deviation(blueprint: Blueprint, move: Move, decision: str, after: tuple[str, ...], code: str) -> Deviation | None:
+def deviation(blueprint: Blueprint, move: Move, decision: str, after: Joint, code: str) -> Deviation | None:
     """What is not as it must be in what came of a move, if anything; `code` is compared where the move has one."""
     as_told = decision == move.decision and after == move.after and move.code in ("", code)
     if as_told:
@@ -80,12 +80,19 @@ def deviation(blueprint: Blueprint, move: Move, decision: str, after: tuple[str,
 
 
 def tour_engine(blueprint: Blueprint, tour: Tour) -> Iterator[tuple[Move, Deviation | None]]:
-    """Takes the engine through a tour: what it leaves to its callers, checks and who may ask, it does not see."""
+    """Takes the engine through a tour: what it leaves to its callers, checks and who may ask, it does not see.
+
+    Yields:
+        Every command and what was not as it must be; a stretch that has left the tour is not gone on with.
+    """
     for stretch in tour.stretches:
         engine = Engine(blueprint)
         for move in stretch:
             decision, code = (move.decision, move.code) if _of_callers(move) else _performed(engine, move)
-            yield move, deviation(blueprint, move, decision, tuple(engine.joint().values()), code)
+            after = joint_of(blueprint, engine.joint())
+            yield move, deviation(blueprint, move, decision, after, code)
+            if after != move.after:
+                break
 
 
 def _performed(engine: Engine, move: Move) -> tuple[str, str]:
@@ -95,6 +102,8 @@ def _performed(engine: Engine, move: Move) -> tuple[str, str]:
         return "rejected", said.code
     if move.decision == "rejected":
         return "accepted", ""
+    if move.decision == "accepted" and move.ending not in said.outcomes:
+        return f"no outcome {move.ending}", ""
     engine.perform(move.branch, move.operation, move.ending)
     return move.decision, ""
 

@@ -30,6 +30,10 @@ undo, reset                 take the last command back, or all of them
 help, quit"""
 
 
+LONGEST_LINE = 1000
+"""Bytes of a line that are read as one."""
+
+
 @click.command()
 @file_argument
 @click.option("--random", "count", type=click.IntRange(min=1), help="Ask so many times for something at random.")
@@ -75,10 +79,10 @@ def _lines() -> Iterator[str]:
     prompt = "> " if sys.stdin.isatty() else ""
     while True:
         click.echo(prompt, nl=False)
-        line = sys.stdin.readline()
+        line = sys.stdin.buffer.readline(LONGEST_LINE)
         if not line:
             return
-        yield line.strip()
+        yield line.decode(errors="replace").strip()
 
 
 def _ask(walk: Walk, line: str, show: Callable[[Step], None]) -> None:

@@ -1,0 +1,213 @@
+"""A tour through a running cell on simulated devices: every command over the bus, every answer compared.
+
+How an operation ends is up to the cell, so the tour looks after each verdict where it is and goes to the
+nearest joint state in which something is left to see. Steps fail because Stop is pressed while they run.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
+
+import msgspec
+
+from pcmrs.client import Client
+from pcmrs.experiment.arguments import Arguments
+from pcmrs.experiment.observer import Observer
+from pcmrs.experiment.record import Record, Seen
+from pcmrs.fsm.agenda import DEFAULT_PATIENCE
+from pcmrs.fsm.behaviour import Joint
+from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.tour import Move, all_moves
+from pcmrs.messages import Snapshot, Verdict
+
+ANSWER_TIME = 120.0
+"""Any operation of a simulated cell has ended after so many seconds of the machine."""
+
+REPORTED_WITHIN = 15.0
+"""A device that was cut off is missed within so many seconds."""
+
+SHOWN_WITHIN = 1.0
+"""What a cell has done is shown within so many seconds."""
+
+FAULTS = {"link_lost": "cut_robot"}
+"""Events that the simulated scene can bring about, and by which of its faults."""
+
+NO_FAULT = "a device reports it, and no fault of the simulation makes one do so here"
+NEVER_SILENT = "no simulated device falls silent in the middle of an operation"
+NOT_REACHED = "no way found into the joint states"
+OUT_OF_TIME = "the time was up"
+
+ShowProgress = Callable[[int, int], None]
+"""Told how much of all that there is to see has been seen."""
+
+
+class LiveTour:
+    """Goes through a cell and compares.
+
+    Args:
+        blueprint: Of the workflow that the cell runs.
+        client: Of the cell; nobody else may command it meanwhile.
+        observer: Of the same client.
+        arguments: For the operations.
+        limit: Most joint states.
+
+    Raises:
+        BlueprintError: There are too many joint states.
+    """
+
+    def __init__(
+        self, blueprint: Blueprint, client: Client, observer: Observer, arguments: Arguments, limit: int
+    ) -> None:
+        self._blueprint = blueprint
+        self._client = client
+        self._observer = observer
+        self._arguments = arguments
+        self._moves = {joint: list(_live(there)) for joint, there in all_moves(blueprint, limit).items()}
+        patience = {name: DEFAULT_PATIENCE + choices for name, choices in arguments.choices(blueprint).items()}
+        self._record = Record(blueprint, self._moves, patience)
+        self._judged: set[str] = set()
+        self._record.drop(lambda move: move.decision == "unknown", NEVER_SILENT)
+        self._record.drop(lambda move: move.asker == "device" and not _provoked(move), NO_FAULT)
+        for name, payload in arguments.missing(blueprint).items():
+            without = f"there are no arguments for it: give {payload} with --arguments"
+            self._record.drop(partial(_needs_arguments, name), without)
+
+    async def run(self, seconds: float, progress: ShowProgress) -> Seen:
+        """Sees what there is to see.
+
+        Args:
+            seconds: After so many seconds no further command is given.
+            progress: Told after every command.
+
+        Raises:
+            UnknownOutcomeError: The cell fell silent.
+        """
+        loop, seen = asyncio.get_running_loop(), self._record.seen
+        end, why = loop.time() + seconds, OUT_OF_TIME
+        state = await self._observer.settled()
+        while loop.time() < end:
+            move = self._next(state)
+            if move is None:
+                why = NOT_REACHED
+                break
+            state = await self._make(move, state)
+            progress(len(seen.made), len(seen.wanted) - len(seen.left))
+        seen.left |= {move: reason or why for move, reason in self._record.agenda.rest().items()}
+        return seen
+
+    def _next(self, state: Snapshot) -> Move | None:
+        """The next move: releases the latch first, without which nothing may move."""
+        here, agenda = tuple(state.branches.values()), self._record.agenda
+        if not state.latched:
+            return agenda.next(here, lambda _: True)
+        releases = next(filter(self._unlatches, self._moves.get(here, ())), None)
+        goals = {joint for joint, there in self._moves.items() if any(map(self._unlatches, there))}
+        still = self._keeps_still
+        return releases or agenda.next(here, still) or agenda.towards(here, goals, still)
+
+    def _unlatches(self, move: Move) -> bool:
+        spec = self._blueprint.branches[move.branch].operations[move.operation]
+        return spec.unlatches and move.decision == "accepted"
+
+    def _keeps_still(self, move: Move) -> bool:
+        spec = self._blueprint.branches[move.branch].operations[move.operation]
+        return spec.motion == "none"
+
+    async def _make(self, move: Move, before: Snapshot) -> Snapshot:
+        """Gives the command of a move and looks what has come of it."""
+        self._record.seen.tour.append(move)
+        verdict = await (self._provoke(move) if move.asker == "device" else self._command(move))
+        if verdict is None:
+            self._record.agenda.missed(move, "no device reports it")
+            return await self._observer.settled()
+        self._judged.add(verdict.id)
+        after = await self._observer.settled(verdict.sequence)
+        shown = self._observer.joint_at(verdict) or tuple(after.branches.values())
+        if verdict.decision == "rejected":
+            self._record.rejected(move, verdict, before.sequence, shown)
+        else:
+            self._record.ended(move, verdict, shown, ran=move.name in self._observer.ran)
+        await self._follow(move, shown, tuple(after.branches.values()))
+        return after
+
+    async def _command(self, move: Move) -> Verdict:
+        payload = self._blueprint.branches[move.branch].operations[move.operation].payload
+        arguments, command_id = self._arguments.next(move.name, payload), uuid.uuid4().hex
+        call = asyncio.create_task(self._client.call(move.name, arguments, id=command_id, timeout=ANSWER_TIME))
+        try:
+            if move.decision == "failed":
+                await self._stop_once_begun(call, command_id)
+            return await call
+        finally:
+            call.cancel()
+
+    async def _stop_once_begun(self, call: asyncio.Task[Verdict], command_id: str) -> None:
+        """Presses Stop while the operation runs; not at all where it has ended before it was shown to run."""
+        begun = asyncio.create_task(self._observer.begun(command_id))
+        await asyncio.wait((call, begun), return_when=asyncio.FIRST_COMPLETED)
+        begun.cancel()
+        if not call.done():
+            self._record.seen.stops += 1
+            await self._client.stop(timeout=ANSWER_TIME)
+
+    async def _provoke(self, move: Move) -> Verdict | None:
+        """Makes a simulated device report, and mends it; None when nothing was reported in time."""
+        fault = FAULTS[move.operation]
+        await self._client.request_device("scene", fault, {"cut": True})
+        try:
+            async with asyncio.timeout(REPORTED_WITHIN):
+                return await self._observer.verdict_on(move.branch, move.operation, self._judged)
+        except TimeoutError:
+            return None
+        finally:
+            await self._client.request_device("scene", fault, {"cut": False})
+
+    async def _follow(self, move: Move, joint: Joint, end: Joint) -> None:
+        """What a step has submitted or a device reported is seen too; nothing else may have moved the cell."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(SHOWN_WITHIN):
+                await self._observer.shows(lambda: self._unasked(joint)[1] == end)
+        unasked, reached = self._unasked(joint)
+        self._judged |= {verdict.id for verdict in self._observer.verdicts_beside(self._judged)}
+        self._record.saw(unasked)
+        self._record.seen.events += sum(made.asker == "device" for made in unasked)
+        if reached != end:
+            self._record.judge(move, "then something that nobody asked for", end, "")
+        elif end != joint:
+            self._record.agenda.missed(move, "the cell goes on by itself")
+
+    def _unasked(self, joint: Joint) -> tuple[list[Move], Joint]:
+        """The moves since, as far as they are as they must be, and where they lead."""
+        found: list[Move] = []
+        for verdict in self._observer.verdicts_beside(self._judged):
+            what = (verdict.branch, verdict.operation, verdict.decision, self._observer.joint_at(verdict))
+            there = self._moves.get(joint, []) if verdict.decision != "rejected" else []
+            for move in there:
+                if (move.branch, move.operation, move.decision, move.after) == what:
+                    found.append(move)
+                    joint = move.after
+                    break
+        return found, joint
+
+
+def _live(moves: list[Move]) -> Iterator[Move]:
+    """What may be seen of a cell from outside: not which check refused, nor which step was stopped."""
+    found = (msgspec.structs.replace(move, at="", how="") for move in moves if not _by_check(move))
+    return iter(dict.fromkeys(found))
+
+
+def _by_check(move: Move) -> bool:
+    return bool(move.decision == "rejected" and move.at)
+
+
+def _needs_arguments(name: str, move: Move) -> bool:
+    """Whether it asks for an operation in a way in which its arguments are looked at."""
+    return move.name == name and move.code not in ("internal_operation", "event_operation")
+
+
+def _provoked(move: Move) -> bool:
+    return move.operation in FAULTS and move.decision == "accepted"

@@ -1,0 +1,208 @@
+"""Live tours of a cell that is only a dispatcher and dice: all there is to see is seen, and what is wrong shows."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator, Mapping
+from pathlib import Path
+from random import Random
+from typing import Any, cast
+
+import msgspec
+import pytest
+
+import pcmrs
+from pcmrs.client import Client, Event
+from pcmrs.clock import SystemClock
+from pcmrs.dispatcher import Dispatcher, ProcedureData, Run
+from pcmrs.errors import ConfigurationError, RefusalError, UnknownOutcomeError
+from pcmrs.experiment import tour as live
+from pcmrs.experiment.arguments import Arguments, read_arguments
+from pcmrs.experiment.record import DECIDED_AT_ONCE
+from pcmrs.experiment.rehearsal import Forgetful, Script, scripted
+from pcmrs.experiment.tested import TourReport, tour_live
+from pcmrs.fsm import Blueprint, Closure, load_blueprint
+from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
+
+RATMS = load_blueprint(Path(pcmrs.__file__).parent / "workflows" / "ratms.toml")
+TURNS = 40
+"""Turns of the event loop that a step takes: enough for Stop to come in between."""
+
+NOTHING: Mapping[str, Any] = {}
+
+EMPTY = {payload: cast(dict[str, Any], {}) for payload in ("landmarks", "landmark_index", "tool_pose", "nudge")}
+
+
+class Dice(Script):
+    """Checks that refuse now and then, and steps that end as the dice say."""
+
+    def __init__(self, seed: int, refusing: float) -> None:
+        self.dispatcher: Dispatcher[None, ProcedureData] | None = None
+        self._rng = Random(seed)
+        self._refusing = refusing
+
+    def check(self, name: str, _run: Run[None, ProcedureData]) -> None:
+        if self._rng.random() < self._refusing:
+            raise RefusalError("bad_luck", f"The dice want {name} to refuse.")
+
+    def step(self, _name: str, run: Run[None, ProcedureData]) -> None:
+        assert self.dispatcher is not None
+        closure = self.dispatcher.procedure.ask(run.command.branch, run.command.operation)
+        assert isinstance(closure, Closure)
+        outcome = self._rng.choice(list(closure.outcomes))
+        run.outcome = None if outcome == "done" else outcome
+
+    async def world_step(self, name: str, run: Run[None, ProcedureData]) -> None:
+        for _ in range(TURNS):
+            await asyncio.sleep(0)
+        self.step(name, run)
+        if run.command.operation == "connect":
+            run.post("placement", "locate")
+
+
+class DiceCell:
+    """What a live tour needs of a client, without a bus."""
+
+    simulated = True
+
+    def __init__(self, runs: Blueprint, *, outside: bool = True, refusing: float = 0.2, seed: int = 1) -> None:
+        dice = Dice(seed, refusing)
+        workflow = scripted(runs, dice, outside=outside)
+        self.dispatcher = Dispatcher(workflow, None, SystemClock(), Forgetful(), self._hold, self._publish)
+        dice.dispatcher = self.dispatcher
+        self._queues: list[asyncio.Queue[Event]] = []
+        self._stops: list[asyncio.Task[bool]] = []
+
+    async def call(self, name: str, arguments: Mapping[str, Any], *, id: str, timeout: float) -> Verdict:
+        branch, _, operation = name.partition(".")
+        command = Command(id=id, branch=branch, operation=operation, source="bus:test", arguments=dict(arguments))
+        async with asyncio.timeout(timeout):
+            return await self.dispatcher.submit(command)
+
+    async def state(self, timeout: float) -> Snapshot:
+        await asyncio.sleep(0)
+        return self.dispatcher.snapshot()
+
+    async def stop(self, timeout: float) -> None:
+        self._stops.append(asyncio.ensure_future(self.dispatcher.stop("bus:test")))
+
+    async def request_device(self, device: str, method: str, arguments: Mapping[str, Any] = NOTHING) -> None:
+        if not self.simulated:
+            raise UnknownOutcomeError(f"{device} does not answer.")
+        if method == "cut_robot" and arguments["cut"]:
+            lost = DeviceEvent(device="robot", code="link_lost", text="The robot is silent.", danger=True)
+            await self.dispatcher.report(lost)
+
+    async def watch(self) -> AsyncGenerator[Event, None]:
+        queue: asyncio.Queue[Event] = asyncio.Queue()
+        queue.put_nowait(self.dispatcher.snapshot())
+        self._queues.append(queue)
+        while True:
+            yield await queue.get()
+
+    async def close(self) -> None:
+        await asyncio.gather(*self._stops)
+        await self.dispatcher.close()
+
+    def _publish(self, event: Event) -> None:
+        for queue in self._queues:
+            queue.put_nowait(event)
+
+    async def _hold(self) -> None:
+        pass
+
+
+async def toured(cell: DiceCell, given: Mapping[str, Any] = EMPTY, seconds: float = 60.0) -> TourReport:
+    """The report of a tour that expects RATMS of the cell."""
+    done: list[int] = []
+    try:
+        client = cast(Client, cell)
+        report, _ = await tour_live(RATMS, client, Arguments(given), 1000, seconds, lambda n, _: done.append(n))
+        return report
+    finally:
+        await cell.close()
+
+
+def with_operation(branch: str, operation: str, **fields: Any) -> Blueprint:
+    """RATMS with an operation declared otherwise, that says it is RATMS."""
+    spec = RATMS.branches[branch]
+    changed = msgspec.structs.replace(spec.operations[operation], **fields)
+    spec = msgspec.structs.replace(spec, operations={**spec.operations, operation: changed})
+    return msgspec.structs.replace(RATMS, branches={**RATMS.branches, branch: spec})
+
+
+async def test_everything_that_a_cell_can_show_is_seen() -> None:
+    report = await toured(DiceCell(RATMS))
+    assert report.passed
+    assert report.deviations == {"cell": []}
+    assert {left.reason for left in report.left} == {live.NEVER_SILENT, live.NO_FAULT}
+    for key in ("pairs", "accepted", "outcomes"):
+        assert report.coverage[key].covered == report.coverage[key].total
+    assert report.stops > 100
+
+
+async def test_what_is_decided_at_once_is_not_stopped() -> None:
+    report = await toured(DiceCell(RATMS, outside=False, refusing=0.0))
+    assert report.passed
+    failing = {left.reason for left in report.left if left.command.endswith(":failed")}
+    assert failing == {DECIDED_AT_ONCE}
+
+
+@pytest.mark.parametrize(
+    ("branch", "operation", "fields"),
+    [
+        ("placement", "home", {"to": "held"}),
+        ("placement", "approach", {"on_failure": "unknown"}),
+        ("registration", "clear_registration", {"from_": ["110", "111"]}),
+        ("toolplan", "reinit", {"requires": {}}),
+    ],
+)
+async def test_a_cell_that_runs_something_else_deviates(branch: str, operation: str, fields: dict[str, Any]) -> None:
+    report = await toured(DiceCell(with_operation(branch, operation, **fields)))
+    assert not report.passed
+    assert any(deviation.command.startswith(f"{branch}.{operation}") for deviation in report.deviations["cell"])
+
+
+async def test_time_that_is_up_is_no_success() -> None:
+    report = await toured(DiceCell(RATMS), seconds=0.0)
+    assert not report.passed
+    assert report.coverage["pairs"].covered == 0
+    assert any(left.reason == live.OUT_OF_TIME for left in report.left)
+
+
+async def test_operations_without_arguments_are_named() -> None:
+    report = await toured(DiceCell(RATMS), {"landmarks": {}, "landmark_index": {}, "tool_pose": {}})
+    missing = {left.command for left in report.left if "give nudge with --arguments" in left.reason}
+    assert missing == {f"placement.nudge:{ending}" for ending in ("done", "failed", "rejected")}
+    assert report.deviations == {"cell": []}
+
+
+async def test_a_cell_with_another_workflow_is_refused() -> None:
+    cell = DiceCell(msgspec.structs.replace(RATMS, hash="0" * 64))
+    with pytest.raises(ConfigurationError, match="runs ratms"):
+        await toured(cell)
+
+
+async def test_a_cell_that_is_not_simulated_is_refused() -> None:
+    cell = DiceCell(RATMS)
+    cell.simulated = False
+    with pytest.raises(ConfigurationError, match="simulated"):
+        await toured(cell)
+    assert cell.dispatcher.snapshot().sequence == 1  # no command but the one that ends it
+
+
+def test_arguments_are_used_in_turn() -> None:
+    arguments = Arguments({"landmark_index": [{"index": 0}, {"index": 1}], "a.b": {"only": True}})
+    turns = [arguments.next("d.one", "landmark_index")["index"] for _ in range(4)]
+    assert sorted(turns[:2]) == [0, 1]
+    assert turns[:2] == turns[2:]
+    assert arguments.next("a.b", "landmark_index") == {"only": True}
+    assert arguments.next("a.c", "none") == {}
+
+
+@pytest.mark.parametrize("text", ["[", "nudge = 1", 'nudge = ["x"]', "\ud800"])
+def test_arguments_that_cannot_be_read_are_refused(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "arguments.toml"
+    file.write_bytes(text.encode(errors="surrogatepass"))
+    with pytest.raises(ConfigurationError, match="holds no arguments"):
+        read_arguments(file)

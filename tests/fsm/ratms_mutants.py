@@ -1,0 +1,54 @@
+"""RATMS with one thing taken out or changed."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+import pcmrs.workflows
+from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.load import read_blueprint
+
+FILE = Path(pcmrs.workflows.__file__).parent / "ratms.toml"
+
+
+def ratms() -> Blueprint:
+    """The workflow as it is, sound or not."""
+    blueprint, findings = read_blueprint(FILE.read_bytes(), FILE.name)
+    assert blueprint is not None, findings
+    return blueprint
+
+
+def changed(change: Callable[[dict[str, Any]], object]) -> Blueprint:
+    """The workflow after a change of its branches as plain dictionaries."""
+    table = copy.deepcopy(msgspec.to_builtins(ratms()))
+    change(table["branches"])
+    return msgspec.convert(table, Blueprint)
+
+
+def without(branch: str, operation: str, key: str) -> Blueprint:
+    """The workflow with one key of an operation left out."""
+    return changed(lambda branches: branches[branch]["operations"][operation].pop(key))
+
+
+def mutants() -> Iterator[tuple[str, Blueprint]]:
+    """The workflow without each requirement, set state, signal, event and revocation, one at a time."""
+    for name, branch in ratms().branches.items():
+        for operation, spec in branch.operations.items():
+            for key in ("requires", "sets", "signals", "event"):
+                if getattr(spec, key):
+                    yield f"{name}.{operation} without {key}", without(name, operation, key)
+    yield "no revocation", changed(lambda branches: branches["placement"].update(revocations=[]))
+    for by in ("registration", "toolplan"):
+        yield f"no revocation by {by}", revoked(by=[other for other in ("registration", "toolplan") if other != by])
+    for state in ("standoff", "placed"):
+        yield f"{state} not revoked", revoked(**{"from": [each for each in ("standoff", "placed") if each != state]})
+
+
+def revoked(**keys: list[str]) -> Blueprint:
+    """The workflow with other keys of its one revocation."""
+    return changed(lambda branches: branches["placement"]["revocations"][0].update(keys))
