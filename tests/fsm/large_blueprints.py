@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import msgspec
+
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, ParentSpec, RevocationSpec
 
 
@@ -11,15 +13,19 @@ def free(branches: int, states: int) -> Blueprint:
 
 
 def entangled(branches: int, states: int) -> Blueprint:
-    """Rings in which every third refines the one before, every fifth is revoked and some require another."""
-    made: dict[str, BranchSpec] = {}
-    for n in range(branches):
-        nested = n % 3 == 2
-        made[f"b{n}"] = _ring(states, before=f"b{n - 1}" if n else None, nested=nested, revoked=n % 5 == 4)
+    """Rings in which every third refines the one before, every fifth is revoked and all require another."""
+    made = {f"b{n}": _ring(states, before=f"b{n - 1}" if n else None) for n in range(branches)}
+    names = [f"s{n}" for n in range(states)]
+    for n in range(2, branches, 3):
+        made[f"b{n}"] = _nested(made[f"b{n}"], f"b{n - 1}", names)
+        made[f"b{n - 1}"] = _called(made[f"b{n - 1}"], names)
+    for n in range(4, branches, 5):
+        rule = RevocationSpec(by=[f"b{n - 1}"], from_=[names[-1]], to=names[0])
+        made[f"b{n}"] = msgspec.structs.replace(made[f"b{n}"], revocations=[rule])
     return Blueprint(id="entangled", version="1.0.0", branches=made, goal={"b0": ["s0"]})
 
 
-def _ring(states: int, *, before: str | None = None, nested: bool = False, revoked: bool = False) -> BranchSpec:
+def _ring(states: int, *, before: str | None = None) -> BranchSpec:
     names = [f"s{n}" for n in range(states)]
     on = dict(zip(names, [*names[1:], names[0]], strict=True))
     requires = {} if before is None else {before: names[: states // 2 + 1]}
@@ -28,15 +34,14 @@ def _ring(states: int, *, before: str | None = None, nested: bool = False, revok
         "over": OperationSpec(from_=names[1:], to=names[0], requires=requires),
         "reinit": OperationSpec(from_=["*"], to=names[0], rio=True),
     }
-    if before is None:
-        parent = None
-    else:
-        parent = ParentSpec(branch=before, start=names[0], compatible=dict.fromkeys(names, names))
-    return BranchSpec(
-        level=2 if nested else 1,
-        states=dict.fromkeys(names, "a state"),
-        operations={**operations, "called": OperationSpec(from_=["*"], to={name: name for name in names}, iio=True)},
-        parent=parent if nested else None,
-        emits=dict.fromkeys(names, "called") if nested else {},
-        revocations=[RevocationSpec(by=[before], from_=[names[-1]], to=names[0])] if revoked and before else [],
-    )
+    return BranchSpec(states=dict.fromkeys(names, "a state"), operations=operations)
+
+
+def _nested(branch: BranchSpec, above: str, names: list[str]) -> BranchSpec:
+    parent = ParentSpec(branch=above, start=names[0], compatible=dict.fromkeys(names, names))
+    return msgspec.structs.replace(branch, level=2, parent=parent, emits=dict.fromkeys(names, "called"))
+
+
+def _called(branch: BranchSpec, names: list[str]) -> BranchSpec:
+    called = OperationSpec(from_=["*"], to={name: name for name in names}, iio=True)
+    return msgspec.structs.replace(branch, operations={**branch.operations, "called": called})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,9 +11,9 @@ from large_blueprints import free
 from random_blueprints import blueprints
 
 from pcmrs.fsm.behaviour import answer, endings, joint_of, states_of
-from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.blueprint import Blueprint, RevocationSpec
 from pcmrs.fsm.closure import Closure
-from pcmrs.fsm.verify import explore, verify
+from pcmrs.fsm.verify import explore, space, verify
 from pcmrs.fsm.verify.encoding import Encoding
 from pcmrs.fsm.verify.search import leading_to
 from pcmrs.fsm.verify.space import Space
@@ -47,7 +48,7 @@ def levels(blueprint: Blueprint) -> dict[Joint, int]:
     return found
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(blueprints())
 def test_finds_each_joint_state_on_its_level_and_counts_every_transition(blueprint: Blueprint) -> None:
     expected = levels(blueprint)
@@ -61,7 +62,7 @@ def test_finds_each_joint_state_on_its_level_and_counts_every_transition(bluepri
     assert space.taken == sum(sum(successors(blueprint, joint).values()) for joint in expected)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(blueprints(), st.data())
 def test_the_way_back_is_the_way_there(blueprint: Blueprint, data: st.DataObject) -> None:
     space = Space(blueprint, 10_000)
@@ -83,6 +84,7 @@ def _from(blueprint: Blueprint, joint: Joint) -> set[Joint]:
     return found
 
 
+@settings(deadline=None)
 @given(st.lists(st.lists(st.integers(0, 10**15), unique=True), max_size=30), st.booleans())
 def test_a_set_of_codes_is_a_set(batches: list[list[int]], sparse: bool) -> None:
     modulus = 10**15 if sparse else 1000
@@ -95,10 +97,13 @@ def test_a_set_of_codes_is_a_set(batches: list[list[int]], sparse: bool) -> None
         assert known.has(np.array(codes, dtype=np.int64)).all()
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(1, 5), min_size=1, max_size=8), st.data())
 def test_a_code_means_the_combination_it_was_made_of(sizes: list[int], data: st.DataObject) -> None:
     encoding = Encoding({f"b{n}": [str(value) for value in range(size)] for n, size in enumerate(sizes)})
-    values = {name: data.draw(st.sampled_from(taken)) for name, taken in zip(encoding.names, encoding.values)}
+    values = {
+        name: data.draw(st.sampled_from(taken)) for name, taken in zip(encoding.names, encoding.values, strict=True)
+    }
     code = encoding.code(values)
     assert 0 <= code < encoding.combinations
     assert encoding.decoded(code) == values
@@ -114,3 +119,17 @@ def test_beyond_the_limit_it_says_so_and_nothing_else(limit: int) -> None:
 
 def test_more_combinations_than_an_integer_holds_are_refused() -> None:
     assert [finding.code for finding in verify(free(63, 2)).findings] == ["too_many_states"]
+
+
+def test_commands_that_depend_on_too_much_are_refused_and_not_searched_for_hours(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One branch revokes all others: each of its commands depends on everything at once."""
+    monkeypatch.setattr(space, "MAX_DECISIONS", 300)
+    branches = free(20, 2).branches
+    rule = RevocationSpec(by=["b0"], from_=["s1"], to="s0")
+    revoked = {name: msgspec.structs.replace(branch, revocations=[rule]) for name, branch in branches.items()}
+    blueprint = Blueprint(id="star", version="1.0.0", branches={**revoked, "b0": branches["b0"]})
+    found = verify(blueprint).findings
+    assert [finding.code for finding in found] == ["too_many_states"]
+    assert "depend on too many combinations" in found[0].text

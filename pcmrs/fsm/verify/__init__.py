@@ -1,0 +1,78 @@
+"""Proves that a workflow is sound: an explicit-state search of the joint states of all its branches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.finding import Finding
+from pcmrs.fsm.verify import liveness, structure
+from pcmrs.fsm.verify.codes import CODES
+from pcmrs.fsm.verify.properties import properties
+from pcmrs.fsm.verify.running import Runs, conclusions
+from pcmrs.fsm.verify.search import Progress, TooManyError
+from pcmrs.fsm.verify.space import Space
+
+__all__ = ["CODES", "MAX_JOINT_STATES", "Verification", "explore", "operations_valid_in", "verify"]
+
+MAX_JOINT_STATES = 2_000_000
+"""So many joint states are looked at unless more are asked for."""
+
+CHECKS = (
+    structure.denials,
+    structure.misfits,
+    structure.revocations,
+    structure.unused,
+    liveness.deadlocks,
+    liveness.goals,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """What the search has shown.
+
+    Attributes:
+        findings: Everything that is wrong; none when the workflow is sound.
+        joint_states: How many can be reached; where there are too many, how many were looked for.
+        transitions: Commands accepted in them, with each of their endings.
+    """
+
+    findings: list[Finding] = field(default_factory=list)
+    joint_states: int = 0
+    transitions: int = 0
+
+
+def verify(blueprint: Blueprint, *, limit: int = MAX_JOINT_STATES, progress: Progress | None = None) -> Verification:
+    """Searches all joint states of a workflow that obeys the static rules.
+
+    Args:
+        blueprint: The workflow.
+        limit: How many joint states it may have.
+        progress: Called now and then with how many have been looked at and how many are known.
+    """
+    try:
+        space = Space(blueprint, limit, progress)
+        runs = Runs(space)
+        findings = [finding for check in CHECKS for finding in check(space)]
+        broken = {finding.path for finding in findings}  # in which order these would go wrong matters to nobody
+        findings += [finding for finding in structure.order(space) if finding.path not in broken]
+        findings += [*conclusions(runs), *properties(runs)]
+    except TooManyError as error:
+        return Verification([Finding(code="too_many_states", text=str(error), path=("branches",))], limit)
+    return Verification(findings, len(space.reached), space.taken)
+
+
+def explore(blueprint: Blueprint) -> list[dict[str, str]]:
+    """Lists the reachable joint states, the initial one first."""
+    space = Space(blueprint, MAX_JOINT_STATES)
+    return [space.encoding.decoded(int(code)) for batch in space.reached.batches() for code in batch.codes]
+
+
+def operations_valid_in(blueprint: Blueprint, states: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    """Branch and operation of everything a user, device, detector or timer may ask for in `states`."""
+    for name, branch in blueprint.branches.items():
+        for operation, spec in branch.operations.items():
+            if not spec.iio and branch.valid_in(operation, states[name]):
+                yield name, operation

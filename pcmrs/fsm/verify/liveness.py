@@ -1,0 +1,65 @@
+"""Deadlocks, and goals that are out of reach."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcmrs.fsm.finding import Finding
+from pcmrs.fsm.verify.encoding import Batch
+from pcmrs.fsm.verify.search import leading_to
+from pcmrs.fsm.verify.space import Space
+from pcmrs.fsm.verify.structure import path_of
+
+
+def deadlocks(space: Space) -> Iterator[Finding]:
+    """A joint state short of the goal in which a user may ask for nothing; what devices report does not count."""
+    branches = space.blueprint.branches
+    asked = [each for each in space.transitions if not branches[each.branch].operations[each.operation].event]
+
+    def stuck(batch: Batch) -> NDArray[np.bool_]:
+        found = ~_at_goal(space, batch)
+        for transition in asked:
+            found[transition.rows(batch)] = False
+        return found
+
+    code = space.reached.first(stuck)
+    if code is not None:
+        text = f"Nothing is accepted any more in {shown(space, code)}: add an operation that leads on, or a goal."
+        yield _after(space, "deadlock", text, code)
+
+
+def goals(space: Space) -> Iterator[Finding]:
+    """A goal that cannot be reached from the start, or from somewhere no longer."""
+    goal = space.blueprint.goal
+    if not goal:
+        return
+    wanted = " and ".join(f"{branch} in {' or '.join(states)}" for branch, states in goal.items())
+    seeds = space.reached.which(lambda batch: batch.matching(goal))
+    if not len(seeds):
+        text = f"No sequence of commands leads to the goal: {wanted}."
+        yield Finding(code="goal_unreachable", text=text, path=("goal",))
+        return
+    open_ = leading_to(space.reached, seeds, space.transitions)
+    code = space.reached.first(lambda batch: ~open_.has(batch.codes))
+    if code is not None:
+        text = f"From {shown(space, code)} nothing leads to the goal any more: {wanted}."
+        yield _after(space, "goal_lost", text, code)
+
+
+def shown(space: Space, code: int) -> str:
+    """A joint state in a line."""
+    return " ".join(f"{branch}={state}" for branch, state in space.encoding.decoded(code).items())
+
+
+def _at_goal(space: Space, batch: Batch) -> NDArray[np.bool_]:
+    if not space.blueprint.goal:
+        return np.zeros(len(batch.codes), dtype=np.bool_)
+    return batch.matching(space.blueprint.goal)
+
+
+def _after(space: Space, code: str, text: str, state: int) -> Finding:
+    way = space.way_to(state)
+    return Finding(code=code, text=text, path=path_of(way[-1]) if way else ("branches",), commands=way)

@@ -1,0 +1,124 @@
+"""Findings that the decisions themselves show: cascades, misfits, determinism, and what is never used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+
+from pcmrs.fsm.blueprint import ParentSpec
+from pcmrs.fsm.closure import Closure, Denial
+from pcmrs.fsm.finding import Finding
+from pcmrs.fsm.verify.decisions import Decisions
+from pcmrs.fsm.verify.encoding import Batch
+from pcmrs.fsm.verify.observed import Decision, changes
+from pcmrs.fsm.verify.space import Space
+
+UNSOUND = {
+    "cascade_too_long": ("endless_cascade", "triggers changes without an end: let revocations not undo each other."),
+    "no_outcome": ("no_outcome", "is accepted, but cannot end in any declared way: add to its `requires` or outcomes."),
+}
+"""Denials that no joint state may give a reason for, and the findings they are."""
+
+
+def denials(space: Space) -> Iterator[Finding]:
+    """Operations that trigger an endless cascade, or that can begin but not end."""
+    for operation, decision in _first_of_each(space, _is_unsound):
+        denial = decision.answer
+        if isinstance(denial, Denial):
+            code, text = UNSOUND[denial.code]
+            yield _shown(space, operation, decision, code, f"{operation.name} {text}")
+
+
+def order(space: Space) -> Iterator[Finding]:
+    """Operations whose closure depends on the order of the branches in the file."""
+    for operation, decision in _first_of_each(space, lambda found: found.ordered):
+        text = (
+            f"{operation.name} does something else when the branches of the file are in another order: "
+            "let at most one revocation or signal apply to each branch it touches."
+        )
+        yield _shown(space, operation, decision, "order_dependent", text)
+
+
+def revocations(space: Space) -> Iterator[Finding]:
+    """Revocations of one branch that hold at once and disagree; the file alone shows it."""
+    for name, branch in space.blueprint.branches.items():
+        for (_, one), (second, other) in combinations(enumerate(branch.revocations), 2):
+            by, states = sorted({*one.by} & {*other.by}), sorted({*one.from_} & {*other.from_})
+            if by and states and one.to != other.to:
+                text = f"A change of {by[0]} takes {name} from {states[0]} to {one.to} and to {other.to}: keep one."
+                path = ("branches", name, "revocations", str(second))
+                yield Finding(code="ambiguous_revocation", text=text, path=path)
+
+
+def misfits(space: Space) -> Iterator[Finding]:
+    """Children that a command leaves in a state that does not fit their parent's."""
+    for name, branch in space.blueprint.branches.items():
+        if branch.parent is not None:
+            found = (_misfit(space, name, state, branch.parent) for state in branch.states)
+            yield from (finding for finding in found if finding is not None)
+
+
+def unused(space: Space) -> Iterator[Finding]:
+    """States that no branch gets into, and operations that are never accepted or never called."""
+    for digit, (name, states) in enumerate(zip(space.encoding.names, space.encoding.values, strict=True)):
+        seen = np.zeros(len(states), dtype=np.bool_)
+        for batch in space.reached.batches():
+            seen[batch.digit(digit)] = True
+        for state in (state for state, found in zip(states, seen, strict=True) if not found):
+            text = f"No command takes {name} to {state}: let an operation lead there, or leave the state out."
+            yield Finding(code="unreachable_state", text=text, path=("branches", name, "states", state))
+    yield from _unaccepted(space)
+    yield from _uncalled(space)
+
+
+def path_of(command: str) -> tuple[str, ...]:
+    """Where the operation of a command is declared."""
+    branch, operation = command.partition(":")[0].split(".")
+    return ("branches", branch, "operations", operation)
+
+
+def _misfit(space: Space, child: str, state: str, parent: ParentSpec) -> Finding | None:
+    above, fitting = parent.branch, parent.compatible[state]
+    others = [other for other in space.blueprint.branches[above].states if other not in fitting]
+    code = space.reached.first(partial(Batch.matching, wanted={child: [state], above: others}))
+    if code is None:
+        return None
+    found, way = space.encoding.decoded(code)[above], space.way_to(code)
+    text = f"{child} is left in {state} while {above} goes to {found}; it fits {' and '.join(fitting) or 'none'} only."
+    return Finding(code="child_misfit", text=text, path=path_of(way[-1]), commands=way)
+
+
+def _unaccepted(space: Space) -> Iterator[Finding]:
+    for operation in space.operations:
+        if not any(isinstance(decision.answer, Closure) for decision in operation.known):
+            text = f"{operation.name} is accepted in none of the {len(space.reached)} joint states: see its `requires`."
+            yield Finding(code="never_accepted", text=text, path=path_of(operation.name))
+
+
+def _uncalled(space: Space) -> Iterator[Finding]:
+    answers = (decision.answer for _, decision in space.decisions())
+    reached = (change for answer in answers if isinstance(answer, Closure) for change in changes(answer))
+    called = {(e.branch, e.operation) for change in reached for e in change.effects if e.kind == "signal"}
+    for name, branch in space.blueprint.branches.items():
+        for operation, spec in branch.operations.items():
+            if spec.iio and (name, operation) not in called:
+                text = f"No change of a child calls {name}.{operation}: see the `emits` of the branches below {name}."
+                yield Finding(code="never_called", text=text, path=("branches", name, "operations", operation))
+
+
+def _is_unsound(decision: Decision) -> bool:
+    return isinstance(decision.answer, Denial) and decision.answer.code in UNSOUND
+
+
+def _first_of_each(space: Space, wanted: Callable[[Decision], bool]) -> Iterator[tuple[Decisions, Decision]]:
+    """One decision of the kind wanted, of each operation that has one."""
+    for operation in space.operations:
+        yield from ((operation, decision) for decision in [*filter(wanted, operation.known)][:1])
+
+
+def _shown(space: Space, operation: Decisions, decision: Decision, code: str, text: str) -> Finding:
+    commands = (*space.way_to(space.nearest(decision)), operation.name)
+    return Finding(code=code, text=text, path=path_of(operation.name), commands=commands)

@@ -1,0 +1,38 @@
+"""A million joint states: all of them are found, and what is wrong in one of them too."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+from large_blueprints import entangled, free
+
+from pcmrs.fsm.blueprint import Blueprint, Condition, PropertySpec
+from pcmrs.fsm.rules import check_rules
+from pcmrs.fsm.verify import verify
+
+
+@pytest.mark.parametrize("blueprint", [free(20, 2), free(10, 4), entangled(10, 4)], ids=["20x2", "10x4", "entangled"])
+def test_a_million_joint_states_are_searched(blueprint: Blueprint) -> None:
+    calls: list[tuple[int, int]] = []
+    found = verify(blueprint, progress=lambda looked_at, known: calls.append((looked_at, known)))
+    assert list(check_rules(blueprint)) == []
+    assert found.findings == []
+    assert found.joint_states == 2**20
+    assert calls == sorted(calls)
+    assert calls[-1] == (2**20, 2**20)
+
+
+def test_the_one_joint_state_that_breaks_a_promise_is_found_by_the_shortest_way() -> None:
+    everywhere = Condition(states={f"b{n}": ["s1"] for n in range(20)})
+    blueprint = msgspec.structs.replace(free(20, 2), properties=[PropertySpec(id="never", never=everywhere)])
+    found = verify(blueprint).findings
+    assert [finding.code for finding in found] == ["property_violated"]
+    assert sorted(found[0].commands or ()) == sorted(f"b{n}.on" for n in range(20))
+
+
+def test_while_something_runs_a_million_joint_states_are_twice_as_many_moments() -> None:
+    alone = PropertySpec(
+        id="alone", when=Condition(running=["b0.on"]), leads_to=Condition(states={"b0": ["s1"], "b19": ["s1"]})
+    )
+    blueprint = msgspec.structs.replace(free(20, 2), properties=[alone], goal={"b0": ["s1"]})
+    assert verify(blueprint).findings == []

@@ -1,0 +1,135 @@
+"""What can happen while operations run, against a search that does it one moment at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from random_blueprints import blueprints
+from ratms_mutants import ratms
+
+from pcmrs.fsm.behaviour import answer, endings, joint_of, states_of
+from pcmrs.fsm.blueprint import Blueprint, Condition, PropertySpec
+from pcmrs.fsm.closure import Closure
+from pcmrs.fsm.verify.moments import Moments
+from pcmrs.fsm.verify.running import Runs
+from pcmrs.fsm.verify.space import Space
+
+Locks = tuple[frozenset[str], frozenset[str]]
+Moment = tuple[tuple[str, ...], frozenset[tuple[str, Locks]]]
+
+
+def after(blueprint: Blueprint, observed: frozenset[str], moment: Moment) -> Iterator[Moment]:
+    """Every moment that can follow, said anew: locks of what runs bar what would begin or be committed."""
+    joint, running = moment
+    states, held = states_of(blueprint, joint), dict(running)
+    for branch, spec in blueprint.branches.items():
+        for operation, declared in spec.operations.items():
+            name, closure = f"{branch}.{operation}", answer(blueprint, states, branch, operation)
+            if declared.iio or not isinstance(closure, Closure):
+                continue
+            others = [locks for other, locks in held.items() if other != name]
+            needed = (closure.writes, frozenset[str]()) if name in held else (closure.writes, closure.reads)
+            if any(needed[0] & (writes | reads) or needed[1] & writes for writes, reads in others):
+                continue
+            if name in observed and name not in held:
+                yield joint, running | {(name, (closure.writes, closure.reads))}
+                continue
+            for change in endings(declared, closure).values():
+                target = joint if change is None else joint_of(blueprint, change.states)
+                yield target, frozenset((other, locks) for other, locks in running if other != name)
+
+
+def lengths(blueprint: Blueprint, observed: frozenset[str]) -> dict[Moment, int]:
+    start: Moment = (joint_of(blueprint, blueprint.initial()), frozenset())
+    found, waiting = {start: 0}, [start]
+    for moment in waiting:
+        for following in after(blueprint, observed, moment):
+            if following not in found:
+                found[following] = found[moment] + 1
+                waiting.append(following)
+    return found
+
+
+def some_operations(blueprint: Blueprint, data: st.DataObject) -> frozenset[str]:
+    names = [
+        f"{branch}.{operation}"
+        for branch, spec in blueprint.branches.items()
+        for operation, declared in spec.operations.items()
+        if not declared.iio
+    ]
+    return data.draw(st.frozensets(st.sampled_from(names), min_size=1, max_size=2))
+
+
+def stranded(blueprint: Blueprint, moment: Moment) -> bool:
+    joint, running = moment
+    asked = (name.split(".") for name, _ in running)
+    states = states_of(blueprint, joint)
+    return any(not isinstance(answer(blueprint, states, *name), Closure) for name in asked)
+
+
+@settings(max_examples=40, deadline=None)
+@given(blueprints(), st.data())
+def test_finds_every_moment_on_its_level(blueprint: Blueprint, data: st.DataObject) -> None:
+    check_moments(blueprint, some_operations(blueprint, data))
+
+
+@pytest.mark.parametrize("other", ["digitization.digitize_all", "registration.use_previous", "placement.approach"])
+def test_a_commit_waits_for_what_runs_on_a_branch_it_would_move(other: str) -> None:
+    """A way home runs while a registration changes on which the standoff it began at rests: it can be concluded."""
+    observed = frozenset({"placement.home", other})
+    check_moments(ratms(), observed)
+    moments = Moments(Space(ratms(), 100), observed)
+    assert not any(moments.stranded(batch).any() for batch in moments.reached.batches())
+
+
+def check_moments(blueprint: Blueprint, observed: frozenset[str]) -> None:
+    """The moments of both searches are the same, and so are the lengths of the shortest ways to them."""
+    moments = Moments(Space(blueprint, 10_000), observed)
+    found = {
+        (joint_of(blueprint, values), frozenset((name, locks) for name, locks in running)): length
+        for length, level in enumerate(moments.reached.levels)
+        for values, running in map(moments.decoded, level.tolist())
+    }
+    assert found == lengths(blueprint, observed)
+
+
+@settings(max_examples=40, deadline=None)
+@given(blueprints(), st.data())
+def test_what_its_locks_protect_need_not_be_searched(blueprint: Blueprint, data: st.DataObject) -> None:
+    """Only operations that are called strandable can be found where they are denied."""
+    runs = Runs(Space(blueprint, 10_000))
+    for branch, spec in blueprint.branches.items():
+        for operation, declared in spec.operations.items():
+            name = f"{branch}.{operation}"
+            if declared.steps and name not in runs.strandable:
+                found = lengths(blueprint, frozenset({name}))
+                assert not any(stranded(blueprint, moment) for moment in found)
+
+
+@settings(max_examples=40, deadline=None)
+@given(blueprints(), st.data())
+def test_conditions_hold_at_the_same_moments(blueprint: Blueprint, data: st.DataObject) -> None:
+    observed = some_operations(blueprint, data)
+    moments = Moments(Space(blueprint, 10_000), observed)
+    branch = data.draw(st.sampled_from(list(blueprint.branches)))
+    states = data.draw(st.lists(st.sampled_from(list(blueprint.branches[branch].states)), max_size=2))
+    condition = Condition(states={branch: states}, running=sorted(observed))
+    expected = sum(
+        states_of(blueprint, joint)[branch] in states and bool(running)
+        for joint, running in lengths(blueprint, observed)
+    )
+    assert sum(int(moments.hold(condition, batch).sum()) for batch in moments.reached.batches()) == expected
+    at_stop = sum(not stranded(blueprint, moment) for moment in lengths(blueprint, observed))
+    stop = Condition(accepted=["stop"])
+    assert sum(int(moments.hold(stop, batch).sum()) for batch in moments.reached.batches()) == at_stop
+
+
+def test_an_operation_that_is_only_called_by_children_never_runs() -> None:
+    runs = Runs(Space(ratms(), 100))
+    moments = runs.moments(frozenset({"registration.digitized"}))
+    spec = PropertySpec(id="never", never=Condition(running=["registration.digitized"]))
+    assert spec.never is not None
+    assert not any(moments.hold(spec.never, batch).any() for batch in moments.reached.batches())
