@@ -162,11 +162,11 @@ class _Cascade:
         if spec is not None and kind == "operation":
             for child, state in spec.sets.items():
                 before = self._move("set", child, operation, state)
-                self._fit_children(child, before, state, direct=False)
+                self._fit_children(child, before, direct=False)
         if kind != "reinit" and (source != target or (spec is not None and spec.signals)):
             self._signal_parent(branch, target)
         direct = kind != "signal"
-        self._fit_children(branch, source, self.states[branch], direct=direct)
+        self._fit_children(branch, source, direct=direct)
         if source != target or direct:
             self._revoke(branch)
 
@@ -192,13 +192,14 @@ class _Cascade:
         for ending in parent_spec.operations[operation].endings.values():
             self.perform("signal", parent, operation, target_from(ending.to, state))
 
-    def _fit_children(self, branch: str, source: str, target: str, *, direct: bool) -> None:
+    def _fit_children(self, branch: str, source: str, *, direct: bool) -> None:
         """Rule 3 for a direct change into a child's starting state, and children that no longer fit."""
         for child, parent in self.blueprint.children[branch].items():
-            rule_3 = direct and source != target and target == parent.start
-            fits = target in parent.compatible[self.states[child]]
+            state = self.states[branch]  # a revocation on the way may have moved it
+            rule_3 = direct and source != state and state == parent.start
+            fits = state in parent.compatible[self.states[child]]
             if (rule_3 and not self._set_by_this_command(child)) or not fits:
-                self._reinitiate(child, parent, target)
+                self._reinitiate(child, parent, state)
 
     def _reinitiate(self, child: str, parent: ParentSpec, parent_state: str) -> None:
         spec = self.blueprint.branches[child]

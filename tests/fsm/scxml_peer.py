@@ -16,11 +16,15 @@ class Peer:
     def __init__(self, document: str) -> None:
         processor = SCXMLProcessor()
         processor.parse_scxml("chart", document)
-        self._machine = processor.start()
+        self._machine = processor.start()  # type: ignore[no-untyped-call]
 
     def configuration(self) -> set[str]:
         """Ids of all active atomic states."""
         return {state.id for state in self._machine.configuration if not state.states}
+
+    def active(self) -> set[str]:
+        """Ids of all active states."""
+        return {state.id for state in self._machine.configuration}
 
     def send(self, event: str) -> None:
         """Lets the chart react; an event that nothing reacts to is none."""

@@ -4,20 +4,29 @@ from __future__ import annotations
 
 from pathlib import Path
 from random import Random
-from typing import Any
 
 import pytest
 from random_blueprints import random_blueprint
 from scxml_peer import Peer, expected, fits
 
-from pcmrs.fsm import Blueprint, load_blueprint
+from pcmrs.fsm import Blueprint
 from pcmrs.fsm.closure import Denial
 from pcmrs.fsm.engine import Engine
 from pcmrs.fsm.exchange.nested import nesting_of
 from pcmrs.fsm.exchange.reactions import Command, commands
 from pcmrs.fsm.exchange.scxml import scxml
+from pcmrs.fsm.load import read_blueprint
 
-RATMS = load_blueprint(Path("pcmrs/workflows/ratms.toml"))
+WORKFLOWS = Path("pcmrs/workflows")
+
+
+def workflow(name: str) -> Blueprint:
+    blueprint, findings = read_blueprint((WORKFLOWS / name).read_bytes(), name)
+    assert blueprint is not None, findings
+    return blueprint
+
+
+RATMS = workflow("ratms.toml")
 
 
 def perform(engine: Engine, command: Command) -> bool:
@@ -68,14 +77,59 @@ def test_ratms(seed: int) -> None:
     assert trace(RATMS, Random(seed), 400) > 40
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in Path("pcmrs/workflows").glob("*.toml")))
+@pytest.mark.parametrize("name", sorted(path.name for path in WORKFLOWS.glob("*.toml")))
 def test_shipped_workflows(name: str) -> None:
-    assert trace(load_blueprint(Path("pcmrs/workflows") / name), Random(name), 150) > 10
+    assert trace(workflow(name), Random(name), 150) > 10
 
 
 def test_a_child_that_refines_one_state_is_drawn_inside_it() -> None:
     assert nesting_of(RATMS).nested == {"placement"}
-    peer: Any = Peer(scxml(RATMS))
+    peer = Peer(scxml(RATMS))
     assert not any(state.startswith("placement") for state in peer.configuration())
     peer.send("robot.connect")
     assert "placement.unknown" in peer.configuration()
+
+
+THREE_LEVELS = """
+id = "levels"
+version = "1"
+[branches.a]
+states = { a0 = "", a1 = "" }
+[branches.a.operations]
+go = { from = ["*"], to = { a0 = "a1", a1 = "a0" } }
+kept = { from = ["a1"], to = "a1", iio = true }
+[branches.b]
+level = 2
+states = { b0 = "", b1 = "" }
+parent = { branch = "a", start = "a1", compatible = { b0 = ["a0", "a1"], b1 = ["a1"] } }
+emits = { b0 = "kept", b1 = "kept" }
+[branches.b.operations]
+go = { from = ["*"], to = { b0 = "b1", b1 = "b0" } }
+kept = { from = ["*"], to = { b0 = "b0", b1 = "b1" }, iio = true, signals = SIGNALS }
+reinit = { from = ["*"], to = "b0", rio = true }
+[branches.c]
+level = 3
+states = { c0 = "", c1 = "" }
+parent = { branch = "b", start = "b0", compatible = { c0 = ["b0", "b1"], c1 = ["b0"] } }
+emits = { c0 = "kept", c1 = "kept" }
+revocations = [REVOCATION]
+[branches.c.operations]
+go = { from = ["*"], to = { c0 = "c1", c1 = "c0" } }
+reinit = { from = ["*"], to = "c0", rio = true }
+"""
+REVOCATION = '{ by = ["a"], from = ["c1"], to = "c0" }'
+
+
+@pytest.mark.parametrize(
+    ("signals", "revocation", "nested"),
+    [("true", REVOCATION, {"b", "c"}), ("false", REVOCATION, {"b"}), ("true", "", {"b"})],
+)
+def test_a_branch_that_may_leave_its_start_elsewhere_is_not_drawn_inside(
+    signals: str, revocation: str, nested: set[str]
+) -> None:
+    """c is at home in b0, where b starts: it must not move, and not stay moved, while a is in a0."""
+    text = THREE_LEVELS.replace("SIGNALS", signals).replace("REVOCATION", revocation)
+    blueprint, findings = read_blueprint(text.encode(), "levels")
+    assert blueprint is not None, findings
+    assert nesting_of(blueprint).nested == nested
+    assert trace(blueprint, Random(1), 100) > 30

@@ -31,7 +31,7 @@ def only(raw: bytes) -> Finding:
         (b'id = "x"\n\xc3\xa4 = "\xff"', "not_utf8", 2, 6),
         (b"x = 1" + b"0" * 5000, "not_toml", 1, 0),
         (b"id = 'x'\nversion = 1", "bad_value", 2, 1),
-        (b"id = 'x'\n  colour = 'red'\nversion = '1'\nbranches = {}", "bad_value", 1, 1),
+        (b"id = 'x'\n  colour = 'red'\nversion = '1'\nbranches = {}", "bad_value", 2, 3),
         (b"\n[[[[", "not_toml", 2, 3),
         (b"#" * (MAX_BYTES + 1), "too_large", 1, 1),
         (b"a." * 100_000 + b"b = 1", "too_deep", 1, 1),

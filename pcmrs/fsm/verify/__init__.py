@@ -21,7 +21,6 @@ MAX_JOINT_STATES = 2_000_000
 
 CHECKS = (
     structure.denials,
-    structure.misfits,
     structure.revocations,
     structure.unused,
     liveness.deadlocks,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 CODES = {
     "too_many_states": "There are more joint states than the verification may look at.",
-    "child_misfit": "After a command, a branch is in a state that does not fit its parent's.",
     "endless_cascade": "A command triggers changes that trigger changes without an end.",
     "no_outcome": "An operation is accepted where it cannot end in any declared way.",
     "ambiguous_revocation": "Two revocations of a branch hold at once and lead to different states.",

@@ -14,7 +14,7 @@ from pcmrs.fsm.verify.encoding import Batch, Encoding
 from pcmrs.fsm.verify.observed import Decision
 from pcmrs.fsm.verify.search import Reached, TooManyError, search
 from pcmrs.fsm.verify.space import Space, digits, endings_of, guard
-from pcmrs.fsm.verify.transition import Transition, successors
+from pcmrs.fsm.verify.transition import Transition, by_guard, successors
 
 Locks = tuple[frozenset[str], frozenset[str]]
 """Branches locked for writing, and for reading."""
@@ -99,8 +99,9 @@ class Moments:
     def _search(self, space: Space) -> Reached:
         limit = MOMENTS_PER_STATE * space.limit
         initial = np.array([self._encoding.code(space.blueprint.initial())], dtype=np.int64)
+        grouped = by_guard(self.transitions)
         try:
-            return search(self._encoding, initial, lambda batch: successors(self.transitions, batch), limit=limit)
+            return search(self._encoding, initial, lambda batch: successors(grouped, batch), limit=limit)
         except TooManyError as error:
             raise TooManyError(f"While {' or '.join(self._locks)} may run: {error}") from error
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcmrs.fsm.verify.encoding import Batch, Codes, Encoding
-from pcmrs.fsm.verify.transition import Transition, successors
+from pcmrs.fsm.verify.transition import Transition, by_guard, successors
 from pcmrs.fsm.verify.visited import Visited, visited
 
 BATCH = 2**17
@@ -41,8 +41,7 @@ class Reached:
 
     def batches(self) -> Iterator[Batch]:
         """All of them, nearest first."""
-        for level in self.levels:
-            yield from _batches(self.encoding, level)
+        return _batches(self.encoding, np.concatenate(self.levels))
 
     def first(self, wanted: Callable[[Batch], NDArray[np.bool_]]) -> int | None:
         """One of the nearest that is wanted, if any is."""
@@ -111,7 +110,7 @@ def search(
 
 def leading_to(reached: Reached, goal: Codes, transitions: Iterable[Transition]) -> Visited:
     """All that is reached and from which one of `goal` can be reached."""
-    back = [transition.backward() for transition in transitions if transition.shift]
+    back = by_guard(transition.backward() for transition in transitions if transition.shift)
 
     def before(batch: Batch) -> Iterator[Codes]:
         return successors(back, batch)

@@ -1,18 +1,15 @@
-"""Findings that the decisions themselves show: cascades, misfits, determinism, and what is never used."""
+"""Findings that the decisions themselves show: cascades, determinism, and what is never used."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import partial
 from itertools import combinations
 
 import numpy as np
 
-from pcmrs.fsm.blueprint import ParentSpec
 from pcmrs.fsm.closure import Closure, Denial
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.verify.decisions import Decisions
-from pcmrs.fsm.verify.encoding import Batch
 from pcmrs.fsm.verify.observed import Decision, changes
 from pcmrs.fsm.verify.space import Space
 
@@ -53,14 +50,6 @@ def revocations(space: Space) -> Iterator[Finding]:
                 yield Finding(code="ambiguous_revocation", text=text, path=path)
 
 
-def misfits(space: Space) -> Iterator[Finding]:
-    """Children that a command leaves in a state that does not fit their parent's."""
-    for name, branch in space.blueprint.branches.items():
-        if branch.parent is not None:
-            found = (_misfit(space, name, state, branch.parent) for state in branch.states)
-            yield from (finding for finding in found if finding is not None)
-
-
 def unused(space: Space) -> Iterator[Finding]:
     """States that no branch gets into, and operations that are never accepted or never called."""
     for digit, (name, states) in enumerate(zip(space.encoding.names, space.encoding.values, strict=True)):
@@ -78,17 +67,6 @@ def path_of(command: str) -> tuple[str, ...]:
     """Where the operation of a command is declared."""
     branch, operation = command.partition(":")[0].split(".")
     return ("branches", branch, "operations", operation)
-
-
-def _misfit(space: Space, child: str, state: str, parent: ParentSpec) -> Finding | None:
-    above, fitting = parent.branch, parent.compatible[state]
-    others = [other for other in space.blueprint.branches[above].states if other not in fitting]
-    code = space.reached.first(partial(Batch.matching, wanted={child: [state], above: others}))
-    if code is None:
-        return None
-    found, way = space.encoding.decoded(code)[above], space.way_to(code)
-    text = f"{child} is left in {state} while {above} goes to {found}; it fits {' and '.join(fitting) or 'none'} only."
-    return Finding(code="child_misfit", text=text, path=path_of(way[-1]), commands=way)
 
 
 def _unaccepted(space: Space) -> Iterator[Finding]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,8 @@ class Transition:
         command: ``branch.operation`` or ``branch.operation:outcome``.
         branch: The branch asked.
         operation: The operation asked for.
-        guard: Digits it depends on; of a digit that it changes there is one value.
+        guard: Digits it depends on, the one that lets the fewest through first; of a digit that it changes there is
+            one value.
         targets: Values of the digits that it changes.
         shift: What it adds to the code.
     """
@@ -45,7 +46,8 @@ class Transition:
         """Makes one; a digit with a target must have one value in the guard."""
         moved = {digit: value for digit, value in targets.items() if guard[digit] != (value,)}
         shift = sum((value - guard[digit][0]) * encoding.weights[digit] for digit, value in moved.items())
-        return cls(command, *asked, tuple(guard.items()), moved, shift)
+        by_choice = sorted(guard.items(), key=lambda part: len(part[1]) / encoding.sizes[part[0]])
+        return cls(command, *asked, tuple(by_choice), moved, shift)
 
     def backward(self) -> Transition:
         """The way back."""
@@ -56,6 +58,8 @@ class Transition:
     def rows(self, batch: Batch) -> Rows:
         """Where its guard holds."""
         (first, allowed), *others = self.guard
+        if not allowed:
+            return np.empty(0, dtype=np.intp)
         rows = np.concatenate([batch.where(first, value) for value in allowed])
         for digit, values in others:
             if not len(rows):
@@ -66,7 +70,21 @@ class Transition:
         return rows
 
 
-def successors(transitions: Iterable[Transition], batch: Batch) -> Iterator[Codes]:
-    """Where the transitions lead from a batch; no array holds a code twice."""
+Grouped = Mapping[tuple[int, tuple[int, ...]], Sequence[Transition]]
+"""Transitions by the first part of their guards: where that holds nowhere in a batch, none has to be looked at."""
+
+
+def by_guard(transitions: Iterable[Transition]) -> Grouped:
+    """The transitions, grouped."""
+    groups: dict[tuple[int, tuple[int, ...]], list[Transition]] = {}
     for transition in transitions:
-        yield batch.codes[transition.rows(batch)] + transition.shift
+        groups.setdefault(transition.guard[0], []).append(transition)
+    return groups
+
+
+def successors(grouped: Grouped, batch: Batch) -> Iterator[Codes]:
+    """Where the transitions lead from a batch; no array holds a code twice."""
+    for (digit, allowed), transitions in grouped.items():
+        if any(len(batch.where(digit, value)) for value in allowed):
+            for transition in transitions:
+                yield batch.codes[transition.rows(batch)] + transition.shift
