@@ -6,6 +6,7 @@ SHELL := bash
 
 VENV := .venv
 BIN := $(VENV)/bin
+WORKFLOW := ratms
 INSTALLED := $(VENV)/installed.stamp
 
 .PHONY: help install demo test lint lock clean
@@ -15,8 +16,8 @@ help: ## List these targets
 
 install: $(INSTALLED) ## Create .venv with the locked versions; done once, again when they change
 
-demo: install ## Run the RATMS procedure on the simulated cell and print its errors
-	$(BIN)/pcmrs demo
+demo: install ## Run a procedure on the simulated cell and print its errors; WORKFLOW=femoroplasty for another
+	$(BIN)/pcmrs demo --workflow $(WORKFLOW)
 
 test: install ## Run the whole test suite; a running daemon does not disturb it
 	$(BIN)/pytest -n auto

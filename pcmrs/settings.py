@@ -126,8 +126,13 @@ def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Se
     settings = as_config(Settings, overlaid(defaults, values))
     _check_limits(settings, defaults)
     _check_cell(settings)
-    if settings.sim or "sim" in settings.drivers():
-        _check_driver_tables({"sim": settings.sim})
+    simulated = "sim" in settings.drivers()
+    if not simulated and "sim" not in values:
+        # What the workflow says of a simulation does not matter where there is none; nor need it be installed.
+        return msgspec.structs.replace(settings, sim={})
+    if simulated:
+        _check_driver_tables({"sim": defaults.get("sim", {})}, f" in {_origin(settings.workflow)}")
+    _check_driver_tables({"sim": settings.sim})
     return settings
 
 
@@ -154,13 +159,16 @@ def _defaults_of(values: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(name, str):
         return {}  # refused with all the other values
     defaults = read_workflow(name).defaults
-    origin = f"The table [defaults] of {find_workflow(name).blueprint}"
+    origin = _origin(name)
     for table in sorted(defaults.keys() - OF_WORKFLOW):
         text = f"{origin} sets {table}; a workflow may change {' and '.join(sorted(OF_WORKFLOW))} only."
         raise ConfigurationError(text, table=table)
     as_config(Settings, defaults, origin)
-    _check_driver_tables({"sim": defaults.get("sim", {})}, f" in {origin}")
     return defaults
+
+
+def _origin(workflow: str) -> str:
+    return f"The table [defaults] of {find_workflow(workflow).blueprint}"
 
 
 def _check_limits(settings: Settings, defaults: Mapping[str, Any]) -> None:

@@ -12,6 +12,7 @@ from pcmrs.kinematics.trajectory import MotionLimits, brake
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
 from sim.limits import check_trajectory
+from sim.phantom import Phantom
 from sim.plant import STEP, nominal_model, plant_model
 from sim.reference import Reference
 from sim.settings import ArmSettings
@@ -33,15 +34,21 @@ class Arm:
     Args:
         facts: The arm.
         settings: Its imperfections and its controller.
-        flange_from_coil: Where the coil truly sits.
+        flange_from_coil: Where the tool truly sits.
+        phantom: What stands before the arm, and the tool it carries for that.
         rng: Draws the errors of the nominal model.
     """
 
     def __init__(
-        self, facts: ArmFacts, settings: ArmSettings, flange_from_coil: Transform, rng: np.random.Generator
+        self,
+        facts: ArmFacts,
+        settings: ArmSettings,
+        flange_from_coil: Transform,
+        phantom: Phantom,
+        rng: np.random.Generator,
     ) -> None:
-        self._plant = plant_model(facts, settings, flange_from_coil)
-        self._nominal = nominal_model(facts, settings, flange_from_coil, rng)
+        self._plant = plant_model(facts, settings, flange_from_coil, phantom)
+        self._nominal = nominal_model(facts, settings, flange_from_coil, phantom, rng)
         self._data = mujoco.MjData(self._plant)
         self._nominal_data = mujoco.MjData(self._nominal)
         self._data.qpos[:] = settings.home

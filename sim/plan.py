@@ -1,11 +1,13 @@
-"""The plan that a planner would have made for the phantom: six landmarks and twelve coil poses.
+"""The plans that a planner would have made for the phantoms: their landmarks, and twelve poses of the tool each.
 
-``python -m sim.plan [FILE]`` writes it, by default to ``examples/ratms_plan.json``; the same numbers every time.
+``python -m sim.plan [FOLDER]`` writes ``ratms_plan.json`` and ``femoroplasty_plan.json``, by default to ``examples``;
+the same numbers every time.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from math import cos, radians, sin
 from pathlib import Path
 from typing import Any
@@ -13,8 +15,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from pcmrs.spatial import Transform
-from sim.phantom import LANDMARKS, landmark_position, outward_normal, surface_point
+from pcmrs.spatial import Floats, Transform
+from sim import femur, head
+from sim.phantom import Phantom
 
 SITES_DEG = (
     (0, 0),
@@ -31,31 +34,63 @@ SITES_DEG = (
     (60, -60),
 )
 """Where the coil goes, seen from the centre of the head: tilt from superior, azimuth from anterior to the right."""
+TRAJECTORIES = (
+    (0.45, 20, 8),
+    (0.45, 20, 16),
+    (0.45, 12, 8),
+    (0.45, 28, 8),
+    (0.45, 28, 16),
+    (0.55, 16, 4),
+    (0.55, 24, 4),
+    (0.55, 24, 12),
+    (0.55, 16, 12),
+    (0.65, 22, 10),
+    (0.65, 30, 12),
+    (0.65, 14, 6),
+)
+"""Where drills end, as a part of the neck's length, and the way out from there: degrees inferior and posterior of
+lateral."""
 DECIMALS = 9
-"""Of the numbers in the file, m and quaternion."""
+"""Of the numbers in a file, m and quaternion."""
 
 
 def coil_pose(tilt_deg: float, azimuth_deg: float) -> Transform:
     """``image_from_coil`` with its origin on the scalp, +z the outward normal and +y as far anterior as it can be."""
     tilt, azimuth = radians(tilt_deg), radians(azimuth_deg)
-    point = surface_point((sin(tilt) * sin(azimuth), sin(tilt) * cos(azimuth), cos(tilt)))
-    z = outward_normal(point)
-    x = np.cross((0.0, 1.0, 0.0), z)
+    point = head.surface_point((sin(tilt) * sin(azimuth), sin(tilt) * cos(azimuth), cos(tilt)))
+    return _pose(point, head.outward_normal(point), (0.0, 1.0, 0.0))
+
+
+def guide_pose(depth: float, inferior_deg: float, posterior_deg: float) -> Transform:
+    """``image_from_coil`` with its origin at the entry, +z the way out and +y as far superior as it can be."""
+    entry, target = trajectory(depth, inferior_deg, posterior_deg)
+    return _pose(entry, (entry - target) / np.linalg.norm(entry - target), (0.0, 0.0, 1.0))
+
+
+def _pose(origin: Floats, z: Floats, up: tuple[float, float, float]) -> Transform:
+    x = np.cross(up, z)
     x /= np.linalg.norm(x)
-    return Transform(np.column_stack((x, np.cross(z, x), z)), point)
+    return Transform(np.column_stack((x, np.cross(z, x), z)), origin)
 
 
-def make_plan() -> dict[str, Any]:
-    """The plan as plain data, in image coordinates and m.
+def trajectory(depth: float, inferior_deg: float, posterior_deg: float) -> tuple[Floats, Floats]:
+    """Entry on the greater trochanter and target in the neck, in the image, m, (3,) each."""
+    inferior, posterior = radians(inferior_deg), radians(posterior_deg)
+    out = (cos(inferior) * cos(posterior), -cos(inferior) * sin(posterior), -sin(inferior))
+    target = femur.BASE + depth * femur.NECK_LENGTH * femur.NECK_AXIS
+    return femur.surface_point(target, out), target
+
+
+def make_plan(phantom: Phantom, poses: Iterable[Transform]) -> dict[str, Any]:
+    """A plan as plain data, in image coordinates and m.
 
     Returns:
         ``landmarks``, each with ``name`` and ``position``; ``poses``, each with ``position`` and ``quat_xyzw``.
     """
-    poses = [coil_pose(tilt, azimuth) for tilt, azimuth in SITES_DEG]
     return {
         "landmarks": [
-            {"name": landmark.name, "position": landmark_position(landmark).round(DECIMALS).tolist()}
-            for landmark in LANDMARKS
+            {"name": landmark.name, "position": landmark.position.round(DECIMALS).tolist()}
+            for landmark in phantom.landmarks
         ],
         "poses": [
             {
@@ -67,10 +102,20 @@ def make_plan() -> dict[str, Any]:
     }
 
 
-def main(path: Path) -> None:
-    """Writes the plan to `path`."""
-    path.write_bytes(msgspec.json.format(msgspec.json.encode(make_plan()), indent=2) + b"\n")
+def make_plans() -> dict[str, dict[str, Any]]:
+    """The plan of each workflow."""
+    return {
+        "ratms": make_plan(head.HEAD, (coil_pose(*site) for site in SITES_DEG)),
+        "femoroplasty": make_plan(femur.FEMUR, (guide_pose(*course) for course in TRAJECTORIES)),
+    }
+
+
+def main(folder: Path) -> None:
+    """Writes all plans to `folder`."""
+    for workflow, plan in make_plans().items():
+        text = msgspec.json.format(msgspec.json.encode(plan), indent=2) + b"\n"
+        (folder / f"{workflow}_plan.json").write_bytes(text)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "examples/ratms_plan.json"))
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "examples"))

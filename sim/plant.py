@@ -1,7 +1,8 @@
-"""The arm with its coil as MuJoCo models: the plant as it is, and the controller's idea of it."""
+"""The arm with its tool as MuJoCo models: the plant as it is, and the controller's idea of it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -11,13 +12,12 @@ import structlog
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.mjcf import mjcf
 from pcmrs.spatial import Transform
+from sim.phantom import Phantom
 from sim.settings import ArmSettings
+from sim.shape import Shape
 
 STEP = 0.001
 """Time of one physics and one control step, s."""
-COIL_MASS = 1.0  # kg: a figure-of-eight coil without its cable
-COIL_RADIUS = 0.05  # m
-COIL_HALF_THICKNESS = 0.01  # m
 
 log = structlog.get_logger(__name__)
 
@@ -25,17 +25,20 @@ log = structlog.get_logger(__name__)
 mujoco.set_mju_user_warning(lambda text: log.warning("mujoco", text=text))
 
 
-def plant_model(facts: ArmFacts, settings: ArmSettings, flange_from_coil: Transform) -> Any:
-    """The arm as it is, with friction in its joints, as an ``mujoco.MjModel``."""
-    return _compile(
-        mjcf(facts, damping=settings.damping, armature=settings.armature, frictionloss=settings.friction),
-        flange_from_coil,
-    )
+def plant_model(facts: ArmFacts, settings: ArmSettings, flange_from_tool: Transform, phantom: Phantom) -> Any:
+    """The arm as it is, with friction in its joints, before its phantom, as an ``mujoco.MjModel``."""
+    text = mjcf(facts, damping=settings.damping, armature=settings.armature, frictionloss=settings.friction)
+    spec = _with_tool(text, flange_from_tool, phantom.tool)
+    _add_shapes(spec.worldbody, phantom.body, phantom.world_from_image)
+    return spec.compile()
 
 
-def nominal_model(facts: ArmFacts, settings: ArmSettings, flange_from_coil: Transform, rng: np.random.Generator) -> Any:
+def nominal_model(
+    facts: ArmFacts, settings: ArmSettings, flange_from_tool: Transform, phantom: Phantom, rng: np.random.Generator
+) -> Any:
     """The controller's model: it knows no friction, and every link's mass and inertia is a little wrong."""
-    model = _compile(mjcf(facts, damping=0.0, armature=settings.armature, frictionloss=0.0), flange_from_coil)
+    text = mjcf(facts, damping=0.0, armature=settings.armature, frictionloss=0.0)
+    model = _with_tool(text, flange_from_tool, phantom.tool).compile()
     factors = 1.0 + settings.inertia_error * rng.choice((-1.0, 1.0), model.nbody)
     model.body_mass *= factors
     model.body_inertia *= factors[:, None]
@@ -43,17 +46,30 @@ def nominal_model(facts: ArmFacts, settings: ArmSettings, flange_from_coil: Tran
     return model
 
 
-def _compile(text: str, flange_from_coil: Transform) -> Any:
+def _with_tool(text: str, flange_from_tool: Transform, shapes: Sequence[Shape]) -> Any:
+    """An ``mujoco.MjSpec`` of an arm and the tool on its flange."""
     spec = mujoco.MjSpec.from_string(text)
     spec.option.timestep = STEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    # The cell has nothing to touch: contact would only cost time.
+    # Nothing is touched on purpose: contact would only cost time.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     flange = spec.site("flange")
-    coil = flange.parent.add_body(
-        name="coil",
-        pos=flange.pos + flange_from_coil.translation,  # the flange is parallel to the last link
-        quat=flange_from_coil.quat_wxyz,
+    tool = flange.parent.add_body(
+        name="tool",
+        pos=flange.pos + flange_from_tool.translation,  # the flange is parallel to the last link
+        quat=flange_from_tool.quat_wxyz,
     )
-    coil.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[COIL_RADIUS, COIL_HALF_THICKNESS, 0.0], mass=COIL_MASS)
-    return spec.compile()
+    _add_shapes(tool, shapes, Transform.identity())
+    return spec
+
+
+def _add_shapes(body: Any, shapes: Sequence[Shape], body_from_shapes: Transform) -> None:
+    for shape in shapes:
+        pose = body_from_shapes @ shape.pose
+        body.add_geom(
+            type=getattr(mujoco.mjtGeom, f"mjGEOM_{shape.kind.upper()}"),
+            pos=pose.translation,
+            quat=pose.quat_wxyz,
+            size=[*shape.size, 0.0, 0.0][:3],
+            mass=shape.mass,
+        )

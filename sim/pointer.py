@@ -7,7 +7,7 @@ import numpy as np
 from pcmrs.clock import Clock
 from pcmrs.messages import LandmarkPrompt
 from pcmrs.spatial import Floats, Transform
-from sim.phantom import CENTRE
+from sim.shape import rotation_with_z
 from sim.world import World
 
 
@@ -42,15 +42,7 @@ class SimPointer:
         self._displacements[index] = offset_in_image
 
     def _body_ref_from_pointer(self, tip_in_image: Floats) -> Transform:
-        """The marker body of a pointer whose tip is there and whose shaft points away from the head."""
-        image_from_tip = Transform(_rotation_with_z(tip_in_image - CENTRE), tip_in_image)
+        """The marker body of a pointer whose tip is there and whose shaft points away from the body."""
+        image_from_tip = Transform(rotation_with_z(tip_in_image - self._world.phantom.inside), tip_in_image)
         tip_from_pointer = self._world.settings.geometry.pointer_from_tip.transform.inverse()
         return self._world.body_ref_from_image @ image_from_tip @ tip_from_pointer
-
-
-def _rotation_with_z(direction: Floats) -> Floats:
-    """A rotation matrix whose third column points along `direction`, (3, 3)."""
-    z = direction / np.linalg.norm(direction)
-    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
-    x /= np.linalg.norm(x)
-    return np.column_stack((x, np.cross(z, x), z))

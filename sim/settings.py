@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -58,7 +58,7 @@ class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DigitizationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The person with the pointer. The two deviations combine to 1.86 mm per axis.
+    """The person with the pointer. The two deviations combine to 1.86 mm per axis, as on a head.
 
     Attributes:
         planning_bias_mm: Standard deviation per axis by which a planned landmark differs from the anatomical
@@ -114,16 +114,17 @@ class GeometrySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Where things truly stand. The robot base is the world frame.
 
     Attributes:
-        world_from_tracker: The camera, 1.2 m from the head; it looks along its -z, as optical trackers do.
-        world_from_image: The patient's head: upright, 0.45 m in front of the base, facing away from it.
-        body_ref_from_image: The image in the marker body on the forehead: the registration that nobody knows.
-        flange_from_coil: The coil on the flange; its +z points away from the head, back along the arm.
+        world_from_tracker: The camera, 1.2 m from the patient; it looks along its -z, as optical trackers do.
+        world_from_image: The patient; absent, where the phantom stands.
+        body_ref_from_image: The image in the patient's marker body: the registration that nobody knows; absent, as it
+            is on the phantom.
+        flange_from_coil: The tool on the flange; its +z points away from the patient, back along the arm.
         pointer_from_tip: The tip in the pointer's marker body.
     """
 
     world_from_tracker: Pose = Pose((1.35, -0.5, 0.6), (0.744115, 0.434873, 0.255881, 0.43784))
-    world_from_image: Pose = Pose((0.462, 0.004, -0.015), (0.70710678, 0.0, 0.0, -0.70710678))
-    body_ref_from_image: Pose = Pose((-0.10, -0.01, -0.11), (0.5, 0.5, 0.5, 0.5))
+    world_from_image: Pose | None = None
+    body_ref_from_image: Pose | None = None
     flange_from_coil: Pose = Pose((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
     pointer_from_tip: Pose = Pose((0.0, 0.0, -0.15))
 
@@ -133,9 +134,11 @@ class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         seed: All simulated errors are drawn from it; `Scene.reseed` replaces it.
+        phantom: What stands before the robot; the tool that it carries goes with it.
     """
 
     seed: Annotated[int, msgspec.Meta(ge=0)] = 1
+    phantom: Literal["head", "femur"] = "head"
     tracker: TrackerSettings = TrackerSettings()
     digitization: DigitizationSettings = DigitizationSettings()
     arm: ArmSettings = ArmSettings()

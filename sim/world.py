@@ -10,7 +10,8 @@ from pcmrs.messages import PoseMessage, SceneTruth
 from pcmrs.spatial import Transform
 from sim.arm import Arm
 from sim.errors import TouchErrors, TrackerErrors
-from sim.settings import SimSettings
+from sim.phantoms import PHANTOMS
+from sim.settings import Pose, SimSettings
 
 
 class World:
@@ -22,6 +23,7 @@ class World:
 
     Attributes:
         settings: Errors and geometry.
+        phantom: What stands before the arm.
         arm: The simulated arm.
         tracker_from_body_ref: Where the patient is now.
         body_ref_from_image: The true registration.
@@ -34,15 +36,18 @@ class World:
     def __init__(self, settings: SimSettings, arm_name: str) -> None:
         geometry = settings.geometry
         self.settings = settings
+        self.phantom = phantom = PHANTOMS[settings.phantom]
         self._model = ArmModel(ARMS[arm_name])
         self._tracker_from_world = geometry.world_from_tracker.transform.inverse()
         self._flange_from_coil = geometry.flange_from_coil.transform
-        self.body_ref_from_image = geometry.body_ref_from_image.transform
-        world_from_body_ref = geometry.world_from_image.transform @ self.body_ref_from_image.inverse()
+        self.body_ref_from_image = _placed(geometry.body_ref_from_image, phantom.body_ref_from_image)
+        world_from_image = _placed(geometry.world_from_image, phantom.world_from_image)
+        world_from_body_ref = world_from_image @ self.body_ref_from_image.inverse()
         self.tracker_from_body_ref = self._tracker_from_world @ world_from_body_ref
         self.body_ref_from_pointer: Transform | None = None
         self.hidden: set[str] = set()
-        self.arm = Arm(ARMS[arm_name], settings.arm, self._flange_from_coil, np.random.default_rng(settings.seed))
+        rng = np.random.default_rng(settings.seed)
+        self.arm = Arm(ARMS[arm_name], settings.arm, self._flange_from_coil, phantom, rng)
         self.reseed(settings.seed)
 
     def reseed(self, seed: int) -> None:
@@ -51,7 +56,7 @@ class World:
         self.touch_errors = TouchErrors(self.settings.digitization, seed)
 
     def tracker_from_coil(self) -> Transform:
-        """The true pose of the coil's marker body."""
+        """The true pose of the tool's marker body."""
         return self._tracker_from_world @ self._model.forward(self.arm.positions) @ self._flange_from_coil
 
     def tracker_from(self, body: str) -> Transform | None:
@@ -71,6 +76,10 @@ class World:
             tracker_from_body_ref=_message(self.tracker_from_body_ref),
             body_ref_from_image=_message(self.body_ref_from_image),
         )
+
+
+def _placed(configured: Pose | None, own: Transform) -> Transform:
+    return own if configured is None else configured.transform
 
 
 def _message(transform: Transform) -> PoseMessage:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 import msgspec
@@ -21,6 +21,7 @@ class FailureResult(msgspec.Struct, frozen=True):
     """One run beside the published one.
 
     Attributes:
+        run: Its number in the paper's table.
         outcome: ``completed`` or ``rejected``.
         rejected_at: The state of the registration that could not be reached.
         residual_mm: Mean distance of the landmarks, where a registration was tried.
@@ -29,6 +30,7 @@ class FailureResult(msgspec.Struct, frozen=True):
     """
 
     run: int
+    workflow: str
     injection: str
     landmark: int | None
     outcome: str
@@ -50,51 +52,50 @@ class FailureSummary(msgspec.Struct, frozen=True):
 
 
 class FailureReport(msgspec.Struct, frozen=True):
-    """Results of all runs."""
+    """Results of all runs.
+
+    Attributes:
+        residual_limits_mm: In force, by workflow.
+        runs: In the order of the paper's table.
+    """
 
     experiment: str
-    workflow: str
     seed: int
     rate: float
     settings: list[str]
     simulated: bool
-    residual_limit_mm: float
+    residual_limits_mm: dict[str, float]
     runs: list[FailureResult]
     summary: FailureSummary
 
 
-async def run_failures(setup: Setup) -> FailureReport:
-    """Runs every published failure injection of a workflow through a daemon of its own, over UDP.
+async def run_failures(setups: Sequence[Setup]) -> FailureReport:
+    """Runs every published failure injection of some workflows, each workflow through a daemon of its own, over UDP.
 
     Every run has simulated errors of its own: seed + number of the run.
 
+    Args:
+        setups: One of each workflow, otherwise alike; at least one.
+
     Raises:
-        ConfigurationError: The workflow was not published.
+        ConfigurationError: A workflow was not published.
         CommandRefusedError: The daemon refused what must be accepted.
         DeviceError: The daemon did not start.
     """
-    runs = published(setup.workflow).failures
+    total = sum(len(published(setup.workflow).failures) for setup in setups)
     results: list[FailureResult] = []
-    setup.progress("starting the daemon", 0, len(runs))
-    settings = setup.settings()
-    async with private_bench([f"workflow={setup.workflow}", *settings]) as bench:
-        await bench.planner.connect()
-        for done, run in enumerate(runs):
-            setup.progress(f"run {run.run}: {run.injection.replace('_', ' ')}", done, len(runs))
-            await bench.scene.reseed(setup.seed + run.run)
-            results.append(await _run(bench, setup.plan, run))
-            await bench.planner.reinitiate()
-        limit = _limit_mm(bench)
-    setup.progress("done", len(runs), len(runs))
+    limits: dict[str, float] = {}
+    for setup in setups:
+        limits[setup.workflow] = await _run_workflow(setup, results, total)
+    setups[0].progress("done", total, total)
     return FailureReport(
         experiment="failures",
-        workflow=setup.workflow,
-        seed=setup.seed,
-        rate=setup.rate,
-        settings=settings,
+        seed=setups[0].seed,
+        rate=setups[0].rate,
+        settings=setups[0].settings(),
         simulated=True,
-        residual_limit_mm=limit,
-        runs=results,
+        residual_limits_mm=limits,
+        runs=sorted(results, key=lambda result: result.run),
         summary=FailureSummary(
             runs=len(results),
             as_published=sum(result.rejected_at == result.published_rejected_at for result in results),
@@ -104,8 +105,22 @@ async def run_failures(setup: Setup) -> FailureReport:
     )
 
 
-async def _run(bench: Bench, plan: Plan, run: FailureRun) -> FailureResult:
+async def _run_workflow(setup: Setup, results: list[FailureResult], total: int) -> float:
+    """Adds the results of one workflow; returns its residual limit, mm."""
+    setup.progress("starting the daemon", len(results), total)
+    async with private_bench([f"workflow={setup.workflow}", *setup.settings()]) as bench:
+        await bench.planner.connect()
+        for run in published(setup.workflow).failures:
+            setup.progress(f"run {run.run}: {run.injection.replace('_', ' ')}", len(results), total)
+            await bench.scene.reseed(setup.seed + run.run)
+            results.append(await _run(bench, setup, run))
+            await bench.planner.reinitiate()
+        return _limit_mm(bench)
+
+
+async def _run(bench: Bench, setup: Setup, run: FailureRun) -> FailureResult:
     """One procedure up to the registration, with the operator's error in it."""
+    plan = setup.plan
     pose, operate = plan.poses[0], OPERATORS[run.injection]
     reason: str | None = None
     try:
@@ -119,6 +134,7 @@ async def _run(bench: Bench, plan: Plan, run: FailureRun) -> FailureResult:
     reached, residual = _reached(bench)
     return FailureResult(
         run=run.run,
+        workflow=setup.workflow,
         injection=run.injection,
         landmark=run.landmark,
         outcome="completed" if reason is None else "rejected",

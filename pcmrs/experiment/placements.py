@@ -1,21 +1,28 @@
-"""The placement experiment: register a head phantom, then place the coil at planned poses."""
+"""The placement experiment: register a phantom, then place the tool at planned poses."""
 
 from __future__ import annotations
 
+import asyncio
 import math
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Sequence
 
 import msgspec
 import numpy as np
 
-from pcmrs.errors import ConfigurationError
+from pcmrs.errors import CommandRefusedError, ConfigurationError
 from pcmrs.experiment.private import Bench, private_bench
-from pcmrs.experiment.published import published
+from pcmrs.experiment.published import Reported, published
 from pcmrs.experiment.setup import Setup
+from pcmrs.experiment.treatment import Treated, treat
 from pcmrs.messages import PoseMessage, SceneTruth
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.workflows.data import Registered, as_message, as_transform
 from pcmrs.workflows.toolplan import ToolPose
+
+PATIENCE = 10
+"""So often a planner asks again on a machine that is too busy to show poses in time."""
+PAUSE = 0.2
+"""Between two of these, s of the machine."""
 
 
 class Trial(msgspec.Struct, frozen=True):
@@ -48,7 +55,7 @@ class Spread(msgspec.Struct, frozen=True):
 
 
 class PlacementSummary(msgspec.Struct, frozen=True):
-    """All trials, beside the paper's means."""
+    """All trials, beside what the paper has."""
 
     trials: int
     translation_error_mm: Spread
@@ -56,12 +63,19 @@ class PlacementSummary(msgspec.Struct, frozen=True):
     true_translation_error_mm: Spread
     true_rotation_error_deg: Spread
     target_registration_error_mm: Spread
-    published_translation_error_mm: float
-    published_rotation_error_deg: float
+    published_translation_error_mm: Reported
+    published_rotation_error_deg: Reported
 
 
 class PlacementReport(msgspec.Struct, frozen=True):
-    """Results of one run of the experiment; `settings` are what differs from the default configuration."""
+    """Results of one run of the experiment.
+
+    Attributes:
+        settings: What differs from the default configuration.
+        tool: What was placed.
+        residual_mm: Of the registration.
+        treatment: What was done at the last pose, in workflows that treat.
+    """
 
     experiment: str
     workflow: str
@@ -69,13 +83,15 @@ class PlacementReport(msgspec.Struct, frozen=True):
     rate: float
     settings: list[str]
     simulated: bool
+    tool: str
     residual_mm: float
     trials: list[Trial]
+    treatment: list[Treated]
     summary: PlacementSummary
 
 
 async def run_placements(setup: Setup, trials: int) -> PlacementReport:
-    """Runs the experiment through a daemon of its own, commanded over UDP only.
+    """Runs the experiment through a daemon of its own, commanded over UDP; at the last pose the patient is treated.
 
     Args:
         setup: Its poses are taken in order, again from the first when there are fewer than trials.
@@ -91,7 +107,7 @@ async def run_placements(setup: Setup, trials: int) -> PlacementReport:
         raise ConfigurationError(
             f"{trials} trials of {len(plan.poses)} poses: at least 2 trials and 1 pose are needed."
         )
-    published(setup.workflow)
+    tool = published(setup.workflow).tool
     steps = 3 + trials
     progress("starting the daemon", 0, steps)
     settings = setup.settings()
@@ -104,9 +120,15 @@ async def run_placements(setup: Setup, trials: int) -> PlacementReport:
         residual_mm = await bench.planner.register()
         registration = as_transform(_registered(bench).body_ref_from_image)
         done: list[Trial] = []
-        for number in range(trials):
-            progress(f"placing the coil, {number + 1} of {trials}", 3 + number, steps)
-            done.append(await _place(bench, number + 1, plan.poses[number % len(plan.poses)], registration))
+        treatment: list[Treated] = []
+        for number in range(1, trials + 1):
+            progress(f"placing the {tool}, {number} of {trials}", 2 + number, steps)
+            pose = plan.poses[(number - 1) % len(plan.poses)]
+            done.append(await _place(bench, number, pose, registration))
+            if number == trials:
+                treatment = await treat(bench.client, setup.workflow)
+            await bench.planner.back_off()
+            await bench.planner.home()
     progress("done", steps, steps)
     return PlacementReport(
         experiment="placements",
@@ -115,19 +137,20 @@ async def run_placements(setup: Setup, trials: int) -> PlacementReport:
         rate=setup.rate,
         settings=settings,
         simulated=True,
+        tool=tool,
         residual_mm=residual_mm,
         trials=done,
+        treatment=treatment,
         summary=_summary(setup.workflow, done),
     )
 
 
 async def _place(bench: Bench, number: int, pose: ToolPose, body_ref_from_image: Transform) -> Trial:
-    await bench.planner.plan_pose(pose.position, pose.quat_xyzw)
-    await bench.planner.approach()
+    """Brings the tool to a pose, leaves it there and measures it."""
+    await _once_seen(lambda: bench.planner.plan_pose(pose.position, pose.quat_xyzw))
+    await _once_seen(bench.planner.approach)
     placement = await bench.planner.confirm()
     truth = await bench.scene.truth()
-    await bench.planner.back_off()
-    await bench.planner.home()
     planned = Transform.from_quat_xyzw(pose.position, pose.quat_xyzw)
     measured = Transform.from_quat_xyzw(placement.position, placement.quat_xyzw)
     actual, true_registration = _actual(truth, body_ref_from_image), as_transform(truth.body_ref_from_image)
@@ -143,6 +166,18 @@ async def _place(bench: Bench, number: int, pose: ToolPose, body_ref_from_image:
         planned=as_message(planned),
         measured=as_message(measured),
     )
+
+
+async def _once_seen(ask: Callable[[], Awaitable[None]]) -> None:
+    """Asks, and asks again where that was refused because the tracker has not shown yet where all is at rest."""
+    for _ in range(PATIENCE):
+        try:
+            return await ask()
+        except CommandRefusedError as error:
+            if error.fields["verdict"].reason not in ("pose_missing", "pose_stale"):
+                raise
+        await asyncio.sleep(PAUSE)
+    return await ask()
 
 
 def _actual(truth: SceneTruth, body_ref_from_image: Transform) -> Transform:

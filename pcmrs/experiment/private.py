@@ -8,13 +8,14 @@ import socket
 import sys
 import tempfile
 from collections.abc import AsyncIterator, Sequence
-from contextlib import asynccontextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 
 from pcmrs.bus import Bus, BusSettings
+from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.devices.remote import RemoteScene
 from pcmrs.errors import DeviceError
@@ -33,12 +34,14 @@ class Bench:
     """What an experiment works with.
 
     Attributes:
-        planner: Sends all commands, over UDP.
+        planner: Sends the commands that string commands have, over UDP.
+        client: Sends the others, over the bus.
         scene: Ground truth and faults of the simulation, for the report only.
         journal: What the daemon decided.
     """
 
     planner: Planner
+    client: Client
     scene: RemoteScene
     journal: JournalReader
 
@@ -57,14 +60,16 @@ async def private_bench(overrides: Sequence[str]) -> AsyncIterator[Bench]:
         cell = f"experiment-{os.getpid()}"
         own = [f"cell.name={cell}", f"cell.folder={folder}", f"cell.endpoint=tcp/127.0.0.1:{_free_port()}"]
         links = [f"gateway.{link}.port=0" for link in ("planner", "robot", "visualization", "mep")]
-        async with _daemon([*own, *links, "gateway.tcp_port=0", *overrides], Path(folder) / "log") as ready:
+        settings = [*own, *links, "gateway.tcp_port=0", *overrides]
+        async with _daemon(settings, Path(folder) / "log") as ready, AsyncExitStack() as stack:
             bus = await Bus.open(BusSettings(endpoint=ready.endpoint, cell=cell))
-            try:
-                async with await Planner.open(*ready.links["planner"]) as planner:
-                    with JournalReader(Path(folder) / "journal.sqlite") as journal:
-                        yield Bench(planner, RemoteScene(bus, SystemClock()), journal)
-            finally:
-                await bus.close()
+            stack.push_async_callback(bus.close)
+            yield Bench(
+                planner=await stack.enter_async_context(await Planner.open(*ready.links["planner"])),
+                client=await stack.enter_async_context(Client.connect(ready.endpoint, cell=cell)),
+                scene=RemoteScene(bus, SystemClock()),
+                journal=stack.enter_context(JournalReader(Path(ready.journal))),
+            )
 
 
 @asynccontextmanager

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import msgspec
+
 from pcmrs.errors import ConfigurationError
 
 Injection = Literal["none", "missing_landmark_plan", "missing_landmark", "large_digitization_error"]
@@ -30,19 +32,35 @@ class FailureRun:
     rejected_at: str | None = None
 
 
+class Reported(msgspec.Struct, frozen=True):
+    """A mean, and the standard deviation where the paper has one."""
+
+    mean: float
+    sd: float | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class Published:
-    """The results of one workflow: mean placement errors of 12 trials, and the failure injections."""
+    """The results of one workflow.
 
-    translation_error_mm: float
-    rotation_error_deg: float
+    Attributes:
+        tool: What was placed.
+        translation_error_mm: Mean of 12 placements, and their standard deviation where it was reported.
+        rotation_error_deg: The same of the angles.
+        failures: The failure injections.
+    """
+
+    tool: str
+    translation_error_mm: Reported
+    rotation_error_deg: Reported
     failures: tuple[FailureRun, ...]
 
 
 PUBLISHED = {
     "ratms": Published(
-        0.5096,
-        0.1692,
+        "coil",
+        Reported(0.5096),
+        Reported(0.1692),
         (
             FailureRun(1, "none", residual_mm=2.3009),
             FailureRun(2, "none", residual_mm=2.5526),
@@ -56,12 +74,29 @@ PUBLISHED = {
             FailureRun(17, "large_digitization_error", 3, (0.0, 0.0, -0.023), 6.0678, "111"),
         ),
     ),
+    "femoroplasty": Published(
+        "guide",
+        Reported(0.5979, 0.3280),
+        Reported(0.1480, 0.0855),
+        (
+            FailureRun(4, "none", residual_mm=1.2677),
+            FailureRun(5, "none", residual_mm=1.0523),
+            FailureRun(6, "none", residual_mm=1.1231),
+            FailureRun(8, "missing_landmark_plan", rejected_at="100"),
+            FailureRun(12, "missing_landmark", 1, rejected_at="110"),
+            FailureRun(13, "missing_landmark", 2, rejected_at="110"),
+            FailureRun(14, "missing_landmark", 3, rejected_at="110"),
+            FailureRun(18, "large_digitization_error", 1, (0.025, 0.0, 0.0), 8.6603, "111"),
+            FailureRun(19, "large_digitization_error", 2, (0.0, 0.020, 0.0), 8.2317, "111"),
+            FailureRun(20, "large_digitization_error", 3, (0.0, 0.0, -0.023), 6.8120, "111"),
+        ),
+    ),
 }
 
 
 def published(workflow: str) -> Published:
     """What was published of a workflow. Raises `ConfigurationError` when nothing was."""
     if workflow not in PUBLISHED:
-        text = f"There is no experiment with {workflow!r}; there is {', '.join(PUBLISHED)}."
+        text = f"There is no experiment with {workflow!r}; there is one with {' and with '.join(PUBLISHED)}."
         raise ConfigurationError(text, workflow=workflow)
     return PUBLISHED[workflow]

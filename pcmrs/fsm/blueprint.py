@@ -15,6 +15,9 @@ Requirement = dict[str, list[str]]
 Target = str | dict[str, str]
 """The state gone to, or for each state it may come from the one gone to."""
 
+UNMET = "requirement_not_met"
+"""Code of the rejection when a requirement does not hold that has no code of its own."""
+
 START_OUTCOME = "done"
 """Name of the only outcome of an operation that declares none."""
 
@@ -53,7 +56,7 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
         steps: Registered names of steps, in order; a refusal there is a failure.
         timeout_s: Deadline for all steps together, in s of the cell's clock.
         requires: What must hold while it runs.
-        refusal: Code of the rejection when `requires` does not hold.
+        refusal: Code of the rejection when `requires` does not hold, or one for each branch in it.
         roles: Who may ask for it; empty for everybody who may send commands.
         motion: Whether it moves the robot, and which way.
         rio: It is the branch's re-initiation operation (RIO).
@@ -75,7 +78,7 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
     steps: list[str] = []
     timeout_s: float = 5.0
     requires: Requirement = {}
-    refusal: str = "requirement_not_met"
+    refusal: str | dict[str, str] = UNMET
     roles: list[str] = []
     motion: Motion = "none"
     rio: bool = False

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
-from pcmrs.fsm.blueprint import Blueprint, OperationSpec, ParentSpec, Requirement, Target, target_from
+from pcmrs.fsm.blueprint import UNMET, Blueprint, OperationSpec, ParentSpec, Requirement, Target, target_from
 
 MAX_EFFECTS = 64
 """Longest cascade at run time; the loader has proved that none reaches it."""
@@ -117,10 +117,13 @@ def close(blueprint: Blueprint, states: Mapping[str, str], branch: str, operatio
     return Closure(outcomes, failure, unknown, writes, _examined(blueprint, branch, spec) - writes)
 
 
-def unmet(states: Mapping[str, str], requires: Requirement, code: str, what: str) -> Denial | None:
+def unmet(
+    states: Mapping[str, str], requires: Requirement, refusal: str | Mapping[str, str], what: str
+) -> Denial | None:
     """The first requirement on other branches that does not hold, as a denial."""
     for branch, wanted in requires.items():
         if states[branch] not in wanted:
+            code = refusal if isinstance(refusal, str) else refusal.get(branch, UNMET)
             text = f"{what} needs {branch} in {' or '.join(wanted)}; it is in {states[branch]}."
             return Denial(code, text, {"branch": branch, "state": states[branch], "needed": wanted})
     return None

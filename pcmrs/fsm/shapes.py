@@ -66,6 +66,8 @@ def _faults(blueprint: Blueprint, branch: str, spec: BranchSpec, operation: Oper
     for target in (*(e.to for e in operation.endings.values()), operation.on_failure, operation.on_unknown):
         if isinstance(target, dict) and set(target) != sources:
             yield f"goes to a state by where it comes from: the keys must be {sorted(sources)}, not {sorted(target)}."
+    if isinstance(operation.refusal, dict) and not operation.refusal.keys() <= operation.requires.keys():
+        yield f"has a refusal for {sorted(operation.refusal.keys() - operation.requires.keys())}, not in `requires`."
     for child in operation.sets:
         if child not in blueprint.children[branch]:
             yield f"sets {child}, which is no child of {branch}."

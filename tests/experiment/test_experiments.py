@@ -37,21 +37,35 @@ def test_placements_are_as_accurate_as_promised() -> None:
     assert "cell.rate=5" in report["settings"]
 
 
+def test_femoroplasty_goes_on_to_the_injection_at_the_last_pose() -> None:
+    report = run_experiment("placements", "--workflow", "femoroplasty", "--trials", "2", "--seed", "2")
+    assert (report["workflow"], report["tool"]) == ("femoroplasty", "guide")
+    assert report["residual_mm"] < 2.7
+    assert report["summary"]["translation_error_mm"]["mean"] <= 0.25
+    assert report["summary"]["published_translation_error_mm"] == {"mean": 0.5979, "sd": 0.328}
+    states = [step["state"] for step in report["treatment"]]
+    assert states == ["drilling", "drilled", "checked", "injecting", "injected"]
+    named = [step["operation"] for step in report["treatment"] if step["result"].get("surgeon")]
+    assert len(named) == 4
+
+
 def test_every_injected_error_is_rejected_where_the_paper_says() -> None:
     report = run_experiment("failures", "--seed", "2")
-    published = {run.run: run for run in PUBLISHED["ratms"].failures}
-    assert [run["run"] for run in report["runs"]] == list(published)
-    limit = report["residual_limit_mm"]
+    published = {run.run: (workflow, run) for workflow, paper in PUBLISHED.items() for run in paper.failures}
+    assert [run["run"] for run in report["runs"]] == sorted(published) == list(range(1, 21))
+    limits = report["residual_limits_mm"]
+    assert limits == {"ratms": 4.0, "femoroplasty": 2.7}
     for run in report["runs"]:
-        paper = published[run["run"]]
+        workflow, paper = published[run["run"]]
+        assert run["workflow"] == workflow
         assert run["rejected_at"] == paper.rejected_at
         assert run["outcome"] == ("completed" if paper.rejected_at is None else "rejected")
         assert (run["residual_mm"] is None) == (paper.residual_mm is None)
         if run["residual_mm"] is not None:
-            assert (run["residual_mm"] > limit) == (paper.rejected_at == "111")
+            assert (run["residual_mm"] > limits[workflow]) == (paper.rejected_at == "111")
         assert run["motion_refused"] is (None if paper.rejected_at is None else True)
     summary = report["summary"]
-    assert summary == {"runs": 10, "as_published": 10, "controls_completed": 3, "injections_rejected": 7}
+    assert summary == {"runs": 20, "as_published": 20, "controls_completed": 6, "injections_rejected": 14}
 
 
 @pytest.mark.parametrize(
@@ -60,6 +74,7 @@ def test_every_injected_error_is_rejected_where_the_paper_says() -> None:
         (("placements", "--workflow", "no_such"), "There is no experiment with 'no_such'"),
         (("placements", "--trials", "1"), "at least 2 trials"),
         (("placements", "--plan", "/no/such/file"), "cannot be read"),
+        (("failures", "--plan", "examples/ratms_plan.json"), "name it with --workflow"),
         (("failures", "--set", "robot.wheels=4", "--rate", "9"), "wheels"),
     ],
 )

@@ -9,6 +9,7 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, distance
 from sim.arm import Arm
+from sim.phantoms import PHANTOMS
 from sim.settings import ArmSettings, GeometrySettings
 
 FACTS = ARMS["iiwa14"]
@@ -16,9 +17,9 @@ HOME = np.array(ArmSettings().home)
 PERIOD = 0.005
 
 
-def make_arm(seed: int = 1) -> Arm:
+def make_arm(seed: int = 1, phantom: str = "head") -> Arm:
     flange_from_coil = GeometrySettings().flange_from_coil.transform
-    return Arm(FACTS, ArmSettings(), flange_from_coil, np.random.default_rng(seed))
+    return Arm(FACTS, ArmSettings(), flange_from_coil, PHANTOMS[phantom], np.random.default_rng(seed))
 
 
 def smooth(start: Floats, goal: Floats, duration: float = 2.0) -> JointTrajectory:
@@ -29,9 +30,9 @@ def smooth(start: Floats, goal: Floats, duration: float = 2.0) -> JointTrajector
 
 
 @settings(max_examples=10, deadline=None)
-@given(st.integers(0, 1000), st.lists(st.floats(-0.5, 0.5), min_size=7, max_size=7))
-def test_the_flange_ends_within_a_tenth_of_a_millimetre(seed: int, change: list[float]) -> None:
-    model, arm = ArmModel(FACTS), make_arm(seed)
+@given(st.integers(0, 1000), st.sampled_from(list(PHANTOMS)), st.lists(st.floats(-0.5, 0.5), min_size=7, max_size=7))
+def test_the_flange_ends_within_a_tenth_of_a_millimetre(seed: int, phantom: str, change: list[float]) -> None:
+    model, arm = ArmModel(FACTS), make_arm(seed, phantom)
     goal = HOME + change
     arm.follow(smooth(HOME, goal))
     arm.step(2000)

@@ -12,6 +12,7 @@ from pcmrs.messages import BodyPose, JointTrajectory, LandmarkPrompt, PoseMessag
 from pcmrs.spatial import Floats, Transform, distance
 from sim.cell import BATCH, LONGEST_CATCH_UP, Cell, open_devices
 from sim.errors import TouchErrors
+from sim.phantoms import PHANTOMS
 from sim.plant import STEP
 from sim.settings import DigitizationSettings, SimSettings
 
@@ -200,6 +201,26 @@ async def test_a_touch_lands_where_the_seed_says(cell: Devices) -> None:
         assert np.linalg.norm(await measured_tip(cell) - expected) < 5e-4
 
 
+@pytest.mark.parametrize("name", PHANTOMS)
+async def test_the_chosen_phantom_stands_where_it_belongs(name: str, clock: Clock) -> None:
+    geometry, phantom = SimSettings().geometry, PHANTOMS[name]
+    async with open_devices(("scene",), {"sim": {"phantom": name}}, clock) as devices:
+        truth = await devices["scene"].truth()
+    tracker_from_image = transform(truth.tracker_from_body_ref) @ transform(truth.body_ref_from_image)
+    world_from_image = geometry.world_from_tracker.transform @ tracker_from_image
+    assert distance(world_from_image, phantom.world_from_image) < 1e-9
+    assert distance(transform(truth.body_ref_from_image), phantom.body_ref_from_image) < 1e-9
+
+
+async def test_a_configured_place_is_taken_instead(clock: Clock) -> None:
+    place = {"position": (0.6, 0.1, 0.2), "quat_wxyz": (0.5, 0.5, 0.5, 0.5)}
+    sim = {"phantom": "femur", "geometry": {"world_from_image": place, "body_ref_from_image": place}}
+    async with open_devices(("scene",), {"sim": sim}, clock) as devices:
+        truth = await devices["scene"].truth()
+    world_from_tracker = SimSettings().geometry.world_from_tracker.transform
+    assert (world_from_tracker @ transform(truth.tracker_from_body_ref)).matrix == pytest.approx(np.eye(4), abs=1e-6)
+
+
 async def test_nothing_is_left_behind(clock: Clock) -> None:
     before = asyncio.all_tasks()
     async with open_devices(("robot", "tracker"), {}, clock) as devices:
@@ -220,6 +241,7 @@ async def test_nothing_is_left_behind(clock: Clock) -> None:
         (("robot",), {"robot": {"model": "ur5"}}, "ur5"),
         (("robot",), {"sim": {"tracker": {"rate": 60}}}, "rate"),
         (("robot",), {"sim": {"seed": -1}}, "seed"),
+        (("robot",), {"sim": {"phantom": "knee"}}, "phantom"),
     ],
 )
 async def test_bad_configuration_is_refused(

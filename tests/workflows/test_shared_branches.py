@@ -13,11 +13,9 @@ from pcmrs.workflows import read_workflow
 
 SHARED = ("registration", "digitization", "toolplan", "robot", "placement")
 
-FROM_THE_BODY = tuple(f"placement.operations.{name}" for name in ("confirm", "nudge", "back_off", "home", "to_initial"))
+PLACEMENT = ("approach", "confirm", "nudge", "back_off", "home", "to_initial", "reinit")
 NOT_IN_BONE = (
-    *FROM_THE_BODY,
-    "placement.operations.approach",
-    "placement.operations.reinit",
+    *(f"placement.operations.{name}" for name in PLACEMENT),
     "registration.operations.reinit",
     "toolplan.operations.reinit",
     "robot.operations.disconnect",
@@ -28,7 +26,7 @@ MEANT = {
     "femoroplasty": {
         "toolplan.operations.plan_trajectory",
         *(f"{name}.requires.treatment" for name in NOT_IN_BONE),
-        *(f"{name}.refusal" for name in FROM_THE_BODY),
+        *(f"{name}.refusal" for name in NOT_IN_BONE),
     },
 }
 """What each workflow adds to, or has otherwise than, RATMS."""

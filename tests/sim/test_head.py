@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.spatial import Floats
-from sim.phantom import CENTRE, EXPONENT, LANDMARKS, SEMI_AXES, landmark_position, outward_normal, surface_point
+from sim.head import CENTRE, EXPONENT, LANDMARKS, SEMI_AXES, outward_normal, surface_point
 
 component = st.floats(-1.0, 1.0)
 directions = st.tuples(component, component, component).map(np.array).filter(lambda d: np.linalg.norm(d) > 0.1)
@@ -33,7 +33,7 @@ def test_normal_is_perpendicular_to_the_surface_and_points_out(direction: Floats
 
 
 def test_landmarks_have_the_size_of_a_face() -> None:
-    at = {landmark.name: landmark_position(landmark) for landmark in LANDMARKS}
+    at = {landmark.name: landmark.position for landmark in LANDMARKS}
     assert len(at) == 6
     assert all(level(position) > 1.0 - 1e-9 for position in at.values())
     assert at["left_tragus"][0] < CENTRE[0] < at["right_tragus"][0]

@@ -1,0 +1,1 @@
+"""Workflows for other tools and from them: SCXML, Promela, Mermaid, draw.io, tables, JSON Schema."""

@@ -1,0 +1,147 @@
+"""A state chart as a blueprint: regions become branches, nesting becomes levels, events become operations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, ParentSpec, RevocationSpec
+from pcmrs.fsm.exchange.chart import Node
+from pcmrs.fsm.exchange.commands import Group, Move, Mover, grouped
+from pcmrs.fsm.exchange.moves import TooManyError, choices
+from pcmrs.fsm.exchange.naming import Names, plain
+from pcmrs.fsm.exchange.reading import Findings, Place
+from pcmrs.fsm.exchange.regions import Region, regions_of
+
+MAX_WORK = 1_000_000
+"""Events times states and transitions: what can be converted without a wait."""
+
+MAX_REACTIONS = 20_000
+"""Situations in which some event has an effect, of all events together."""
+
+ROOT_NAME = "main"
+"""Name of the workflow and of its outermost branch where the file has none."""
+
+
+def blueprint_of(root: Node, findings: Findings) -> Blueprint | None:
+    """The blueprint of a chart.
+
+    Args:
+        root: The chart; ids are unique and every target exists.
+        findings: Gets what cannot be converted.
+
+    Returns:
+        None where there are findings.
+    """
+    nodes = root.by_id()
+    events: dict[str, Place] = {}
+    edges = [edge for node in root.walk() for edge in node.edges]
+    for edge in edges:
+        for event in edge.events:
+            events.setdefault(event, edge.place)
+    if len(events) * (len(nodes) + len(edges)) > MAX_WORK:
+        text = f"{len(nodes)} states with {len(edges)} transitions on {len(events)} events are too many."
+        findings.say("too_large", text, root.place)
+        return None
+    blueprint = _Converter(root, nodes, findings).blueprint(events)
+    return None if findings else blueprint
+
+
+class _Converter:
+    def __init__(self, root: Node, nodes: dict[str, Node], findings: Findings) -> None:
+        self._root = root
+        self._findings = findings
+        self._roots = regions_of(root, nodes)
+        self._regions = [region for outermost in self._roots for region in outermost.walk()]
+        self._mover = Mover(self._regions, nodes, findings)
+        self._names: dict[Node, str] = {}
+        self._reactions = 0
+        self._operations: dict[Region, dict[str, OperationSpec]] = {region: {} for region in self._regions}
+        self._operation_names = {r: Names(f"operations of {r.label.called}", findings) for r in self._regions}
+
+    def blueprint(self, events: dict[str, Place]) -> Blueprint:
+        self._name_all()
+        for event, place in events.items():
+            self._add_event(event, place)
+        branches = {region.name: self._branch(region) for region in self._regions}
+        goal = {r.name: finals for r in self._roots if (finals := [self._names[s] for s in r.states if s.final])}
+        name = plain(self._root.called) or ROOT_NAME
+        return Blueprint(id=name, version="1.0.0", title=self._root.title, branches=branches, goal=goal)
+
+    def _name_all(self) -> None:
+        branches = Names("branches", self._findings)
+        for region in self._regions:
+            region.name = branches.make(region.label.called or ROOT_NAME, region.label.place)
+            states = Names(f"states of {region.label.called or ROOT_NAME}", self._findings, states=True)
+            for state in region.states:
+                self._names[state] = states.make(state.called, state.place, prefix=region.label.called)
+
+    def _add_event(self, event: str, place: Place) -> None:
+        moves: list[Move] = []
+        for region in self._roots:
+            try:
+                found = [choice for choice in choices(region, event) if choice.edges]
+            except TooManyError:
+                self._findings.say("too_large", f"The event {event} has too many situations.", place)
+                continue
+            self._reactions += len(found)
+            if self._reactions > MAX_REACTIONS:
+                text = f"From {event} on, events have an effect in over {MAX_REACTIONS} situations."
+                return self._findings.say("too_large", text, self._root.place)
+            moves += [move for choice in found for move in self._mover.moves(choice.where, choice.edges)]
+        domains = {region.name: [self._names[state] for state in region.states] for region in self._regions}
+        for group in [] if self._findings else grouped(moves, domains, self._names):
+            self._add_operation(event, group, place)
+
+    def _add_operation(self, event: str, group: Group, place: Place) -> None:
+        region = group.region
+        base, taken = plain(event, prefix=region.label.called), self._operations[region]
+        count = 1 + sum(operation.title == event for operation in taken.values())
+        name = base if count == 1 else f"{base}_{count}"
+        to = {self._names[source]: self._names[target] for source, target in group.targets.items()}
+        every = len(to) == len(region.states)
+        taken[self._operation_names[region].take(name, event, place)] = OperationSpec(
+            title=event,
+            from_=["*"] if every else list(to),
+            to=dict(to) if len(set(to.values())) > 1 else next(iter(to.values())),
+            requires={branch: self._ordered(branch, states) for branch, states in group.requires.items()},
+            sets={inner.name: self._names[goal] for inner, goal in group.sets},
+        )
+
+    def _ordered(self, branch: str, states: frozenset[str]) -> list[str]:
+        region = next(region for region in self._regions if region.name == branch)
+        return [self._names[state] for state in region.states if self._names[state] in states]
+
+    def _branch(self, region: Region) -> BranchSpec:
+        states = {self._names[state]: state.title or state.called for state in region.states}
+        operations = {**self._operations[region], **dict(self._signals(region, list(states)))}
+        if region.outer is None or region.home is None:
+            return BranchSpec(title=region.label.title, states=states, operations=operations)
+        start, home = next(iter(states)), self._names[region.home]
+        around = {outer.name: [self._names[state]] for outer, state in region.chain()}
+        name = self._operation_names[region].take("reinit", "reinit", region.label.place)
+        operations[name] = OperationSpec(from_=["*"], to=start, rio=True, requires=around)
+        anywhere = [self._names[state] for state in region.outer.states]
+        compatible = {state: anywhere if state == start else [home] for state in states}
+        return BranchSpec(
+            level=1 + len(around),
+            title=region.label.title,
+            states=states,
+            operations=operations,
+            parent=ParentSpec(branch=region.outer.name, start=home, compatible=compatible),
+            emits=dict.fromkeys(states, f"{region.name}_changed"),
+            revocations=self._revocations(region, list(states)),
+        )
+
+    def _signals(self, region: Region, states: list[str]) -> Iterator[tuple[str, OperationSpec]]:
+        """Rule 2: what each branch inside calls when it changes; nothing follows from it."""
+        keep = states[0] if len(states) == 1 else {state: state for state in states}
+        for inner in region.inner:
+            name = f"{inner.name}_changed"
+            self._operation_names[region].take(name, name, inner.label.place)
+            yield name, OperationSpec(from_=["*"], to=keep, iio=True)
+
+    def _revocations(self, region: Region, states: list[str]) -> list[RevocationSpec]:
+        """Any change further out than the parent leaves the region, also where the parent itself keeps its state."""
+        further = [outer.name for outer, _ in list(region.chain())[1:]]
+        start, *others = states
+        return [RevocationSpec(by=further, from_=others, to=start)] if further and others else []

@@ -1,0 +1,91 @@
+"""Which branches an operation looks at or moves, and the joint states of these that can matter."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+
+from pcmrs.errors import BlueprintError
+from pcmrs.fsm.blueprint import Blueprint, OperationSpec, Target
+
+MAX_COMBINATIONS = 100_000
+"""Of states of the branches that one operation depends on; beyond this an export would be unreadable."""
+
+Joint = dict[str, str]
+
+
+def coupled(blueprint: Blueprint, branch: str, operation: str) -> list[str]:
+    """Branches that decide on an operation or may be moved by it, with their ancestors, in the blueprint's order."""
+    spec = blueprint.branches[branch].operations[operation]
+    seen = {branch, *spec.requires, *_moved(blueprint, branch)}
+    for ending in spec.endings.values():
+        seen.update(ending.requires)
+    for name in list(seen):
+        seen.update(ancestors(blueprint, name))
+    return [name for name in blueprint.branches if name in seen]
+
+
+def ancestors(blueprint: Blueprint, branch: str) -> Iterator[str]:
+    """The branch's parent, the parent's parent and so on."""
+    parent = blueprint.branches[branch].parent
+    while parent is not None:
+        yield parent.branch
+        parent = blueprint.branches[parent.branch].parent
+
+
+def combinations(blueprint: Blueprint, branches: list[str]) -> Iterator[Joint]:
+    """Joint states of some branches in which every child fits its parent; the other branches are at their start.
+
+    Raises:
+        BlueprintError: There are more than `MAX_COMBINATIONS`.
+    """
+    number = math.prod(len(blueprint.branches[name].states) for name in branches)
+    if number > MAX_COMBINATIONS:
+        text = f"{', '.join(branches)} depend on each other in {number} combinations, over {MAX_COMBINATIONS}."
+        raise BlueprintError(text, combinations=number, limit=MAX_COMBINATIONS)
+    initial = blueprint.initial()
+    for states in itertools.product(*(blueprint.branches[name].states for name in branches)):
+        joint = initial | dict(zip(branches, states, strict=True))
+        if all(_fits(blueprint, name, joint) for name in branches):
+            yield joint
+
+
+def _fits(blueprint: Blueprint, branch: str, joint: Joint) -> bool:
+    parent = blueprint.branches[branch].parent
+    return parent is None or joint[parent.branch] in parent.compatible[joint[branch]]
+
+
+def _moved(blueprint: Blueprint, branch: str) -> set[str]:
+    """Every branch that a cascade from `branch` may reach."""
+    reached, waiting = {branch}, [branch]
+    while waiting:
+        for name in _next(blueprint, waiting.pop()) - reached:
+            reached.add(name)
+            waiting.append(name)
+    return reached
+
+
+def _next(blueprint: Blueprint, branch: str) -> set[str]:
+    """Branches that a change of `branch` may move at once; a parent that keeps its state passes it on."""
+    found = {name for name, spec in blueprint.branches.items() if any(branch in r.by for r in spec.revocations)}
+    found.update(blueprint.children[branch])
+    while (parent := blueprint.branches[branch].parent) is not None:
+        above = blueprint.branches[parent.branch]
+        signals = [above.operations[name] for name in blueprint.branches[branch].emits.values()]
+        if not all(_keeps(signal, list(above.states)) for signal in signals):
+            return found | {parent.branch}
+        if not any(signal.signals for signal in signals):
+            return found
+        branch = parent.branch
+    return found
+
+
+def _keeps(signal: OperationSpec, states: list[str]) -> bool:
+    """Whether a signal leaves the parent in every state as it is."""
+    sources = states if signal.from_ == ["*"] else signal.from_
+    return all(_target(signal.to, source) == source for source in sources)
+
+
+def _target(target: Target | None, source: str) -> str | None:
+    return target.get(source) if isinstance(target, dict) else target

@@ -1,0 +1,110 @@
+"""What each command of a workflow does to each of its branches, as transitions with conditions on the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from pcmrs.fsm.behaviour import answer, endings
+from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, OperationSpec
+from pcmrs.fsm.closure import Change, Closure
+from pcmrs.fsm.exchange.coupling import Joint, combinations, coupled
+from pcmrs.fsm.exchange.cubes import Cube, cover
+from pcmrs.fsm.exchange.nesting import Nesting
+
+Entered = tuple[tuple[str, str], ...]
+"""Branches and the states they go to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reaction:
+    """A transition of one branch.
+
+    Attributes:
+        event: ``branch.operation``, with ``.outcome`` where the operation can end in several ways.
+        branch: The branch that reacts.
+        source: The state it reacts in.
+        entered: The states it goes to: of the branch, and of branches nested in it that do not enter their start
+            there; empty where the command is accepted and leaves the branch as it is.
+        guard: The states of other branches in which it reacts so.
+    """
+
+    event: str
+    branch: str
+    source: str
+    entered: Entered
+    guard: Cube
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """An operation and one of the ways it can end."""
+
+    branch: str
+    operation: str
+    ending: str
+    event: str
+
+
+def commands(blueprint: Blueprint) -> Iterator[Command]:
+    """All commands that somebody may give: an operation that signals for a child is none."""
+    for branch, spec in blueprint.branches.items():
+        for name, operation in spec.operations.items():
+            possible = [] if operation.iio else _endings(operation)
+            for ending in possible:
+                event = f"{branch}.{name}" if possible == [START_OUTCOME] else f"{branch}.{name}.{ending}"
+                yield Command(branch, name, ending, event)
+
+
+def _endings(operation: OperationSpec) -> list[str]:
+    failed = ["failed"] if operation.steps and operation.on_failure is not None else []
+    unknown = ["unknown"] if operation.steps and operation.on_unknown is not None else []
+    return [*operation.endings, *failed, *unknown]
+
+
+def change_of(blueprint: Blueprint, states: Joint, command: Command) -> Change | None:
+    """What a command changes in a joint state; None where it is rejected."""
+    said = answer(blueprint, states, command.branch, command.operation)
+    if not isinstance(said, Closure):
+        return None
+    operation = blueprint.branches[command.branch].operations[command.operation]
+    return endings(operation, said).get(command.ending)
+
+
+def reactions(blueprint: Blueprint, nesting: Nesting) -> Iterator[Reaction]:
+    """All transitions, for every joint state in which children fit their parents.
+
+    Raises:
+        BlueprintError: Too many branches depend on each other.
+    """
+    for command in commands(blueprint):
+        branches = coupled(blueprint, command.branch, command.operation)
+        before = [joint for joint in combinations(blueprint, branches) if nesting.holds(joint)]
+        changes = [(joint, change_of(blueprint, joint, command)) for joint in before]
+        for branch in branches:
+            yield from _of_branch(command, branch, nesting, changes, [name for name in branches if name != branch])
+
+
+def _of_branch(
+    command: Command, branch: str, nesting: Nesting, changes: list[tuple[Joint, Change | None]], others: list[str]
+) -> Iterator[Reaction]:
+    reached: dict[str, dict[Entered | None, list[Joint]]] = {}
+    for joint, change in changes:
+        if nesting.active(branch, joint):
+            entered = None if change is None else _entered(command, branch, nesting, joint, change)
+            reached.setdefault(joint[branch], {}).setdefault(entered, []).append(joint)
+    for source, leading in reached.items():
+        for entered, wanted in leading.items():
+            unwanted = [joint for other, joints in leading.items() if other != entered for joint in joints]
+            for guard in cover(wanted, unwanted, others) if entered is not None else ():
+                yield Reaction(command.event, branch, source, entered or (), guard)
+
+
+def _entered(command: Command, branch: str, nesting: Nesting, before: Joint, change: Change) -> Entered | None:
+    """Where the branch itself goes; empty where it is the one asked and stays; None where it has no part in it."""
+    after = dict(change.states)
+    if any(before[above] != after[above] for above in nesting.around(branch)):
+        return None
+    if before[branch] != after[branch]:
+        return tuple(nesting.entered(branch, after))
+    return () if branch == command.branch else None

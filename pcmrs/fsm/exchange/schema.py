@@ -1,0 +1,49 @@
+"""The JSON Schema of a blueprint file, with which editors complete and check it while it is written."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from typing import Any
+
+import msgspec
+
+from pcmrs.fsm import blueprint as parts
+from pcmrs.fsm.blueprint import Blueprint, Part
+from pcmrs.fsm.names import NAME, STATE_NAME
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+ANY = r"\*"
+
+NAMES = {
+    ("Blueprint", "branches"): NAME.pattern,
+    ("BranchSpec", "operations"): NAME.pattern,
+    ("BranchSpec", "states"): STATE_NAME.pattern,
+    ("BranchSpec", "emits"): f"{STATE_NAME.pattern}|{ANY}",
+    ("OperationSpec", "outcomes"): NAME.pattern,
+    ("ParentSpec", "compatible"): f"{STATE_NAME.pattern}|{ANY}",
+}
+"""What the keys of a table must look like."""
+
+_ATTRIBUTE = re.compile(r"^    (\w+): (.*(?:\n        .*)*)", re.MULTILINE)
+
+
+def schema() -> str:
+    """The JSON Schema as text; it says what a file may hold, `pcmrs fsm verify` whether that is sound."""
+    document: dict[str, Any] = {"$schema": DIALECT, "title": "PCMRS blueprint", **msgspec.json.schema(Blueprint)}
+    for name, definition in document["$defs"].items():
+        _describe(name, definition, getattr(parts, name))
+    del document["$defs"]["Blueprint"]["properties"]["hash"]
+    return msgspec.json.format(msgspec.json.encode(document), indent=2).decode() + "\n"
+
+
+def _describe(name: str, definition: dict[str, Any], part: type[Part]) -> None:
+    """Adds what the attributes mean, and patterns of names."""
+    documentation = inspect.getdoc(part) or ""
+    definition["description"] = documentation.partition("\n\n")[0].replace("\n", " ")
+    meanings = {key.rstrip("_"): " ".join(text.split()) for key, text in _ATTRIBUTE.findall(documentation)}
+    for key, value in definition["properties"].items():
+        if key in meanings:
+            value["description"] = meanings[key].replace("``", "`")
+        if (name, key) in NAMES:
+            value["propertyNames"] = {"pattern": f"^(?:{NAMES[name, key]})$"}

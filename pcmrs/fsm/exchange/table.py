@@ -1,0 +1,88 @@
+"""Writes the transition table of a workflow, as reviewers of a procedure read it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, Requirement, Target
+
+COLUMNS = ("branch", "operation", "from → to", "requires", "checks", "steps", "asked by", "calls")
+
+
+def table(blueprint: Blueprint) -> str:
+    """The operations of all branches as a Markdown table, one line for each way an operation can end."""
+    rows = [row for name, branch in blueprint.branches.items() for row in _branch(name, branch)]
+    lines = [COLUMNS, tuple("---" for _ in COLUMNS), *rows]
+    text = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return f"# {_cell(blueprint.title or blueprint.id)}\n\n{blueprint.id} {blueprint.version}\n\n{text}\n"
+
+
+def _branch(name: str, branch: BranchSpec) -> Iterator[tuple[str, ...]]:
+    for key, operation in branch.operations.items():
+        for number, (ending, to, requires) in enumerate(_endings(operation)):
+            shown = f"{key}: {ending}" if ending else key
+            first = number == 0
+            yield (
+                f"{name} ({branch.level})" if first else "",
+                f"{shown}{_marks(operation)}" if first else f"… {ending}",
+                f"{_sources(operation)} → {_target(to)}",
+                _requirement({**operation.requires, **requires}),
+                ", ".join(operation.checks) if first else "",
+                ", ".join(operation.steps) if first else "",
+                _asked_by(operation) if first else "",
+                ", ".join(_calls(branch, operation, to)),
+            )
+    for rule in branch.revocations:
+        moved = f"{', '.join(rule.from_)} → {rule.to}"
+        yield (name, "revoked", moved, "", "", "", f"a change of {', '.join(rule.by)}", "")
+
+
+def _endings(operation: OperationSpec) -> Iterator[tuple[str, Target, Requirement]]:
+    for name, ending in operation.endings.items():
+        yield name if operation.outcomes else "", ending.to, ending.requires
+    if operation.on_failure is not None:
+        yield "failed", operation.on_failure, {}
+    if operation.on_unknown is not None:
+        yield "unknown", operation.on_unknown, {}
+
+
+def _marks(operation: OperationSpec) -> str:
+    marks = {"RIO": operation.rio, "IIO": operation.iio, operation.motion: operation.motion != "none"}
+    shown = [mark for mark, marked in marks.items() if marked]
+    return f" ({', '.join(shown)})" if shown else ""
+
+
+def _asked_by(operation: OperationSpec) -> str:
+    if operation.iio:
+        return "a child"
+    return "a device" if operation.event else ", ".join(operation.roles) or "anyone"
+
+
+def _calls(branch: BranchSpec, operation: OperationSpec, to: Target) -> Iterator[str]:
+    """What follows in other branches: states that are set, and the parent's operations (Rule 2)."""
+    yield from (f"{child} := {state}" for child, state in operation.sets.items())
+    targets = {to} if isinstance(to, str) else set(to.values())
+    keeps = operation.from_ == list(targets) and not operation.signals
+    if branch.parent is not None and not keeps:
+        emitted = dict.fromkeys(branch.emits[state] for state in branch.states if state in targets)
+        yield from (f"{branch.parent.branch}.{called}" for called in emitted)
+
+
+def _sources(operation: OperationSpec) -> str:
+    return "any" if operation.from_ == ["*"] else ", ".join(operation.from_)
+
+
+def _target(to: Target) -> str:
+    return to if isinstance(to, str) else ", ".join(to.values())
+
+
+def _requirement(requires: Requirement) -> str:
+    return "; ".join(f"{branch} {_either(states)}" for branch, states in requires.items())
+
+
+def _either(states: Iterable[str]) -> str:
+    return " or ".join(states)
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")
