@@ -128,7 +128,7 @@ class RevocationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class SequenceSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Items that are performed in order; `pcmrs.fsm.sequence` makes the states and operations from it.
+    """Items that are performed in order; `pcmrs.fsm.files.sequence` makes the states and operations from it.
 
     Attributes:
         count: How many items there are, or

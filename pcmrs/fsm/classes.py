@@ -1,7 +1,7 @@
 """Python source of the branch and state classes of a blueprint, and the classes that it defines.
 
 There is one way from a blueprint to what the dispatcher asks: this source is written and then executed. Texts
-of a blueprint get into it as string literals only, its names only after `pcmrs.fsm.names` has accepted them.
+of a blueprint get into it as string literals only, its names only after `pcmrs.fsm.rules.names` has accepted them.
 """
 
 from __future__ import annotations

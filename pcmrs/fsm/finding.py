@@ -14,7 +14,7 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One thing that is wrong.
 
     Attributes:
-        code: Which kind, a key of `CODES`.
+        code: Which kind, a key of `pcmrs.fsm.codes.CODES`.
         text: What, which value, which limit, and what to do.
         path: Keys from the root of the file to where it is wrong.
         file: The file as it was named.

@@ -7,7 +7,7 @@ from typing import Any
 from pcmrs.dispatcher import Registry, Workflow
 from pcmrs.errors import BlueprintError, ConfigurationError
 from pcmrs.fsm import Blueprint, load_blueprint
-from pcmrs.fsm.toml import MAX_BYTES, convert, read_toml
+from pcmrs.fsm.files.toml import MAX_BYTES, convert, read_toml
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.code import Code, load_code, told_with_line
 from pcmrs.workflows.connection import register_connection_operations

@@ -15,10 +15,10 @@ from click.testing import CliRunner
 
 import pcmrs
 from pcmrs.cli import main
-from pcmrs.experiment.rehearsal import LeapingClock, rehearse
+from pcmrs.experiment.tours.rehearsal import LeapingClock, rehearse
 from pcmrs.fsm import Blueprint, load_blueprint
-from pcmrs.fsm.coverage import Deviation, is_complete
-from pcmrs.fsm.tour import Move, Tour, plan_tour
+from pcmrs.fsm.trial.coverage import Deviation, is_complete
+from pcmrs.fsm.trial.tour import Move, Tour, plan_tour
 
 RATMS = load_blueprint(Path(pcmrs.__file__).parent / "workflows" / "ratms.toml")
 
@@ -93,7 +93,7 @@ def test_the_command_reports_everything_covered(tmp_path: Path) -> None:
     file = tmp_path / "tour.jsonl"
     run = CliRunner().invoke(main, ["fsm", "test", "ratms", "--json", "-o", str(file)])
     assert run.exit_code == 0
-    from pcmrs.experiment.tested import TourReport
+    from pcmrs.experiment.tours.tested import TourReport
 
     report = msgspec.json.decode(run.stdout, type=TourReport)
     assert report.passed

@@ -11,7 +11,7 @@ import msgspec
 
 import pcmrs.workflows
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.load import read_blueprint
+from pcmrs.fsm.files.load import read_blueprint
 
 FILE = Path(pcmrs.workflows.__file__).parent / "ratms.toml"
 

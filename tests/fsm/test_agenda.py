@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from random_blueprints import blueprints
 
 from pcmrs.fsm import Blueprint
-from pcmrs.fsm.agenda import Agenda
-from pcmrs.fsm.tour import Move, all_moves
+from pcmrs.fsm.trial.agenda import Agenda
+from pcmrs.fsm.trial.tour import Move, all_moves
 
 
 def same_command(move: Move, other: Move) -> bool:

@@ -26,6 +26,7 @@ to = "10"
 [branches.top.operations.clear]
 from = ["10", "11"]
 to = "00"
+unlatches = true
 
 [branches.top.operations.reached]
 from = ["10", "11"]

@@ -15,7 +15,7 @@ from ratms_oracle import BLUEPRINT
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
 from pcmrs.fsm.chart import svg
-from pcmrs.fsm.load import read_blueprint
+from pcmrs.fsm.files.load import read_blueprint
 
 charts = settings(max_examples=25, deadline=None)
 

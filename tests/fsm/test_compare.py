@@ -18,7 +18,7 @@ from ratms_oracle import BLUEPRINT, as_dict, expected, reachable
 from pcmrs.cli import main
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint, BranchSpec, OperationSpec, load_blueprint
-from pcmrs.fsm.compare import Difference, Kind, compare
+from pcmrs.fsm.difference.compare import Difference, Kind, compare
 
 RATMS = load_blueprint(BLUEPRINT)
 

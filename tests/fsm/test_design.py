@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 import pcmrs
 from pcmrs.cli.fsm.design import design as command
 from pcmrs.fsm import Blueprint, Closure, Engine, load_blueprint, parse_blueprint
+from pcmrs.fsm.codes import DESIGN
 from pcmrs.fsm.design import Design, design
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -225,6 +226,10 @@ def test_a_fault_is_found_where_it_is(name: str) -> None:
     finding = result.findings[0]
     assert finding.file == "steps.toml"
     assert ".".join(finding.path) == path, str(finding)
+
+
+def test_there_is_a_table_for_every_kind_of_finding() -> None:
+    assert {code for _, code, _ in FAULTS.values()} >= set(DESIGN)
 
 
 def test_a_finding_has_line_and_column() -> None:

@@ -23,9 +23,9 @@ from pcmrs.fsm.blueprint import (
     RevocationSpec,
     SequenceSpec,
 )
-from pcmrs.fsm.dump import LONGEST_LINE, blueprint_toml
-from pcmrs.fsm.load import content_hash
-from pcmrs.fsm.sequence import expand
+from pcmrs.fsm.files.dump import LONGEST_LINE, blueprint_toml
+from pcmrs.fsm.files.load import content_hash
+from pcmrs.fsm.files.sequence import expand
 
 WORKFLOWS = sorted((Path(pcmrs.__file__).parent / "workflows").glob("*.toml"))
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)

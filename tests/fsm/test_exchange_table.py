@@ -13,7 +13,7 @@ import pytest
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.exchange.schema import schema
 from pcmrs.fsm.exchange.table import COLUMNS, table
-from pcmrs.fsm.load import read_blueprint
+from pcmrs.fsm.files.load import read_blueprint
 
 WORKFLOWS = sorted(Path("pcmrs/workflows").glob("*.toml"))
 

@@ -15,7 +15,7 @@ from pcmrs.fsm.engine import Engine
 from pcmrs.fsm.exchange.nested import nesting_of
 from pcmrs.fsm.exchange.reactions import Command, commands
 from pcmrs.fsm.exchange.scxml import scxml
-from pcmrs.fsm.load import read_blueprint
+from pcmrs.fsm.files.load import read_blueprint
 
 WORKFLOWS = Path("pcmrs/workflows")
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pcmrs.fsm import Blueprint, Closure, close
-from pcmrs.fsm.sequence import MAX_ITEMS, SequenceError, expand
+from pcmrs.fsm.files.sequence import MAX_ITEMS, SequenceError, expand
 
 NAMES = st.lists(st.from_regex(r"[a-z0-9][a-z0-9_]{0,6}", fullmatch=True), min_size=1, max_size=5, unique=True).filter(
     lambda names: not any(name in ("done", "abandoned") or name.endswith("_stopped") for name in names)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ratms_oracle import BLUEPRINT
 
 from pcmrs.fsm import Finding, examine
-from pcmrs.fsm.toml import MAX_BYTES
+from pcmrs.fsm.files.toml import MAX_BYTES
 
 RATMS = BLUEPRINT.read_bytes()
 

@@ -13,9 +13,10 @@ from test_verify_search import levels, successors
 from pcmrs.fsm.behaviour import answer, states_of
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
 from pcmrs.fsm.closure import Closure
+from pcmrs.fsm.codes import VERIFICATION
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.rules import check_rules
-from pcmrs.fsm.verify import CODES, explore, verify
+from pcmrs.fsm.verify import explore, verify
 
 States = dict[str, str]
 
@@ -52,7 +53,7 @@ def check(blueprint: Blueprint, findings: list[Finding], wanted: Callable[[State
 @given(blueprints())
 def test_the_workflows_obey_the_static_rules_and_findings_are_of_known_kinds(blueprint: Blueprint) -> None:
     assert list(check_rules(blueprint)) == []
-    assert {finding.code for finding in verify(blueprint).findings} <= set(CODES)
+    assert {finding.code for finding in verify(blueprint).findings} <= set(VERIFICATION)
 
 
 @settings(max_examples=40, deadline=None)

@@ -16,7 +16,7 @@ from ratms_oracle import BLUEPRINT, INITIAL, Joint, all_operations, as_dict, exp
 from pcmrs.cli import main
 from pcmrs.errors import RefusalError
 from pcmrs.fsm import Blueprint, load_blueprint
-from pcmrs.fsm.walk import Step, Walk
+from pcmrs.fsm.trial.walk import Step, Walk
 
 RATMS = load_blueprint(BLUEPRINT)
 

@@ -8,8 +8,8 @@ import msgspec
 import pytest
 from daemon_process import own_settings, run_pcmrs, running_daemon
 
-from pcmrs.experiment.tested import TourReport
-from pcmrs.fsm.tour import Move
+from pcmrs.experiment.tours.tested import TourReport
+from pcmrs.fsm.trial.tour import Move
 
 pytestmark = pytest.mark.slow
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pcmrs.fsm import Change, Closure, Denial, Engine
-from pcmrs.fsm.sequence import expand
+from pcmrs.fsm.files.sequence import expand
 from pcmrs.workflows import read_workflow
 
 BLUEPRINT = expand(read_workflow("femoroplasty"))

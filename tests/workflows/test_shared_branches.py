@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from pcmrs.fsm.sequence import expand
+from pcmrs.fsm.files.sequence import expand
 from pcmrs.workflows import read_workflow
 
 SHARED = ("registration", "digitization", "toolplan", "robot", "placement")

@@ -22,7 +22,7 @@ def diff(old: str, new: str, as_json: bool) -> None:
     Comments, layout, order and titles do not count. Exit status 0: the same behaviour, 1: it differs, 2: one cannot
     be read or is too large.
     """
-    from pcmrs.fsm.compare import compare
+    from pcmrs.fsm.difference.compare import compare
 
     try:
         differences = compare(sound(old), sound(new))

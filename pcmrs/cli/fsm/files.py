@@ -10,8 +10,8 @@ import click
 
 from pcmrs.errors import PcmrsError
 from pcmrs.fsm import Blueprint, examine
+from pcmrs.fsm.files.toml import MAX_BYTES
 from pcmrs.fsm.finding import Finding, summary
-from pcmrs.fsm.toml import MAX_BYTES
 
 EXIT_UNSOUND = 1
 EXIT_UNREADABLE = 2

@@ -10,7 +10,7 @@ import click
 from pcmrs.cli.fsm.files import end_with, file_argument, output_option, read, refuse, write
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm import Blueprint, examine
-from pcmrs.fsm.load import read_blueprint
+from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.fsm.rules import check_rules
 
 FORMATS = ("svg", "png", "mermaid", "dot")

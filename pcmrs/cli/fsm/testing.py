@@ -20,10 +20,10 @@ from pcmrs.cli.running import readable_errors, run
 from pcmrs.errors import ConfigurationError, PcmrsError
 
 if TYPE_CHECKING:
-    from pcmrs.experiment.arguments import Arguments
-    from pcmrs.experiment.tested import ShowProgress, TourReport
+    from pcmrs.experiment.tours.arguments import Arguments
+    from pcmrs.experiment.tours.tested import ShowProgress, TourReport
     from pcmrs.fsm.blueprint import Blueprint
-    from pcmrs.fsm.tour import Move
+    from pcmrs.fsm.trial.tour import Move
 
 MOST_SHOWN = 20
 """Deviations that are printed; --json has all."""
@@ -83,7 +83,7 @@ async def _scripted(blueprint: Blueprint, limit: int, progress: ShowProgress) ->
 
     import structlog
 
-    from pcmrs.experiment.tested import tour_scripted
+    from pcmrs.experiment.tours.tested import tour_scripted
 
     # Steps that raise because the tour wants it are nothing to log; a dispatcher that breaks is.
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
@@ -106,7 +106,7 @@ async def _live(
 ) -> tuple[TourReport, Sequence[Move]]:
     from pcmrs.experiment.private import private_bench
     from pcmrs.experiment.setup import at_rate
-    from pcmrs.experiment.tested import tour_live
+    from pcmrs.experiment.tours.tested import tour_live
 
     arguments = _arguments(blueprint, arguments_file)
     if connect:
@@ -119,8 +119,8 @@ async def _live(
 
 def _arguments(blueprint: Blueprint, file: Path | None) -> Arguments:
     """Those of the workflow's example plan, where it has one, and over them those of the file."""
-    from pcmrs.experiment.arguments import Arguments, plan_arguments, read_arguments
     from pcmrs.experiment.plan import example_plan, read_plan
+    from pcmrs.experiment.tours.arguments import Arguments, plan_arguments, read_arguments
 
     try:
         planned = plan_arguments(read_plan(example_plan(blueprint.id)))
@@ -130,7 +130,7 @@ def _arguments(blueprint: Blueprint, file: Path | None) -> Arguments:
 
 
 def _show(report: TourReport) -> None:
-    from pcmrs.fsm.coverage import MEANINGS
+    from pcmrs.fsm.trial.coverage import MEANINGS
 
     click.echo(f"{report.workflow} {report.version}: {report.joint_states} joint states, {report.seconds:.1f} s")
     click.echo(f"{report.restarts} restarts, {report.stops} stops, {report.events} events of devices by themselves")

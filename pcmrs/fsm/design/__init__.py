@@ -14,11 +14,11 @@ from pcmrs.fsm.design.check import check_table, paths_of
 from pcmrs.fsm.design.count import Combinations, Impossible, count_combinations
 from pcmrs.fsm.design.grouping import Group, UndesignableError, root_groups
 from pcmrs.fsm.design.table import StepTable
-from pcmrs.fsm.dump import blueprint_toml
+from pcmrs.fsm.files.dump import blueprint_toml
+from pcmrs.fsm.files.load import Examination, examine
+from pcmrs.fsm.files.places import Places
+from pcmrs.fsm.files.toml import convert, read_toml
 from pcmrs.fsm.finding import Finding, Path
-from pcmrs.fsm.load import Examination, examine
-from pcmrs.fsm.places import Places
-from pcmrs.fsm.toml import convert, read_toml
 from pcmrs.fsm.verify import MAX_JOINT_STATES
 
 __all__ = ["Combinations", "Design", "Impossible", "design"]

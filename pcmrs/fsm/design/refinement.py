@@ -10,8 +10,8 @@ from pcmrs.fsm.blueprint import Blueprint, BranchSpec, ParentSpec, Requirement, 
 from pcmrs.fsm.design.grouping import Group, UndesignableError, group
 from pcmrs.fsm.design.order import Order
 from pcmrs.fsm.design.table import ActionSpec, RefinementSpec, StepSpec
+from pcmrs.fsm.files.sequence import DONE, SequenceError, expand
 from pcmrs.fsm.finding import Finding, Path
-from pcmrs.fsm.sequence import DONE, SequenceError, expand
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from urllib.parse import unquote
 
 from pcmrs.fsm.exchange.markup import Element, read_xml
 from pcmrs.fsm.exchange.reading import Place, refuse
-from pcmrs.fsm.toml import MAX_BYTES
+from pcmrs.fsm.files.toml import MAX_BYTES
 
 RAW_DEFLATE = -15
 TAG = re.compile(r"<[^<>]*>")

@@ -7,7 +7,7 @@ import re
 
 from pcmrs.fsm.classes import RESERVED
 from pcmrs.fsm.exchange.reading import Findings, Place
-from pcmrs.fsm.names import ENDINGS, NAME, STATE_NAME
+from pcmrs.fsm.rules.names import ENDINGS, NAME, STATE_NAME
 
 HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 STRANGE = re.compile(r"[^a-z0-9_]")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NoReturn
 
 from pcmrs.errors import BlueprintError
+from pcmrs.fsm.files.toml import MAX_BYTES
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.toml import MAX_BYTES
 
 MAX_DEPTH = 64
 """Deepest nesting of elements or states that is read."""

@@ -10,7 +10,7 @@ import msgspec
 
 from pcmrs.fsm import blueprint as parts
 from pcmrs.fsm.blueprint import Blueprint, Part
-from pcmrs.fsm.names import NAME, STATE_NAME
+from pcmrs.fsm.rules.names import NAME, STATE_NAME
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 ANY = r"\*"

@@ -9,8 +9,7 @@ accepted and keeps the state. Checks, steps and roles are not part of the chart.
 from __future__ import annotations
 
 from collections import defaultdict
-
-from lxml import etree
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.exchange.cubes import Cube
@@ -33,15 +32,15 @@ def scxml(blueprint: Blueprint) -> str:
         BlueprintError: So many branches depend on each other that the conditions cannot be written out.
     """
     writer = _Writer(blueprint, nesting_of(blueprint))
-    root = etree.Element(_tag("scxml"), nsmap={None: NAMESPACE})
+    root = Element("scxml", xmlns=NAMESPACE)
     roots = [name for name in blueprint.branches if name not in writer.nesting.nested]
     root.attrib.update({"version": "1.0", "name": blueprint.id, "datamodel": "ecmascript"})
     root.set("initial", PARALLEL if len(roots) > 1 else roots[0])
-    above = etree.SubElement(root, _tag("parallel"), id=PARALLEL) if len(roots) > 1 else root
+    above = SubElement(root, "parallel", id=PARALLEL) if len(roots) > 1 else root
     for name in roots:
         writer.write_branch(above, name)
-    etree.indent(root)
-    return etree.tostring(root, encoding="unicode") + "\n"
+    indent(root)
+    return tostring(root, encoding="unicode") + "\n"
 
 
 class _Writer:
@@ -52,21 +51,21 @@ class _Writer:
         for reaction in reactions(blueprint, nesting):
             self._reactions[reaction.branch, reaction.source].append(reaction)
 
-    def write_branch(self, above: etree._Element, branch: str) -> None:
+    def write_branch(self, above: Element, branch: str) -> None:
         """Adds a region; within it its states, and within these the branches that refine them."""
         spec = self._branches[branch]
-        region = etree.SubElement(above, _tag("state"), id=branch, initial=_id(branch, spec.start))
+        region = SubElement(above, "state", id=branch, initial=_id(branch, spec.start))
         for state in spec.states:
             inside = self.nesting.inside(branch, state)
             kind = "parallel" if len(inside) > 1 else "state"
-            element = etree.SubElement(region, _tag(kind), id=_id(branch, state))
+            element = SubElement(region, kind, id=_id(branch, state))
             for reaction in self._reactions[branch, state]:
                 self._write_transition(element, reaction)
             for child in inside:
                 self.write_branch(element, child)
 
-    def _write_transition(self, above: etree._Element, reaction: Reaction) -> None:
-        transition = etree.SubElement(above, _tag("transition"), event=reaction.event)
+    def _write_transition(self, above: Element, reaction: Reaction) -> None:
+        transition = SubElement(above, "transition", event=reaction.event)
         if reaction.guard:
             transition.set("cond", self._condition(reaction.guard))
         if reaction.entered:
@@ -90,10 +89,6 @@ class _Writer:
                 predicates += [f"In('{_id(outer, state)}')" for state in states if state != home]
                 branch = outer
         return predicates
-
-
-def _tag(name: str) -> str:
-    return f"{{{NAMESPACE}}}{name}"
 
 
 def _id(branch: str, state: str) -> str:

@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.verify import liveness, structure
-from pcmrs.fsm.verify.codes import CODES
 from pcmrs.fsm.verify.properties import properties
 from pcmrs.fsm.verify.running import Runs, conclusions
 from pcmrs.fsm.verify.search import Progress, TooManyError
 from pcmrs.fsm.verify.space import Space
 
-__all__ = ["CODES", "MAX_JOINT_STATES", "Verification", "explore", "operations_valid_in", "verify"]
+__all__ = ["MAX_JOINT_STATES", "Verification", "explore", "operations_valid_in", "verify"]
 
 MAX_JOINT_STATES = 2_000_000
 """So many joint states are looked at unless more are asked for."""

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 
 from pcmrs.fsm.behaviour import Joint
-from pcmrs.fsm.tour import Move, nearest, ways_out
+from pcmrs.fsm.trial.tour import Move, nearest, ways_out
 
 DEFAULT_PATIENCE = 3
 """A move that has not ended as wanted so often is put aside."""

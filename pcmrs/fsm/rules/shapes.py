@@ -17,17 +17,27 @@ def check_shapes(blueprint: Blueprint) -> Iterator[Finding]:
             path = ("branches", name, "operations", key)
             for text in _faults(blueprint, name, branch, operation):
                 yield Finding(code="bad_operation", text=f"{name}.{key} {text}", path=path)
+    yield from _release(blueprint)
     identities: set[str] = set()
     for index, promise in enumerate(blueprint.properties):
         given = [promise.always, promise.never, promise.reachable, promise.leads_to]
-        path = ("properties", str(index))
+        where = ("properties", str(index))
         if sum(condition is not None for condition in given) != 1:
             text = f"The property {promise.id} needs exactly one of always, never, reachable and leads_to."
-            yield Finding(code="bad_property", text=text, path=path)
+            yield Finding(code="bad_property", text=text, path=where)
         if promise.id in identities:
             text = f"There are two properties {promise.id!r}: findings could not tell them apart."
-            yield Finding(code="bad_property", text=text, path=path)
+            yield Finding(code="bad_property", text=text, path=where)
         identities.add(promise.id)
+
+
+def _release(blueprint: Blueprint) -> Iterator[Finding]:
+    branches = blueprint.branches.items()
+    moving = [(name, key) for name, branch in branches for key, o in branch.operations.items() if o.motion != "none"]
+    if moving and not blueprint.unlatching:
+        name, key = moving[0]
+        text = f"{name}.{key} moves, but after a Stop nothing could ever move: mark an operation with unlatches = true."
+        yield Finding(code="no_release", text=text, path=("branches", name, "operations", key))
 
 
 def _level(blueprint: Blueprint, name: str, branch: BranchSpec) -> Iterator[Finding]:

@@ -15,13 +15,13 @@ from functools import partial
 import msgspec
 
 from pcmrs.client import Client
-from pcmrs.experiment.arguments import Arguments
-from pcmrs.experiment.observer import Observer
-from pcmrs.experiment.record import Record, Seen
-from pcmrs.fsm.agenda import DEFAULT_PATIENCE
+from pcmrs.experiment.tours.arguments import Arguments
+from pcmrs.experiment.tours.observer import Observer
+from pcmrs.experiment.tours.record import Record, Seen
 from pcmrs.fsm.behaviour import Joint
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.tour import Move, all_moves
+from pcmrs.fsm.trial.agenda import DEFAULT_PATIENCE
+from pcmrs.fsm.trial.tour import Move, all_moves
 from pcmrs.messages import Snapshot, Verdict
 
 ANSWER_TIME = 120.0

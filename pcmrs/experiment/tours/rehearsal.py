@@ -12,8 +12,8 @@ from pcmrs.dispatcher import Dispatcher, NoArguments, ProcedureData, Registry, R
 from pcmrs.errors import DeviceError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm.behaviour import Joint, joint_of
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint
-from pcmrs.fsm.coverage import Deviation, deviation
-from pcmrs.fsm.tour import Move, Tour
+from pcmrs.fsm.trial.coverage import Deviation, deviation
+from pcmrs.fsm.trial.tour import Move, Tour
 from pcmrs.messages import Command, DeviceEvent, Verdict
 
 

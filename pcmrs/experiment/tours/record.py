@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
-from pcmrs.fsm.agenda import Agenda
 from pcmrs.fsm.behaviour import Joint
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.coverage import Deviation, deviation
-from pcmrs.fsm.tour import Move
+from pcmrs.fsm.trial.agenda import Agenda
+from pcmrs.fsm.trial.coverage import Deviation, deviation
+from pcmrs.fsm.trial.tour import Move
 from pcmrs.messages import Verdict
 
 DECIDED_AT_ONCE = "is decided at once: Stop cannot come in between"

@@ -12,8 +12,8 @@ import tree_sitter_toml
 from tree_sitter import Language, Parser, Tree
 
 from pcmrs.errors import BlueprintError
+from pcmrs.fsm.files.places import Places
 from pcmrs.fsm.finding import Finding, Path
-from pcmrs.fsm.places import Places
 
 MAX_BYTES = 256 * 1024
 MAX_DEPTH = 64

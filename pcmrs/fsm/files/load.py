@@ -11,11 +11,11 @@ import msgspec
 
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.files.places import Places
+from pcmrs.fsm.files.sequence import SequenceError, expand
+from pcmrs.fsm.files.toml import MAX_BYTES, convert, read_toml
 from pcmrs.fsm.finding import Finding, summary
-from pcmrs.fsm.places import Places
 from pcmrs.fsm.rules import check_rules
-from pcmrs.fsm.sequence import SequenceError, expand
-from pcmrs.fsm.toml import MAX_BYTES, convert, read_toml
 from pcmrs.fsm.verify import MAX_JOINT_STATES, verify
 
 

@@ -10,7 +10,7 @@ from pcmrs.fsm.behaviour import Joint, joint_of, operations, shown
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Denial
 from pcmrs.fsm.engine import Engine
-from pcmrs.fsm.tour import Move, Tour
+from pcmrs.fsm.trial.tour import Move, Tour
 
 MEANINGS = {
     "pairs": "joint state and operation",

@@ -11,13 +11,13 @@ import msgspec
 
 from pcmrs.client import Client
 from pcmrs.errors import ConfigurationError, DeviceError, UnknownOutcomeError
-from pcmrs.experiment.arguments import Arguments
-from pcmrs.experiment.observer import observing
-from pcmrs.experiment.rehearsal import rehearse
-from pcmrs.experiment.tour import OUT_OF_TIME, LiveTour
+from pcmrs.experiment.tours.arguments import Arguments
+from pcmrs.experiment.tours.observer import observing
+from pcmrs.experiment.tours.rehearsal import rehearse
+from pcmrs.experiment.tours.tour import OUT_OF_TIME, LiveTour
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.coverage import Count, Deviation, coverage, is_complete, tour_engine
-from pcmrs.fsm.tour import Move, Tour, plan_tour
+from pcmrs.fsm.trial.coverage import Count, Deviation, coverage, is_complete, tour_engine
+from pcmrs.fsm.trial.tour import Move, Tour, plan_tour
 
 SUBJECTS = ("engine", "dispatcher, steps outside", "dispatcher, steps at once")
 """What is tested without a cell."""
@@ -44,7 +44,7 @@ class TourReport(msgspec.Struct, frozen=True, kw_only=True):
         stops: How often Stop was pressed.
         events: How often a device reported something by itself.
         seconds: How long it took, s of the machine.
-        coverage: What of the workflow was seen to be as it must, by the keys of `pcmrs.fsm.coverage.MEANINGS`.
+        coverage: What of the workflow was seen to be as it must, by the keys of `pcmrs.fsm.trial.coverage.MEANINGS`.
         deviations: What was not, by subject.
         left: What could not be seen.
         passed: Nothing deviates, and everything was seen or has a reason other than time.

@@ -14,7 +14,7 @@ import msgspec
 
 from pcmrs.fsm.behaviour import MAX_JOINT_STATES, Joint, operations
 from pcmrs.fsm.blueprint import Blueprint, OperationSpec
-from pcmrs.fsm.facets import FacetKind, Seen, answers_seen, differing, worded
+from pcmrs.fsm.difference.facets import FacetKind, Seen, answers_seen, differing, worded
 
 Kind = Literal["added", "removed", "changed", "reached", "unreached"] | FacetKind
 

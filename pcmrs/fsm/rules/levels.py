@@ -1,4 +1,4 @@
-"""What can be said of a blueprint by reading it: names, references, shapes, and rules 1 to 3."""
+"""Rules 1 to 3: how a branch of level N+1 and the branch of level N that it refines belong together."""
 
 from __future__ import annotations
 
@@ -6,25 +6,10 @@ from collections.abc import Iterator
 
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec
 from pcmrs.fsm.finding import Finding, Path
-from pcmrs.fsm.names import check_names
-from pcmrs.fsm.references import check_references
-from pcmrs.fsm.shapes import check_shapes
 
 
-def check_rules(blueprint: Blueprint) -> Iterator[Finding]:
-    """All that is wrong; each kind is looked at only where the kinds before it are right.
-
-    Args:
-        blueprint: Expanded, see `pcmrs.fsm.sequence`.
-    """
-    for check in (check_names, check_references, check_shapes, _rules):
-        findings = list(check(blueprint))
-        yield from findings
-        if findings:
-            return
-
-
-def _rules(blueprint: Blueprint) -> Iterator[Finding]:
+def check_levels(blueprint: Blueprint) -> Iterator[Finding]:
+    """What breaks a rule; every name must stand for something, and every shape be right."""
     for name, branch in blueprint.branches.items():
         yield from _rule_1(name, branch)
         yield from _rule_2(blueprint, name, branch)

@@ -1,0 +1,1 @@
+"""Tours of everything that a workflow can answer: on the dispatcher alone, and through a running cell."""

@@ -1,0 +1,63 @@
+"""Every kind of finding: what a program that mends workflows goes by."""
+
+from __future__ import annotations
+
+READING = {
+    "too_large": "A file is larger than what is read.",
+    "too_deep": "A file is nested deeper than what is read.",
+    "not_utf8": "A text file is not in UTF-8.",
+    "not_toml": "A file is not TOML.",
+    "bad_value": "A key is unknown or missing, or a value has the wrong type.",
+    "bad_sequence": "An ordered list has no items, too many, or some that cannot be states.",
+}
+RULES = {
+    "bad_name": "A name has other signs than the bus and Python can carry.",
+    "reserved_name": "A name is a word of Python or of PCMRS.",
+    "name_collision": "Two names would be the same, in Python or as a flag.",
+    "no_branches": "A workflow has no branches.",
+    "no_states": "A branch has no states.",
+    "bad_flags": "A state has not one digit for each flag.",
+    "bad_level": "A level does not fit the parent, or `compatible` leaves a state out.",
+    "unknown_branch": "A branch is named that does not exist.",
+    "unknown_state": "A state is named that does not exist.",
+    "unknown_operation": "An operation is named that does not exist.",
+    "bad_operation": "An operation is declared in a way that cannot be meant.",
+    "bad_property": "A property is declared in a way that cannot be meant.",
+    "no_release": "Something moves, but no operation releases the latch that Stop sets.",
+    "rule_1": "A state above level 1 has no re-initiation.",
+    "rule_2": "A change at a higher level calls nothing of the level below.",
+    "rule_3": "A branch does not fit its parent where both start.",
+}
+VERIFICATION = {
+    "too_many_states": "There are more joint states than the verification may look at.",
+    "endless_cascade": "A command triggers changes that trigger changes without an end.",
+    "no_outcome": "An operation is accepted where it cannot end in any declared way.",
+    "ambiguous_revocation": "Two revocations of a branch hold at once and lead to different states.",
+    "order_dependent": "What a command does depends on the order of the branches in the file.",
+    "unreachable_state": "A branch never gets into a state.",
+    "never_accepted": "An operation is accepted in no joint state.",
+    "never_called": "An operation that only children call is called by none.",
+    "deadlock": "Nothing that a user may ask for is accepted any more, and the goal is not reached.",
+    "goal_unreachable": "No sequence of commands reaches the goal.",
+    "goal_lost": "The goal can no longer be reached.",
+    "cannot_conclude": "An operation that runs can be found where none of its endings is allowed.",
+    "property_violated": "A property does not hold.",
+}
+DESIGN = {
+    "step_count": "A step table has no steps, or more than can be designed with.",
+    "step_name": "A step has the name of another.",
+    "step_unknown": "A step depends on one that does not exist.",
+    "step_cycle": "Steps depend on each other in a circle.",
+    "step_branch": "Steps are said to be in a branch to which they cannot belong.",
+    "step_refinement": "A step is refined in a way that cannot be meant.",
+}
+EXCHANGE = {
+    "not_xml": "A file is not well-formed XML.",
+    "not_scxml": "An XML file is not SCXML.",
+    "not_drawio": "An XML file is not a draw.io diagram, or its compressed part cannot be read.",
+    "not_mermaid": "A line is not part of a Mermaid state diagram.",
+    "not_supported": "Something that a blueprint cannot express; it is named rather than guessed.",
+    "no_start": "A drawing does not say where it starts.",
+}
+
+CODES = READING | RULES | VERIFICATION | DESIGN | EXCHANGE
