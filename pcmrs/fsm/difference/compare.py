@@ -115,7 +115,8 @@ def _answered(old: Blueprint, new: Blueprint, limit: int) -> Iterator[Difference
         yield _Space(common, reached_after).difference("reached", "", gained)
     if lost:
         yield _Space(common, reached_before).difference("unreached", "", lost)
-    both = _Space(common, [joint for joint in reached_before if joint in reached_after])
+    # Sorted, so that the example does not depend on which of the two is the old one.
+    both = _Space(common, sorted(reached_before.keys() & reached_after.keys()))
     for operation in before:
         if operation in after:
             yield from _operation(operation, both, before[operation], after[operation])
