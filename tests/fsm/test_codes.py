@@ -1,0 +1,24 @@
+"""The kinds of findings: all are documented, and no finding is of another kind."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from pcmrs.fsm.codes import CODES
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_every_kind_is_documented_as_it_is() -> None:
+    documented = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", (ROOT / "docs/fsm.md").read_text(), re.MULTILINE))
+    assert {code: documented.get(code) for code in CODES} == CODES
+
+
+def test_every_kind_that_the_source_names_is_listed_and_the_other_way_round() -> None:
+    source = "".join(
+        file.read_text() for file in (ROOT / "pcmrs/fsm").rglob("*.py") if file.name not in ("codes.py", "exchange.py")
+    )
+    named = set(re.findall(r'code="(\w+)"', source)) | set(re.findall(r'_refuse\(origin, "(\w+)"', source))
+    assert named <= set(CODES)
+    assert {code for code in CODES if f'"{code}"' not in source} == set()
