@@ -100,7 +100,8 @@ class Dispatcher(Generic[C, D]):
         """
         if _performing.get() == id(self):
             raise ReentrancyError(f"{command.branch}.{command.operation} was awaited by a running operation: post it.")
-        return await asyncio.shield(self._verdict_of(command))
+        verdict = self._verdict_of(command)
+        return verdict.result() if verdict.done() else await asyncio.shield(verdict)
 
     def on_stop(self, callback: Callable[[], None]) -> None:
         """Has `callback` called synchronously at every stop, whatever way it came."""
@@ -321,7 +322,8 @@ class Dispatcher(Generic[C, D]):
         loop.call_soon(self._show, verdict)  # those who asked hear of it before those who watch
         if conclusion.attempt is not None:
             self._lanes.running.remove(conclusion.attempt)
-            loop.call_soon(self._start_waiting)
+            if self._lanes.waiting:
+                loop.call_soon(self._start_waiting)
         if conclusion.run is not None and verdict.decision == "accepted":
             self._submit_posts(conclusion.command, conclusion.run)
 

@@ -34,7 +34,7 @@ def check_names(blueprint: Blueprint) -> Iterator[Finding]:
             where = (*path, "operations", operation)
             yield from _name(operation, f"an operation of {name}", where)
             for outcome in spec.outcomes:
-                yield from _name(outcome, f"an outcome of {name}.{operation}", (*where, "outcomes", outcome))
+                yield from _name(outcome, f"an outcome of {name}.{operation}", (*where, "outcomes", outcome), ENDINGS)
         other = classes.setdefault(class_name(name), name)
         if other != name:
             text = f"The branches {other} and {name} would have the same class {class_name(name)}: rename one."
@@ -48,11 +48,11 @@ def check_names(blueprint: Blueprint) -> Iterator[Finding]:
         yield from _states(name, branch)
 
 
-def _name(word: str, what: str, path: Path) -> Iterator[Finding]:
+def _name(word: str, what: str, path: Path, reserved: frozenset[str] = RESERVED) -> Iterator[Finding]:
     if not NAME.fullmatch(word):
         text = f"{word[:70]!r} cannot be the name of {what}: a letter, then up to 63 of a-z, 0-9 and _."
         yield Finding(code="bad_name", text=text, path=path)
-    elif keyword.iskeyword(word) or word in RESERVED | ENDINGS:
+    elif keyword.iskeyword(word) or word in reserved:
         text = f"{word!r} cannot be the name of {what}: Python or PCMRS use it. Choose another."
         yield Finding(code="reserved_name", text=text, path=path)
 
