@@ -48,7 +48,7 @@ class Attempt:
     @property
     def moves(self) -> bool:
         """Whether it moves the robot."""
-        return self.spec.motion != "none"
+        return self.spec.moves
 
     @property
     def name(self) -> str:

@@ -197,9 +197,9 @@ class Dispatcher(Generic[C, D]):
         return None
 
     def _barred(self, attempt: Attempt) -> Reason | None:
-        if self._broken is None and attempt.moves and self.procedure.latched:
+        if self._broken is None and attempt.spec.halts and self.procedure.latched:
             release = " or ".join(self._workflow.blueprint.unlatching)
-            text = f"{attempt.name} would move, but Stop is latched: acknowledge with {release} first."
+            text = f"{attempt.name} is not allowed while Stop is latched: acknowledge with {release} first."
             return Reason(code="latched", text=text)
         return self._broken
 

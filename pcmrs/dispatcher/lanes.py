@@ -30,9 +30,9 @@ class Lanes:
         return any(attempt.locks.conflicts(other.locks) for other in others)
 
     def why_not_wait(self, attempt: Attempt) -> Reason | None:
-        """Why a blocked attempt is turned away; motions never wait, nor plan changes while something moves."""
+        """Why a blocked attempt is turned away; nothing that moves or acts waits, nor a plan change while something moves."""
         changes_plan = attempt.locks.writes & self._revokers
-        if attempt.moves or (changes_plan and any(other.moves for other in self.running)):
+        if attempt.spec.halts or (changes_plan and any(other.moves for other in self.running)):
             busy = [other.name for other in self.running]
             text = f"{attempt.name} does not wait for {' and '.join(busy) or 'others'}: ask again when it has ended."
             return Reason(code="busy", text=text, fields={"running": busy})

@@ -19,7 +19,7 @@ class Procedure(Generic[C, D]):
 
     Attributes:
         data: What the procedure has gathered.
-        latched: Stop has been pressed and not been acknowledged: nothing moves.
+        latched: Stop has been pressed and not been acknowledged: nothing moves or acts on the patient.
         sequence: Number of the newest commit.
     """
 
@@ -46,7 +46,7 @@ class Procedure(Generic[C, D]):
         """Operations of a branch that users may ask for in a joint state and would not be denied."""
         operations = self.blueprint.branches[branch].operations
         able = self._engine.allowed(branch, states)
-        return [name for name in able if not (self.latched and operations[name].motion != "none")]
+        return [name for name in able if not (self.latched and operations[name].halts)]
 
     def ask(self, branch: str, operation: str) -> Closure | Denial:
         """Asks the active state object, then works out the closure of what it allows."""

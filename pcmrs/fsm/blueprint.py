@@ -59,6 +59,8 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
         refusal: Code of the rejection when `requires` does not hold, or one for each branch in it.
         roles: Who may ask for it; empty for everybody who may send commands.
         motion: Whether it moves the robot, and which way.
+        acts: It acts on the patient without moving the robot, as drilling does: refused while Stop is latched, and
+            never kept waiting for others, as motions are.
         rio: It is the branch's re-initiation operation (RIO).
         iio: It is called by a child branch only (IIO).
         event: It is called by a device, detector or timer only.
@@ -81,6 +83,7 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
     refusal: str | dict[str, str] = UNMET
     roles: list[str] = []
     motion: Motion = "none"
+    acts: bool = False
     rio: bool = False
     iio: bool = False
     event: bool = False
@@ -89,6 +92,16 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
     sets: dict[str, str] = {}
     on_failure: Target | None = None
     on_unknown: Target | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves the robot."""
+        return self.motion != "none"
+
+    @property
+    def halts(self) -> bool:
+        """Whether the latch of Stop forbids it."""
+        return self.moves or self.acts
 
     @property
     def endings(self) -> dict[str, OutcomeSpec]:
@@ -274,9 +287,13 @@ class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dic
 
     @cached_property
     def unlatching(self) -> list[str]:
-        """The operations, ``branch.operation``, that release the latch that Stop has set."""
-        branches = self.branches.items()
-        return [f"{name}.{key}" for name, branch in branches for key, o in branch.operations.items() if o.unlatches]
+        """The operations, ``branch.operation``, with which a user can release the latch that Stop has set."""
+        return [
+            f"{name}.{key}"
+            for name, branch in self.branches.items()
+            for key, operation in branch.operations.items()
+            if operation.unlatches and not (operation.halts or operation.iio or operation.event)
+        ]
 
     @cached_property
     def revokers(self) -> frozenset[str]:

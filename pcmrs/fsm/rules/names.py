@@ -13,7 +13,7 @@ from pcmrs.fsm.finding import Finding, Path
 NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 STATE_NAME = re.compile(r"[a-z0-9][a-z0-9_]{0,31}")
 VERSION = re.compile(r"[0-9A-Za-z][0-9A-Za-z.+-]{0,31}")
-ENDINGS = frozenset({"started", "done", "failed", "unknown"})
+ENDINGS = frozenset({"started", "done", "failed", "unknown", "rejected"})
 """What witnesses and tours say of any operation; an outcome cannot have these names."""
 
 

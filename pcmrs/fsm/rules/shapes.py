@@ -33,10 +33,11 @@ def check_shapes(blueprint: Blueprint) -> Iterator[Finding]:
 
 def _release(blueprint: Blueprint) -> Iterator[Finding]:
     branches = blueprint.branches.items()
-    moving = [(name, key) for name, branch in branches for key, o in branch.operations.items() if o.motion != "none"]
-    if moving and not blueprint.unlatching:
-        name, key = moving[0]
-        text = f"{name}.{key} moves, but after a Stop nothing could ever move: mark an operation with unlatches = true."
+    halting = [(name, key) for name, branch in branches for key, o in branch.operations.items() if o.halts]
+    if halting and not blueprint.unlatching:
+        name, key = halting[0]
+        text = f"After a Stop {name}.{key} could never be done again: mark an operation that users ask for, "
+        text += "and that neither moves nor acts, with unlatches = true."
         yield Finding(code="no_release", text=text, path=("branches", name, "operations", key))
 
 
@@ -68,10 +69,13 @@ def _faults(blueprint: Blueprint, branch: str, spec: BranchSpec, operation: Oper
         yield "needs states in `from`, or exactly ['*']."
     if operation.iio and (operation.steps or operation.checks or operation.outcomes or operation.requires):
         yield "is called by a child (iio): it has a target, no checks, steps, outcomes or requires."
-    if operation.iio and (operation.event or operation.rio or operation.motion != "none"):
-        yield "is called by a child (iio): it cannot be an event, a motion or the re-initiation as well."
-    if operation.motion != "none" and (operation.on_failure is None or operation.on_unknown is None):
+    if operation.iio and (operation.event or operation.rio or operation.halts or operation.unlatches):
+        yield "is called by a child (iio): it cannot be an event, motion, act, release or re-initiation as well."
+    if operation.moves and (operation.on_failure is None or operation.on_unknown is None):
         yield "moves: it needs `on_failure` and `on_unknown`, since it cannot end where it began."
+    doubtful = operation.on_failure is not None or operation.on_unknown is not None
+    if not operation.steps and (doubtful or operation.moves):
+        yield "has no steps: it can neither move nor fail, nor end in doubt."
     sources = {state for state in spec.states if state in operation.from_ or operation.from_ == ["*"]}
     for target in (*(e.to for e in operation.endings.values()), operation.on_failure, operation.on_unknown):
         if isinstance(target, dict) and set(target) != sources:

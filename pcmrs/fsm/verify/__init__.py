@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from pcmrs.fsm.blueprint import Blueprint
@@ -13,7 +12,7 @@ from pcmrs.fsm.verify.running import Runs, conclusions
 from pcmrs.fsm.verify.search import Progress, TooManyError
 from pcmrs.fsm.verify.space import Space
 
-__all__ = ["MAX_JOINT_STATES", "Verification", "explore", "operations_valid_in", "verify"]
+__all__ = ["MAX_JOINT_STATES", "Verification", "verify"]
 
 MAX_JOINT_STATES = 2_000_000
 """So many joint states are looked at unless more are asked for."""
@@ -24,6 +23,7 @@ CHECKS = (
     structure.unused,
     liveness.deadlocks,
     liveness.goals,
+    liveness.releases,
 )
 
 
@@ -60,17 +60,3 @@ def verify(blueprint: Blueprint, *, limit: int = MAX_JOINT_STATES, progress: Pro
     except TooManyError as error:
         return Verification([Finding(code="too_many_states", text=str(error), path=("branches",))], limit)
     return Verification(findings, len(space.reached), space.taken)
-
-
-def explore(blueprint: Blueprint) -> list[dict[str, str]]:
-    """Lists the reachable joint states, the initial one first."""
-    space = Space(blueprint, MAX_JOINT_STATES)
-    return [space.encoding.decoded(int(code)) for batch in space.reached.batches() for code in batch.codes]
-
-
-def operations_valid_in(blueprint: Blueprint, states: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """Branch and operation of everything a user, device, detector or timer may ask for in `states`."""
-    for name, branch in blueprint.branches.items():
-        for operation, spec in branch.operations.items():
-            if not spec.iio and branch.valid_in(operation, states[name]):
-                yield name, operation

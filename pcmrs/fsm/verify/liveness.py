@@ -1,4 +1,4 @@
-"""Deadlocks, and goals that are out of reach."""
+"""Deadlocks, goals that are out of reach, and a latch that cannot be released."""
 
 from __future__ import annotations
 
@@ -7,17 +7,19 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from pcmrs.fsm.behaviour import line_of
+from pcmrs.fsm.blueprint import OperationSpec
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.verify.encoding import Batch
 from pcmrs.fsm.verify.search import leading_to
 from pcmrs.fsm.verify.space import Space
 from pcmrs.fsm.verify.structure import path_of
+from pcmrs.fsm.verify.transition import Transition
 
 
 def deadlocks(space: Space) -> Iterator[Finding]:
     """A joint state short of the goal in which a user may ask for nothing; what devices report does not count."""
-    branches = space.blueprint.branches
-    asked = [each for each in space.transitions if not branches[each.branch].operations[each.operation].event]
+    asked = [each for each in space.transitions if not _operation(space, each).event]
 
     def stuck(batch: Batch) -> NDArray[np.bool_]:
         found = ~_at_goal(space, batch)
@@ -49,9 +51,37 @@ def goals(space: Space) -> Iterator[Finding]:
         yield _after(space, "goal_lost", text, code)
 
 
+def releases(space: Space) -> Iterator[Finding]:
+    """A joint state in which a Stop could not be acknowledged any more, by whatever the latch still allows."""
+    blueprint = space.blueprint
+    if not any(operation.spec.halts for operation in space.operations):
+        return
+    allowed = [each for each in space.transitions if not _operation(space, each).halts]
+    releasing = [each for each in allowed if f"{each.branch}.{each.operation}" in blueprint.unlatching]
+
+    def released(batch: Batch) -> NDArray[np.bool_]:
+        found = np.zeros(len(batch.codes), dtype=np.bool_)
+        for transition in releasing:
+            found[transition.rows(batch)] = True
+        return found
+
+    open_ = leading_to(space.reached, space.reached.which(released), allowed)
+    code = space.reached.first(lambda batch: ~open_.has(batch.codes))
+    if code is not None:
+        release = " or ".join(blueprint.unlatching)
+        text = (
+            f"After a Stop in {shown(space, code)}, nothing that may be done then leads to where {release} is accepted."
+        )
+        yield _after(space, "no_release", text, code)
+
+
+def _operation(space: Space, transition: Transition) -> OperationSpec:
+    return space.blueprint.branches[transition.branch].operations[transition.operation]
+
+
 def shown(space: Space, code: int) -> str:
     """A joint state in a line."""
-    return " ".join(f"{branch}={state}" for branch, state in space.encoding.decoded(code).items())
+    return line_of(space.encoding.decoded(code))
 
 
 def _at_goal(space: Space, batch: Batch) -> NDArray[np.bool_]:
