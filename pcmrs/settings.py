@@ -22,8 +22,8 @@ from pcmrs.workflows.settings import ProcedureSettings
 DRIVERS = "pcmrs.drivers"
 DRIVER_SETTINGS = "pcmrs.driver_settings"
 
-OF_WORKFLOW = {"procedure", "sim"}
-"""Tables whose defaults a workflow may change; the cell, its devices and links are none of its business."""
+OF_WORKFLOW = frozenset({"procedure.limits", "procedure.registration", "sim"})
+"""Tables whose defaults a workflow may change; patient, calibration and the cell are none of its business."""
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -160,10 +160,11 @@ def _defaults_of(values: Mapping[str, Any]) -> dict[str, Any]:
         return {}  # refused with all the other values
     defaults = read_workflow(name).defaults
     origin = _origin(name)
-    for table in sorted(defaults.keys() - OF_WORKFLOW):
-        text = f"{origin} sets {table}; a workflow may change {' and '.join(sorted(OF_WORKFLOW))} only."
-        raise ConfigurationError(text, table=table)
     as_config(Settings, defaults, origin)
+    changed = {*defaults} - {"procedure"} | {f"procedure.{table}" for table in defaults.get("procedure", {})}
+    for table in sorted(changed - OF_WORKFLOW):
+        text = f"{origin} sets {table}; a workflow may change {', '.join(sorted(OF_WORKFLOW))} only."
+        raise ConfigurationError(text, table=table)
     return defaults
 
 

@@ -6,6 +6,10 @@ import asyncio
 from collections.abc import AsyncIterator
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("pcmrs", deadline=None)  # how long an example takes says how busy the machine is
+settings.load_profile("pcmrs")
 
 
 @pytest.fixture(autouse=True)

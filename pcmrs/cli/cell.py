@@ -83,9 +83,9 @@ def keys(as_json: bool, address: Address) -> None:
 @address_options
 @readable_errors
 def stop(address: Address) -> None:
-    """Stop every motion and latch; robot.acknowledge releases the latch."""
+    """Stop every motion and latch: nothing moves until somebody acknowledges it, as by robot.acknowledge in RATMS."""
     run(_stop(address))
-    click.echo("stopped; release with: pcmrs call robot.acknowledge")
+    click.echo("stopped, and latched until it is acknowledged (ratms: pcmrs call robot.acknowledge)")
 
 
 async def _call(address: Address, operation: str, arguments: dict[str, Any]) -> Verdict:
@@ -154,4 +154,4 @@ def _print_snapshot(snapshot: Snapshot) -> None:
     for running in snapshot.running:
         console.print(f"running: {running.branch}.{running.operation} {running.progress:.0%}")
     if snapshot.latched:
-        console.print("latched by Stop: release with pcmrs call robot.acknowledge")
+        console.print("latched by Stop until it is acknowledged (ratms: pcmrs call robot.acknowledge)")

@@ -30,7 +30,10 @@ class Lanes:
         return any(attempt.locks.conflicts(other.locks) for other in others)
 
     def why_not_wait(self, attempt: Attempt) -> Reason | None:
-        """Why a blocked attempt is turned away; nothing that moves or acts waits, nor a plan change while something moves."""
+        """Why a blocked attempt is turned away.
+
+        Nothing that moves or acts on the patient waits, nor does a plan change while something moves.
+        """
         changes_plan = attempt.locks.writes & self._revokers
         if attempt.spec.halts or (changes_plan and any(other.moves for other in self.running)):
             busy = [other.name for other in self.running]

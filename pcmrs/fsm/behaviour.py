@@ -11,7 +11,8 @@ from pcmrs.fsm.closure import Change, Closure, Denial, close
 Joint = tuple[str, ...]
 """The states of all branches, in the blueprint's order."""
 
-Answer = Closure | Denial
+Ruling = Closure | Denial
+"""What a workflow answers to an operation that is asked for."""
 
 MAX_JOINT_STATES = 20_000
 """Beyond this nobody can review the answers, and a tour through all of them takes too long."""
@@ -29,17 +30,17 @@ def joint_of(blueprint: Blueprint, states: Mapping[str, str]) -> Joint:
     return tuple(states[branch] for branch in blueprint.branches)
 
 
-def states_of(blueprint: Blueprint, joint: Joint) -> dict[str, str]:
+def branch_states(blueprint: Blueprint, joint: Joint) -> dict[str, str]:
     """The joint state as branch to state."""
     return dict(zip(blueprint.branches, joint, strict=True))
 
 
-def shown(blueprint: Blueprint, joint: Joint) -> str:
-    """The joint state in a line of text."""
-    return " ".join(f"{branch}={state}" for branch, state in states_of(blueprint, joint).items())
+def line_of(states: Mapping[str, str]) -> str:
+    """A joint state, or a part of one, in a line of text: ``branch=state`` each."""
+    return " ".join(f"{branch}={state}" for branch, state in states.items())
 
 
-def answer(blueprint: Blueprint, states: Mapping[str, str], branch: str, operation: str) -> Answer:
+def answer(blueprint: Blueprint, states: Mapping[str, str], branch: str, operation: str) -> Ruling:
     """The closure of an operation asked for in a joint state, or why it is denied."""
     if blueprint.branches[branch].valid_in(operation, states[branch]):
         return close(blueprint, states, branch, operation)
@@ -52,17 +53,17 @@ def endings(spec: OperationSpec, closure: Closure) -> dict[str, Change | None]:
     return {**closure.outcomes, **doubtful}
 
 
-def behaviour(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> dict[Joint, dict[str, Answer]]:
+def behaviour(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> dict[Joint, dict[str, Ruling]]:
     """Every reachable joint state, the initial one first, and the answer there to each ``branch.operation``.
 
     Raises:
         BlueprintError: There are more than `limit` joint states.
     """
     start = joint_of(blueprint, blueprint.initial())
-    found: dict[Joint, dict[str, Answer]] = {start: {}}
+    found: dict[Joint, dict[str, Ruling]] = {start: {}}
     waiting = [start]
     for joint in waiting:
-        states = states_of(blueprint, joint)
+        states = branch_states(blueprint, joint)
         for branch, operation, spec in operations(blueprint):
             said = found[joint][f"{branch}.{operation}"] = answer(blueprint, states, branch, operation)
             if spec.iio or isinstance(said, Denial):

@@ -23,7 +23,7 @@ RULES = {
     "unknown_operation": "An operation is named that does not exist.",
     "bad_operation": "An operation is declared in a way that cannot be meant.",
     "bad_property": "A property is declared in a way that cannot be meant.",
-    "no_release": "Something moves, but no operation releases the latch that Stop sets.",
+    "no_release": "After a Stop, the latch that it sets could not be released.",
     "rule_1": "A state above level 1 has no re-initiation.",
     "rule_2": "A change at a higher level calls nothing of the level below.",
     "rule_3": "A branch does not fit its parent where both start.",

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import NoReturn
 
 import msgspec
 
+from pcmrs.errors import BlueprintError
+
 Path = tuple[str, ...]
 """Keys from the root of a file; the elements of an array count from ``"0"``."""
+
+Place = tuple[int, int]
+"""Line and column in a file, from 1; 0 where there is none."""
 
 
 class Finding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -26,7 +32,7 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     code: str
     text: str
-    path: tuple[str, ...] = ()
+    path: Path = ()
     file: str = ""
     line: int = 0
     column: int = 0
@@ -41,3 +47,10 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 def summary(findings: Iterable[Finding]) -> str:
     """All findings, a line each."""
     return "\n".join(str(finding) for finding in findings)
+
+
+def refuse(origin: str, code: str, text: str, place: Place = (1, 1), path: Path = ()) -> NoReturn:
+    """Raises the `BlueprintError` that ends the reading of a file, with its one finding."""
+    line, column = place
+    finding = Finding(code=code, text=text, path=path, file=origin, line=line, column=column)
+    raise BlueprintError(str(finding), findings=[finding])

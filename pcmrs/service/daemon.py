@@ -129,7 +129,7 @@ class Daemon:
             return dispatcher.procedure.joint().get("robot") == "1"
 
         watch = RobotWatch(bus.publish, connected, lambda: dispatcher.in_doubt, dispatcher.report, SystemClock())
-        hearing = Hearing(awaited(self._settings, dispatcher.procedure.blueprint.branches))
+        hearing = Hearing(awaited(self._settings, dispatcher.procedure.blueprint.branches), SystemClock())
 
         def take_pose(_key: str, pose: BodyPose) -> None:
             cell.poses.update(pose)

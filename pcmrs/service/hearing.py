@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Collection
 
+from pcmrs.clock import Clock
 from pcmrs.errors import DeviceError
 from pcmrs.settings import Settings
 
@@ -16,15 +17,24 @@ NEEDED_BY = {"robot": "robot", "tracker": "registration"}
 
 
 def awaited(settings: Settings, branches: Collection[str]) -> set[str]:
-    """Devices that a daemon waits for: all that it starts itself, and those that the workflow needs."""
+    """Robot and tracker, as far as a daemon starts them itself or the workflow needs them.
+
+    Others, as pointer and scene, are not waited for: they say nothing before they are asked.
+    """
     here = {device for devices in settings.drivers().values() for device in devices}
     return {device for device, branch in NEEDED_BY.items() if device in here or branch in branches}
 
 
 class Hearing:
-    """Knows which of the awaited devices have not been heard yet."""
+    """Knows which of the awaited devices have not been heard yet.
 
-    def __init__(self, devices: set[str]) -> None:
+    Args:
+        devices: The awaited ones.
+        clock: The machine's.
+    """
+
+    def __init__(self, devices: set[str], clock: Clock) -> None:
+        self._clock = clock
         self._silent = set(devices)
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._end_when_complete()
@@ -51,7 +61,7 @@ class Hearing:
             DeviceError: One ended, or was not heard within `DEVICES_TIME`.
         """
         try:
-            async with asyncio.timeout(DEVICES_TIME):
+            async with self._clock.timeout(DEVICES_TIME):
                 await self._ended
         except TimeoutError:
             silent = " and ".join(sorted(self._silent))

@@ -7,7 +7,8 @@ from typing import Any
 from pcmrs.dispatcher import Registry, Workflow
 from pcmrs.errors import BlueprintError, ConfigurationError
 from pcmrs.fsm import Blueprint, load_blueprint
-from pcmrs.fsm.files.toml import MAX_BYTES, convert, read_toml
+from pcmrs.fsm.files.bounded import read_bounded
+from pcmrs.fsm.files.toml import convert, read_toml
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.code import Code, load_code, told_with_line
 from pcmrs.workflows.connection import register_connection_operations
@@ -30,8 +31,7 @@ def read_workflow(name: str) -> Blueprint:
     """
     place = find_workflow(name)
     try:
-        with place.blueprint.open("rb") as stream:
-            raw = stream.read(MAX_BYTES + 1)  # of a huge file no more than shows that it is too large
+        raw = read_bounded(place.blueprint)
     except OSError as error:
         text = f"{place.blueprint} cannot be read: {error.strerror}."
         raise ConfigurationError(text, file=str(place.blueprint)) from None

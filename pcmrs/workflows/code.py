@@ -51,7 +51,11 @@ def load_code(place: Place) -> Code:
         raise ConfigurationError(
             f"{place.code}: Data is no subclass of PlacementData: make it one.", file=str(place.code)
         )
-    return Code(register, data, getattr(module, "settle", settle))
+    fits = getattr(module, "settle", settle)
+    if not callable(fits):
+        text = f"{place.code}: settle is no function settle(data, states, effects): make it one."
+        raise ConfigurationError(text, file=str(place.code))
+    return Code(register, data, fits)
 
 
 def told_with_line(file: Path, function: Callable[..., Any], *arguments: Any) -> Any:

@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import msgspec
 import pytest
+from altered import with_operation
 
 import pcmrs
 from pcmrs.client import Client, Event
@@ -123,14 +124,6 @@ async def toured(cell: DiceCell, given: Mapping[str, Any] = EMPTY, seconds: floa
         await cell.close()
 
 
-def with_operation(branch: str, operation: str, **fields: Any) -> Blueprint:
-    """RATMS with an operation declared otherwise, that says it is RATMS."""
-    spec = RATMS.branches[branch]
-    changed = msgspec.structs.replace(spec.operations[operation], **fields)
-    spec = msgspec.structs.replace(spec, operations={**spec.operations, operation: changed})
-    return msgspec.structs.replace(RATMS, branches={**RATMS.branches, branch: spec})
-
-
 async def test_everything_that_a_cell_can_show_is_seen() -> None:
     report = await toured(DiceCell(RATMS))
     assert report.passed
@@ -158,7 +151,7 @@ async def test_what_is_decided_at_once_is_not_stopped() -> None:
     ],
 )
 async def test_a_cell_that_runs_something_else_deviates(branch: str, operation: str, fields: dict[str, Any]) -> None:
-    report = await toured(DiceCell(with_operation(branch, operation, **fields)))
+    report = await toured(DiceCell(with_operation(RATMS, branch, operation, **fields)))
     assert not report.passed
     assert any(deviation.command.startswith(f"{branch}.{operation}") for deviation in report.deviations["cell"])
 

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import pytest
 import structlog
+from altered import with_operation
 from click.testing import CliRunner
 
 import pcmrs
@@ -39,13 +40,6 @@ async def rehearsed(blueprint: Blueprint, *, outside: bool = True) -> list[tuple
     return [judged async for judged in rehearse(blueprint, tour(), outside=outside)]
 
 
-def with_operation(branch: str, operation: str, **fields: Any) -> Blueprint:
-    spec = RATMS.branches[branch]
-    changed = msgspec.structs.replace(spec.operations[operation], **fields)
-    spec = msgspec.structs.replace(spec, operations={**spec.operations, operation: changed})
-    return msgspec.structs.replace(RATMS, branches={**RATMS.branches, branch: spec})
-
-
 @pytest.mark.parametrize("outside", [True, False])
 async def test_the_dispatcher_does_as_the_tour_says(outside: bool) -> None:
     done = await rehearsed(RATMS, outside=outside)
@@ -68,7 +62,7 @@ async def test_the_dispatcher_does_as_the_tour_says(outside: bool) -> None:
 async def test_a_dispatcher_that_runs_something_else_deviates(
     branch: str, operation: str, fields: dict[str, Any]
 ) -> None:
-    done = await rehearsed(with_operation(branch, operation, **fields))
+    done = await rehearsed(with_operation(RATMS, branch, operation, **fields))
     first = next(deviation for _, deviation in done if deviation is not None)
     assert first.command.startswith(f"{branch}.{operation}:")
 

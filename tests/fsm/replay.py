@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from pcmrs.fsm.behaviour import Answer, answer, endings
+from pcmrs.fsm.behaviour import Ruling, answer, endings
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint
 from pcmrs.fsm.closure import Closure
 
@@ -20,7 +20,7 @@ class Replay:
     def __post_init__(self) -> None:
         self.states = self.blueprint.initial()
 
-    def ask(self, name: str) -> Answer:
+    def ask(self, name: str) -> Ruling:
         branch, _, operation = name.partition(".")
         return answer(self.blueprint, self.states, branch, operation)
 

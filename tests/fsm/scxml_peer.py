@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from statemachine.io.scxml.processor import SCXMLProcessor
 
 from pcmrs.fsm import Blueprint
-from pcmrs.fsm.exchange.nesting import Nesting
+from pcmrs.fsm.exchange.exporting.nesting import Nesting
 
 
 class Peer:

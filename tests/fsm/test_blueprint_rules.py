@@ -62,6 +62,7 @@ revocations = [{ by = ["top"], from = ["near"], to = "safe" }]
 from = ["safe"]
 to = "near"
 motion = "approach"
+steps = ["follow"]
 on_failure = "safe"
 on_unknown = "safe"
 requires = { top = ["11"] }
@@ -130,6 +131,14 @@ FAULTS = {
     "time without end": ("motion =", "timeout_s = inf\nmotion =", "bad_operation", "inf", "operations.move"),
     "motion without failure": ('on_failure = "safe"\n', "", "bad_operation", "on_failure", "operations.move"),
     "motion without doubt": ('on_unknown = "safe"\n', "", "bad_operation", "on_unknown", "operations.move"),
+    "motion without steps": ('steps = ["follow"]\n', "", "bad_operation", "no steps", "operations.move"),
+    "only a motion could release Stop": (
+        "unlatches = true\n",
+        "unlatches = true\nacts = true\n",
+        "no_release",
+        "neither moves nor acts",
+        "operations.clear",
+    ),
     "failure unknown": ('on_failure = "safe"', 'on_failure = "far"', "unknown_state", "'far'", "on_failure"),
     "iio with steps": (
         'to = "11"\niio = true',
@@ -181,7 +190,7 @@ FAULTS = {
         "[branches.side]",
         "[branches.row]\nsequence = {}\n[branches.side]",
         "bad_sequence",
-        "",
+        "`count` or `items`",
         "seq",
     ),
     "rule 1, no rio": ("rio = true", "", "rule_1", "sub", "[branches.sub]"),

@@ -17,7 +17,7 @@ from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
 from pcmrs.fsm.chart import svg
 from pcmrs.fsm.files.load import read_blueprint
 
-charts = settings(max_examples=25, deadline=None)
+charts = settings(max_examples=25)
 
 
 def ratms() -> Blueprint:

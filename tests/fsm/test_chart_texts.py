@@ -30,7 +30,7 @@ RATMS = str(BLUEPRINT)
 GRAPHVIZ = shutil.which("dot")
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
-texts = settings(max_examples=25, deadline=None)
+texts = settings(max_examples=25)
 
 
 def in_order(blueprint: Blueprint) -> list[tuple[str, str]]:
@@ -57,7 +57,7 @@ def test_graphviz_has_every_state_in_the_nested_cluster_of_its_branch(blueprint:
 
 
 @pytest.mark.skipif(GRAPHVIZ is None, reason="Graphviz is not installed")
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 @given(blueprints(), st.text(), st.text())
 def test_graphviz_accepts_any_chart(blueprint: Blueprint, title: str, meaning: str) -> None:
     odd = BranchSpec(title=title, states={"a": meaning, "b": title})

@@ -62,7 +62,7 @@ def expected(model: Model, done: set[str], spec_flags: list[str], operation: str
     return model.reinit(done, spec_flags) if operation == "reinit" else model.command(done, operation, outcome)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(RANDOMS)
 def test_the_joint_states_of_level_1_are_the_downward_closed_sets(rng: Random) -> None:
     table = random_table(rng, levels=1, steps=6)
@@ -78,7 +78,7 @@ def test_the_joint_states_of_level_1_are_the_downward_closed_sets(rng: Random) -
     assert result.combinations.steps == len(table["steps"])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(RANDOMS)
 def test_each_impossible_combination_counts_once_under_the_first_dependency_it_breaks(rng: Random) -> None:
     table = random_table(rng, levels=1, steps=7)
@@ -114,7 +114,7 @@ def begun(blueprint: Blueprint, joint: Joint) -> bool:
 
 
 @pytest.mark.parametrize(("levels", "steps"), [(1, 5), (2, 3), (3, 2)])
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(rng=RANDOMS)
 def test_a_table_does_what_a_set_of_steps_does(levels: int, steps: int, rng: Random) -> None:
     """Refused otherwise is only what would leave behind something that has begun."""

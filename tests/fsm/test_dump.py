@@ -78,7 +78,7 @@ def read(text: str) -> Blueprint:
     return msgspec.convert(tomllib.loads(text), Blueprint)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(BLUEPRINT)
 def test_what_is_written_reads_back_as_itself(blueprint: Blueprint) -> None:
     again = read(blueprint_toml(blueprint))

@@ -11,9 +11,9 @@ from random_charts import as_drawio, as_mermaid, as_scxml, random_chart
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.behaviour import behaviour
 from pcmrs.fsm.chart import mermaid
-from pcmrs.fsm.exchange.drawio import from_drawio
-from pcmrs.fsm.exchange.mermaid import from_mermaid
-from pcmrs.fsm.exchange.scxml_reader import from_scxml
+from pcmrs.fsm.exchange.importing.drawio import from_drawio
+from pcmrs.fsm.exchange.importing.mermaid import from_mermaid
+from pcmrs.fsm.exchange.importing.scxml import from_scxml
 from pcmrs.fsm.finding import Finding
 
 Import = tuple[Blueprint | None, list[Finding]]

@@ -12,10 +12,10 @@ from random_charts import as_drawio, as_mermaid, as_scxml, packed, random_chart
 
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.codes import CODES, EXCHANGE
-from pcmrs.fsm.exchange.drawio import from_drawio
-from pcmrs.fsm.exchange.mermaid import from_mermaid
-from pcmrs.fsm.exchange.scxml_reader import from_scxml
-from pcmrs.fsm.files.toml import MAX_BYTES
+from pcmrs.fsm.exchange.importing.drawio import from_drawio
+from pcmrs.fsm.exchange.importing.mermaid import from_mermaid
+from pcmrs.fsm.exchange.importing.scxml import from_scxml
+from pcmrs.fsm.files.bounded import MAX_BYTES
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.rules import check_rules
 
@@ -23,7 +23,7 @@ Importer = Callable[[bytes, str], tuple[Blueprint | None, list[Finding]]]
 
 IMPORTERS: list[Importer] = [from_scxml, from_mermaid, from_drawio]
 
-fuzzed = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+fuzzed = settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 
 
 def documents(seed: int) -> list[tuple[Importer, bytes]]:

@@ -10,8 +10,8 @@ from random_charts import EVENTS, as_scxml, random_chart
 from scxml_peer import Peer
 
 from pcmrs.fsm import Blueprint
-from pcmrs.fsm.exchange.scxml import scxml
-from pcmrs.fsm.exchange.scxml_reader import from_scxml
+from pcmrs.fsm.exchange.exporting.scxml import scxml
+from pcmrs.fsm.exchange.importing.scxml import from_scxml
 from pcmrs.fsm.files.dump import blueprint_toml
 from pcmrs.fsm.rules import check_rules
 

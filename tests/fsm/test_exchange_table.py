@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from pcmrs.fsm import Blueprint
-from pcmrs.fsm.exchange.schema import schema
-from pcmrs.fsm.exchange.table import COLUMNS, table
+from pcmrs.fsm.exchange.exporting.schema import schema
+from pcmrs.fsm.exchange.exporting.table import COLUMNS, table
 from pcmrs.fsm.files.load import read_blueprint
 
 WORKFLOWS = sorted(Path("pcmrs/workflows").glob("*.toml"))

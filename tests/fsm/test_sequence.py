@@ -51,7 +51,7 @@ def named(items: list[str], state: tuple[int, str]) -> str:
     return items[place] + ("_stopped" if standing == "stopped" else "")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(items=NAMES, commands=COMMANDS)
 def test_a_sequence_does_what_a_counter_does(items: list[str], commands: list[tuple[str, str]]) -> None:
     blueprint = expand(with_sequence({"items": items}))

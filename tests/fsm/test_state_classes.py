@@ -71,6 +71,9 @@ def test_states_are_singletons_of_their_blueprint_only() -> None:
     assert type(other.active("robot")) is not type(one.objects["robot"]["0"])
 
 
+UNDER_TEST = StateSet(RATMS)
+
+
 @given(
     st.lists(
         st.fixed_dictionaries(
@@ -79,7 +82,8 @@ def test_states_are_singletons_of_their_blueprint_only() -> None:
     )
 )
 def test_exactly_one_state_of_each_branch_is_active_after_any_transitions(moves: list[dict[str, str]]) -> None:
-    states, joint = StateSet(RATMS), RATMS.initial()
+    states, joint = UNDER_TEST, RATMS.initial()
+    states.transition(joint)
     for targets in moves:
         states.transition(targets)
         joint |= targets

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ratms_oracle import BLUEPRINT
 
 from pcmrs.fsm import Finding, examine
-from pcmrs.fsm.files.toml import MAX_BYTES
+from pcmrs.fsm.files.bounded import MAX_BYTES
 
 RATMS = BLUEPRINT.read_bytes()
 
@@ -100,7 +100,7 @@ def test_any_bytes(raw: bytes) -> None:
     assert not examine(raw).sound or raw
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32), st.integers(1, 6))
 def test_any_damage_to_a_blueprint(seed: int, cuts: int) -> None:
     """Bytes of a sound blueprint swapped, cut, doubled and overwritten end in findings that point into the file."""

@@ -10,13 +10,13 @@ from random_blueprints import blueprints
 from replay import replayed
 from test_verify_search import levels, successors
 
-from pcmrs.fsm.behaviour import answer, states_of
+from pcmrs.fsm.behaviour import answer, branch_states
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
 from pcmrs.fsm.closure import Closure
 from pcmrs.fsm.codes import VERIFICATION
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.rules import check_rules
-from pcmrs.fsm.verify import explore, verify
+from pcmrs.fsm.verify import verify
 
 States = dict[str, str]
 
@@ -29,7 +29,7 @@ def joint_states(blueprint: Blueprint) -> dict[int, list[States]]:
     """The reachable joint states by the length of the shortest way there."""
     by_length: dict[int, list[States]] = {}
     for joint, length in levels(blueprint).items():
-        by_length.setdefault(length, []).append(states_of(blueprint, joint))
+        by_length.setdefault(length, []).append(branch_states(blueprint, joint))
     return by_length
 
 
@@ -49,23 +49,23 @@ def check(blueprint: Blueprint, findings: list[Finding], wanted: Callable[[State
         assert wanted(replayed(blueprint, commands[: len(commands) - extra]).states)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(blueprints())
 def test_the_workflows_obey_the_static_rules_and_findings_are_of_known_kinds(blueprint: Blueprint) -> None:
     assert list(check_rules(blueprint)) == []
     assert {finding.code for finding in verify(blueprint).findings} <= set(VERIFICATION)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(blueprints())
 def test_children_fit_their_parents_in_every_joint_state(blueprint: Blueprint) -> None:
-    for states in explore(blueprint):
+    for states in (branch_states(blueprint, joint) for joint in levels(blueprint)):
         for name, branch in blueprint.branches.items():
             parent = branch.parent
             assert parent is None or states[parent.branch] in parent.compatible[states[name]]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(blueprints())
 def test_a_deadlock_is_found(blueprint: Blueprint) -> None:
     def stuck(states: States) -> bool:
@@ -89,7 +89,7 @@ def test_a_procedure_that_has_ended_at_its_goal_is_not_stuck() -> None:
     assert verify(msgspec.structs.replace(blueprint, goal={"procedure": ["ended"]})).findings == []
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(blueprints())
 def test_a_goal_out_of_reach_is_found(blueprint: Blueprint) -> None:
     def reached(states: States) -> bool:
@@ -102,7 +102,7 @@ def test_a_goal_out_of_reach_is_found(blueprint: Blueprint) -> None:
         check(blueprint, lost, lambda states: not any(map(reached, _from(blueprint, states))))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(blueprints())
 def test_denials_that_have_no_reason_are_found(blueprint: Blueprint) -> None:
     for code, denied in (("endless_cascade", "cascade_too_long"), ("no_outcome", "no_outcome")):
@@ -119,7 +119,7 @@ def test_denials_that_have_no_reason_are_found(blueprint: Blueprint) -> None:
         check(blueprint, found(blueprint, code), unsound, extra=1)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(blueprints())
 def test_what_is_never_used_is_found(blueprint: Blueprint) -> None:
     everywhere = [states for found in joint_states(blueprint).values() for states in found]
@@ -147,4 +147,4 @@ def _from(blueprint: Blueprint, start: States) -> list[States]:
         new = set(successors(blueprint, each)) - known
         known |= new
         waiting.extend(new)
-    return [states_of(blueprint, each) for each in known]
+    return [branch_states(blueprint, each) for each in known]

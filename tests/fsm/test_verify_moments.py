@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from random_blueprints import blueprints
 from ratms_mutants import ratms
 
-from pcmrs.fsm.behaviour import answer, endings, joint_of, states_of
+from pcmrs.fsm.behaviour import answer, branch_states, endings, joint_of
 from pcmrs.fsm.blueprint import Blueprint, Condition, PropertySpec
 from pcmrs.fsm.closure import Closure
 from pcmrs.fsm.verify.moments import Moments
@@ -24,7 +24,7 @@ Moment = tuple[tuple[str, ...], frozenset[tuple[str, Locks]]]
 def after(blueprint: Blueprint, observed: frozenset[str], moment: Moment) -> Iterator[Moment]:
     """Every moment that can follow, said anew: locks of what runs bar what would begin or be committed."""
     joint, running = moment
-    states, held = states_of(blueprint, joint), dict(running)
+    states, held = branch_states(blueprint, joint), dict(running)
     for branch, spec in blueprint.branches.items():
         for operation, declared in spec.operations.items():
             name, closure = f"{branch}.{operation}", answer(blueprint, states, branch, operation)
@@ -66,11 +66,11 @@ def some_operations(blueprint: Blueprint, data: st.DataObject) -> frozenset[str]
 def stranded(blueprint: Blueprint, moment: Moment) -> bool:
     joint, running = moment
     asked = (name.split(".") for name, _ in running)
-    states = states_of(blueprint, joint)
+    states = branch_states(blueprint, joint)
     return any(not isinstance(answer(blueprint, states, *name), Closure) for name in asked)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(blueprints(), st.data())
 def test_finds_every_moment_on_its_level(blueprint: Blueprint, data: st.DataObject) -> None:
     check_moments(blueprint, some_operations(blueprint, data))
@@ -96,7 +96,7 @@ def check_moments(blueprint: Blueprint, observed: frozenset[str]) -> None:
     assert found == lengths(blueprint, observed)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(blueprints(), st.data())
 def test_what_its_locks_protect_need_not_be_searched(blueprint: Blueprint, data: st.DataObject) -> None:
     """Only operations that are called strandable can be found where they are denied."""
@@ -109,7 +109,7 @@ def test_what_its_locks_protect_need_not_be_searched(blueprint: Blueprint, data:
                 assert not any(stranded(blueprint, moment) for moment in found)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(blueprints(), st.data())
 def test_conditions_hold_at_the_same_moments(blueprint: Blueprint, data: st.DataObject) -> None:
     observed = some_operations(blueprint, data)
@@ -118,7 +118,7 @@ def test_conditions_hold_at_the_same_moments(blueprint: Blueprint, data: st.Data
     states = data.draw(st.lists(st.sampled_from(list(blueprint.branches[branch].states)), max_size=2))
     condition = Condition(states={branch: states}, running=sorted(observed))
     expected = sum(
-        states_of(blueprint, joint)[branch] in states and bool(running)
+        branch_states(blueprint, joint)[branch] in states and bool(running)
         for joint, running in lengths(blueprint, observed)
     )
     assert sum(int(moments.hold(condition, batch).sum()) for batch in moments.reached.batches()) == expected

@@ -48,7 +48,7 @@ def flange_speeds(trajectory: JointTrajectory) -> tuple[float, float]:
     return linear, max(rotation_angle(a, b) for a, b in pairs) / trajectory.period
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seeds)
 def test_joint_motion_starts_and_ends_exactly_and_keeps_every_limit(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -82,7 +82,7 @@ def test_joint_motion_beyond_a_limit_is_refused() -> None:
         joint_motion(ARM, READY, ARM.upper + 0.1, LIMITS)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seeds)
 def test_straight_motion_keeps_the_tool_on_the_line_and_every_limit(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -150,7 +150,6 @@ def test_trajectories_join_where_they_meet() -> None:
         concatenate(there, straight_motion(ARM, READY, up, LIMITS, period=0.01))
 
 
-@settings(deadline=None)
 @given(seeds)
 def test_braking_stops_every_joint_within_its_limits(seed: int) -> None:
     velocities = np.random.default_rng(seed).uniform(-1.4, 1.4, 7)

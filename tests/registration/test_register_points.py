@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -22,7 +22,6 @@ def random_points(rng: np.random.Generator, count: int) -> np.ndarray:
     return np.concatenate((corners, rng.uniform(-0.1, 0.1, (count - 3, 3)))) + rng.normal(size=3)
 
 
-@settings(deadline=None)
 @given(seeds, st.integers(3, 12))
 def test_a_rigid_motion_is_found_exactly(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
@@ -33,7 +32,6 @@ def test_a_rigid_motion_is_found_exactly(seed: int, count: int) -> None:
     assert found.rms < 1e-14
 
 
-@settings(deadline=None)
 @given(seeds, st.integers(3, 12), st.floats(1e-5, 0.01))
 def test_noisy_points_give_the_rotation_of_scipy(seed: int, count: int, noise: float) -> None:
     rng = np.random.default_rng(seed)
@@ -50,7 +48,6 @@ def test_noisy_points_give_the_rotation_of_scipy(seed: int, count: int, noise: f
     assert found.residual <= found.rms + 1e-15
 
 
-@settings(deadline=None)
 @given(seeds)
 def test_coplanar_points_are_turned_never_mirrored(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -59,7 +56,6 @@ def test_coplanar_points_are_turned_never_mirrored(seed: int) -> None:
     assert rotation_angle(found.fixed_from_moving, truth) < 1e-12
 
 
-@settings(deadline=None)
 @given(seeds, st.floats(0.0, 0.002))
 def test_noisy_coplanar_points_stay_near_the_truth(seed: int, noise: float) -> None:
     rng = np.random.default_rng(seed)
@@ -68,7 +64,6 @@ def test_noisy_coplanar_points_stay_near_the_truth(seed: int, noise: float) -> N
     assert rotation_angle(found.fixed_from_moving, truth) < 0.2
 
 
-@settings(deadline=None)
 @given(seeds)
 def test_a_coplanar_set_mirrored_in_its_plane_is_turned_over(seed: int) -> None:
     """In space, a plane figure and its mirror image differ by half a turn only."""
@@ -81,7 +76,6 @@ def test_a_coplanar_set_mirrored_in_its_plane_is_turned_over(seed: int) -> None:
     assert rotation_angle(found.fixed_from_moving, truth @ turned_over) < 1e-12
 
 
-@settings(deadline=None)
 @given(seeds)
 def test_a_mirrored_solid_gives_the_best_rotation_and_a_large_residual(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
+from clock import ManualClock, settle
 
 from pcmrs.errors import DeviceError
-from pcmrs.service.hearing import Hearing, awaited
+from pcmrs.service.hearing import DEVICES_TIME, Hearing, awaited
 from pcmrs.settings import DeviceSettings, RobotSettings, Settings
 
 ELSEWHERE = Settings(robot=RobotSettings(driver="none"), tracker=DeviceSettings(driver="none"))
@@ -28,7 +31,7 @@ def test_what_is_started_here_or_needed_by_the_workflow_is_waited_for(
 
 
 async def test_all_awaited_devices_must_be_heard() -> None:
-    hearing = Hearing({"robot", "tracker"})
+    hearing = Hearing({"robot", "tracker"}, ManualClock())
     hearing.hear("tracker")
     assert not hearing.complete
     hearing.hear("robot")
@@ -39,11 +42,25 @@ async def test_all_awaited_devices_must_be_heard() -> None:
 
 
 async def test_nothing_awaited_is_nothing_waited_for() -> None:
-    await Hearing(set()).wait()
+    await Hearing(set(), ManualClock()).wait()
 
 
 async def test_a_device_that_ends_ends_the_wait() -> None:
-    hearing = Hearing({"robot"})
+    hearing = Hearing({"robot"}, ManualClock())
     hearing.fail(DeviceError("The node of robot ended."))
     with pytest.raises(DeviceError, match="ended"):
         await hearing.wait()
+
+
+async def test_a_device_that_is_not_heard_in_time_is_named() -> None:
+    clock = ManualClock()
+    hearing = Hearing({"robot", "tracker"}, clock)
+    waiting = asyncio.create_task(hearing.wait())
+    await settle()
+    hearing.hear("tracker")
+    await clock.advance(DEVICES_TIME - 0.1)
+    assert not waiting.done()
+    await clock.advance(0.1)
+    with pytest.raises(DeviceError, match=r"Not heard within 30 s: robot; the log says why\.") as raised:
+        await waiting
+    assert raised.value.fields == {"devices": ["robot"]}

@@ -29,7 +29,7 @@ def smooth(start: Floats, goal: Floats, duration: float = 2.0) -> JointTrajector
     return JointTrajectory(period=PERIOD, positions=(start + way[:, None] * (goal - start)).tolist())
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.integers(0, 1000), st.sampled_from(list(PHANTOMS)), st.lists(st.floats(-0.5, 0.5), min_size=7, max_size=7))
 def test_the_flange_ends_within_a_tenth_of_a_millimetre(seed: int, phantom: str, change: list[float]) -> None:
     model, arm = ArmModel(FACTS), make_arm(seed, phantom)

@@ -2,7 +2,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.errors import GeometryError, MissingTransformError
@@ -12,7 +12,6 @@ FRAMES = list(Frame)
 A = Transform.from_rotvec((1, 2, 3), (0.1, 0.2, 0.3))
 
 
-@settings(deadline=None)
 @given(st.permutations(FRAMES), st.data())
 def test_every_pair_of_a_random_tree_agrees_with_the_poses_it_was_made_from(
     frames: list[Frame], data: st.DataObject

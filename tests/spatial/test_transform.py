@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -14,21 +14,18 @@ rotvecs = st.tuples(*[st.floats(-1.8, 1.8)] * 3)
 transforms = st.builds(Transform.from_rotvec, coordinates, rotvecs)
 
 
-@settings(deadline=None)
 @given(transforms, transforms, coordinates)
 def test_composition_is_the_product_of_homogeneous_matrices(a: Transform, b: Transform, point: tuple[float]) -> None:
     np.testing.assert_allclose((a @ b).matrix, a.matrix @ b.matrix, atol=1e-12)
     np.testing.assert_allclose((a @ b) @ point, a @ (b @ point), atol=1e-12)
 
 
-@settings(deadline=None)
 @given(transforms)
 def test_inverse_undoes(a: Transform) -> None:
     np.testing.assert_allclose((a @ a.inverse()).matrix, np.eye(4), atol=1e-13)
     np.testing.assert_allclose((a.inverse() @ a).matrix, np.eye(4), atol=1e-13)
 
 
-@settings(deadline=None)
 @given(transforms)
 def test_every_form_gives_the_same_transform_back(a: Transform) -> None:
     for again in (
@@ -47,7 +44,6 @@ def test_points_map_one_by_one_or_as_rows() -> None:
     np.testing.assert_allclose(quarter_turn @ np.eye(3), [(1, 1, 0), (0, 0, 0), (1, 0, 1)], atol=1e-15)
 
 
-@settings(deadline=None)
 @given(transforms, rotvecs)
 def test_rotation_angle_is_that_of_scipy_and_distance_that_of_the_origins(a: Transform, turn: tuple[float]) -> None:
     b = a @ Transform.from_rotvec((0.3, 0.0, 0.4), turn)
@@ -61,7 +57,6 @@ def test_rotation_angle_keeps_small_angles_and_half_turns() -> None:
         assert rotation_angle(Transform.identity(), turned) == pytest.approx(angle, rel=1e-6, abs=0)
 
 
-@settings(deadline=None)
 @given(transforms, rotvecs, coordinates)
 def test_mean_of_opposite_deviations_is_the_middle(a: Transform, turn: tuple[float], shift: tuple[float]) -> None:
     small = 0.4 * np.asarray(turn)

@@ -146,6 +146,7 @@ def test_a_path_is_relative_to_where_it_is_written(tmp_path: Path, monkeypatch: 
         (STRIKE + "    registry.steps['keep_plan'] = strike\n", ("lamp.py", "'keep_plan'", "another name")),
         (STRIKE + "    registry.payload('landmarks', Data)\n", ("lamp.py", "'landmarks'", "another name")),
         ("Data = dict\n\ndef register(registry): ...\n", ("lamp.py", "Data", "PlacementData")),
+        ("settle = None\n\ndef register(registry): ...\n", ("lamp.py", "settle(data, states, effects)")),
         (
             STRIKE.replace("strikes: int = 0", "@classmethod\n    def begin(cls, _): return 1 / 0"),
             ("line 6", "ZeroDiv"),

@@ -93,7 +93,7 @@ def can_begin(name: str, bone: Bone) -> bool:
     return not spent and (not bone.hole if name == "start_drilling" else bone.hole and bone.checked)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.sampled_from(list(BEGINNINGS)), st.lists(st.tuples(COMMANDS, st.integers(0, 3)), max_size=30))
 def test_the_states_never_pretend(beginning: str, commands: list[tuple[tuple[str, str], int]]) -> None:
     engine, bone = ENGINE, replace(BEGINNINGS[beginning])

@@ -102,7 +102,7 @@ async def test_stop_in_the_middle_of_a_digitization_keeps_nothing_of_it(bench: W
     await bench.accept("digitization.digitize_all")
 
 
-@settings(max_examples=4, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.permutations(range(COUNT)))
 async def test_landmarks_may_be_digitized_in_any_order(order: list[int]) -> None:
     async with open_bench() as bench:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from pcmrs.cli.fsm.files import end_with, output_option, read, write
+from pcmrs.cli.fsm.progress import search_bar
 
 
 @click.command()
@@ -21,7 +22,8 @@ def design(steps: str, output: Path | None) -> None:
     from pcmrs.fsm.design import design as design_blueprint
 
     raw, origin = read(steps)
-    result = design_blueprint(raw, origin=origin)
+    with search_bar(origin) as progress:
+        result = design_blueprint(raw, origin=origin, progress=progress)
     if result.combinations is not None:
         click.echo(str(result.combinations), err=output is None)
     if result.findings:

@@ -26,14 +26,12 @@ def read(file: str) -> tuple[bytes, str]:
     """The bytes of a file, and how findings call it; of a huge one no more than shows that it is too large.
 
     Args:
-        file: A path, the name of an installed workflow, or ``-`` for standard input.
+        file: The name of an installed workflow, a path with a folder or suffix, or ``-`` for standard input.
     """
     if file == "-":
         return sys.stdin.buffer.read(MAX_BYTES + 1), "<stdin>"
-    path = Path(file)
     try:
-        if not path.exists() and path.suffix == "":
-            path = _installed(file)
+        path = _installed(file) if file.isidentifier() else Path(file)
         with path.open("rb") as stream:
             return stream.read(MAX_BYTES + 1), str(path)
     except OSError as error:

@@ -24,9 +24,9 @@ def import_(file: str, form: str | None, output: Path | None) -> None:
     be added. The result is verified: exit status 0: sound, 1: written, but unsound, 2: FILE cannot be imported.
     """
     from pcmrs.fsm import examine
-    from pcmrs.fsm.exchange.drawio import from_drawio
-    from pcmrs.fsm.exchange.mermaid import from_mermaid
-    from pcmrs.fsm.exchange.scxml_reader import from_scxml
+    from pcmrs.fsm.exchange.importing.drawio import from_drawio
+    from pcmrs.fsm.exchange.importing.mermaid import from_mermaid
+    from pcmrs.fsm.exchange.importing.scxml import from_scxml
     from pcmrs.fsm.files.dump import blueprint_toml
 
     raw, origin = read(file)

@@ -16,6 +16,7 @@ from pcmrs.cli.fsm.files import file_argument, sound
 from pcmrs.cli.options import json_option
 from pcmrs.cli.running import readable_errors
 from pcmrs.errors import RefusalError
+from pcmrs.fsm.behaviour import line_of
 
 if TYPE_CHECKING:
     from pcmrs.fsm.trial.walk import Step, Walk
@@ -124,7 +125,7 @@ REPLIES: dict[str, Callable[[Walk, str], str]] = {
 
 
 def _where(walk: Walk) -> str:
-    return " ".join(f"{branch}={state}" for branch, state in walk.states().items())
+    return line_of(walk.states())
 
 
 def _show_json(step: Step) -> None:

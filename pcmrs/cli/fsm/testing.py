@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
+from click.core import ParameterSource
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -61,6 +62,8 @@ def test(file: str, live: bool, output: Path | None, as_json: bool, limit: int, 
     each step ends; with --live a whole simulated cell decides it, and Stop makes steps fail. Exit status 0:
     everything as it must be, 1: something is otherwise or was not covered.
     """
+    if not live:
+        _refuse_live_options()
     blueprint = sound(file)
     with _progress() as progress:
         work = _live(file, blueprint, limit, progress, **given) if live else _scripted(blueprint, limit, progress)
@@ -76,6 +79,15 @@ def test(file: str, live: bool, output: Path | None, as_json: bool, limit: int, 
         _show(report)
     if not report.passed:
         raise SystemExit(1)
+
+
+def _refuse_live_options() -> None:
+    """Whoever gives an option for a cell without --live would believe that a cell has been tested."""
+    context = click.get_current_context()
+    for name in ("connect", "endpoint", "site", "cell", "rate", "seed", "overrides", "arguments_file", "time_limit"):
+        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            option = next(option for option in context.command.params if option.name == name)
+            raise click.UsageError(f"{option.opts[0]} is for --live only: without it no cell is tested.")
 
 
 async def _scripted(blueprint: Blueprint, limit: int, progress: ShowProgress) -> tuple[TourReport, Sequence[Move]]:

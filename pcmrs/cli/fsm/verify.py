@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from pcmrs.cli.fsm.files import EXIT_UNREADABLE, EXIT_UNSOUND, read
+from pcmrs.cli.fsm.progress import search_bar
 from pcmrs.cli.options import json_option
 from pcmrs.cli.running import readable_errors
 
 if TYPE_CHECKING:
     from pcmrs.fsm import Examination
-
-LONG = 20_000
-"""From so many joint states on the search takes long enough for a progress bar."""
 
 
 @click.command()
@@ -51,17 +46,8 @@ def _examine(file: str, limit: int) -> tuple[str, Examination]:
     from pcmrs.fsm import examine
 
     raw, origin = read(file)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    bar = Progress(*columns, console=Console(stderr=True), transient=True)
-    task = bar.add_task(f"joint states of {origin}", total=None)
-    with ExitStack() as shown:
-
-        def show(looked_at: int, known: int) -> None:
-            if known > LONG and not bar.live.is_started:
-                shown.enter_context(bar)
-            bar.update(task, completed=looked_at, total=known)
-
-        return origin, examine(raw, origin=origin, limit=limit, progress=show)
+    with search_bar(origin) as progress:
+        return origin, examine(raw, origin=origin, limit=limit, progress=progress)
 
 
 def _as_object(origin: str, examination: Examination) -> dict[str, Any]:
@@ -70,14 +56,15 @@ def _as_object(origin: str, examination: Examination) -> dict[str, Any]:
         "readable": examination.readable,
         "sound": examination.sound,
         "joint_states": examination.joint_states,
+        "transitions": examination.transitions,
         "findings": examination.findings,
     }
 
 
 def _show(origin: str, examination: Examination) -> None:
     if examination.blueprint is not None and examination.sound:
-        promised = len(examination.blueprint.properties)
-        click.echo(f"{origin}: sound: {examination.joint_states} joint states, {promised} properties")
+        searched = f"{examination.joint_states} joint states, {examination.transitions} transitions"
+        click.echo(f"{origin}: sound: {searched}, {len(examination.blueprint.properties)} properties")
         return
     for finding in examination.findings:
         click.echo(f"{finding.file}:{finding.line}:{finding.column}: {finding.code}: {finding.text}")

@@ -15,8 +15,8 @@ from pcmrs.fsm.design.count import Combinations, Impossible, count_combinations
 from pcmrs.fsm.design.grouping import Group, UndesignableError, root_groups
 from pcmrs.fsm.design.table import StepTable
 from pcmrs.fsm.files.dump import blueprint_toml
-from pcmrs.fsm.files.load import Examination, examine
-from pcmrs.fsm.files.places import Places
+from pcmrs.fsm.files.load import examine
+from pcmrs.fsm.files.places import Places, placed
 from pcmrs.fsm.files.toml import convert, read_toml
 from pcmrs.fsm.finding import Finding, Path
 from pcmrs.fsm.verify import MAX_JOINT_STATES
@@ -32,14 +32,12 @@ class Design:
 
     Attributes:
         text: The blueprint's file; empty where there are findings.
-        examination: What there is to say of that blueprint.
         combinations: Of the level 1 steps; None where the table has faults.
         findings: All that is wrong, with the place in the step table; empty for a sound blueprint.
         readable: Whether the file is a step table at all.
     """
 
     text: str = ""
-    examination: Examination | None = None
     combinations: Combinations | None = None
     findings: list[Finding] = field(default_factory=list)
     readable: bool = True
@@ -60,11 +58,11 @@ def design(raw: bytes, *, origin: str = "steps", progress: Callable[[int, int], 
         return Design(findings=error.fields["findings"], readable=False)
     faults = list(check_table(table))
     if faults:
-        return Design(findings=_placed(faults, places, origin))
+        return Design(findings=placed(faults, places, origin))
     try:
         return _design(table, places, origin, progress)
     except UndesignableError as error:
-        return Design(findings=_placed([error.finding], places, origin))
+        return Design(findings=placed([error.finding], places, origin))
 
 
 def _design(table: StepTable, places: Places, origin: str, progress: Callable[[int, int], None] | None) -> Design:
@@ -75,9 +73,9 @@ def _design(table: StepTable, places: Places, origin: str, progress: Callable[[i
     branches = [branch for group in groups for branch in root_branches(group, paths)]
     _check_names(branches)
     text = blueprint_toml(_blueprint(table, groups, branches), comment=HEAD)
-    examination = examine(text.encode(), origin="blueprint", progress=progress)
-    findings = _placed(_traced(examination.findings, branches), places, origin)
-    return Design("" if findings else text, examination, combinations, findings)
+    unsound = examine(text.encode(), origin="blueprint", progress=progress).findings
+    findings = placed(_traced(unsound, branches), places, origin)
+    return Design("" if findings else text, combinations, findings)
 
 
 def _check_count(combinations: Combinations) -> None:
@@ -123,11 +121,3 @@ def _origin(path: Path, origins: Mapping[Path, Path]) -> Path:
     while len(path) > 1 and path not in origins:
         path = path[:-1]
     return origins.get(path, path)
-
-
-def _placed(findings: Iterable[Finding], places: Places, origin: str) -> list[Finding]:
-    placed = []
-    for finding in findings:
-        line, column = places.of(finding.path)
-        placed.append(msgspec.structs.replace(finding, file=origin, line=line, column=column))
-    return placed

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from pcmrs.fsm.behaviour import MAX_JOINT_STATES, Joint, operations
+from pcmrs.fsm.behaviour import Joint, line_of, operations
 from pcmrs.fsm.blueprint import Blueprint, OperationSpec
 from pcmrs.fsm.difference.facets import FacetKind, Seen, answers_seen, differing, worded
 
@@ -54,13 +54,13 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     new: str = ""
 
 
-def compare(old: Blueprint, new: Blueprint, limit: int = MAX_JOINT_STATES) -> list[Difference]:
+def compare(old: Blueprint, new: Blueprint) -> list[Difference]:
     """Everything that differs; empty when nobody who uses the workflow could tell them apart.
 
     Raises:
-        BlueprintError: One of them has more than `limit` joint states.
+        BlueprintError: One of them has too many joint states to go through; see `behaviour`.
     """
-    return [*_declared(old, new), *_answered(old, new, limit)]
+    return [*_declared(old, new), *_answered(old, new)]
 
 
 # -- what is declared --------------------------------------------------------------------------------------
@@ -105,9 +105,9 @@ def _declaration(spec: OperationSpec) -> dict[str, Any]:
 # -- what is answered --------------------------------------------------------------------------------------
 
 
-def _answered(old: Blueprint, new: Blueprint, limit: int) -> Iterator[Difference]:
+def _answered(old: Blueprint, new: Blueprint) -> Iterator[Difference]:
     common = [branch for branch in old.branches if branch in new.branches]
-    before, after = answers_seen(old, common, limit), answers_seen(new, common, limit)
+    before, after = answers_seen(old, common), answers_seen(new, common)
     reached_before, reached_after = before.pop(""), after.pop("")
     gained = [joint for joint in reached_after if joint not in reached_before]
     lost = [joint for joint in reached_before if joint not in reached_after]
@@ -149,13 +149,13 @@ class _Space:
         columns, everything = ([set(column) for column in zip(*of, strict=True)] for of in (joints, self.joints))
         boxed = sum(all(map(set.__contains__, columns, joint)) for joint in self.joints)
         if boxed != len(joints):
-            return ", e.g. " + " ".join(map("{}={}".format, self.branches, joints[0]))
-        narrow = [
-            f"{branch}={'|'.join(sorted(states))}"
+            return f", e.g. {line_of(dict(zip(self.branches, joints[0], strict=True)))}"
+        narrow = {
+            branch: "|".join(sorted(states))
             for branch, states, possible in zip(self.branches, columns, everything, strict=True)
             if states != possible
-        ]
-        return f": {' '.join(narrow) or 'all there are'}"
+        }
+        return f": {line_of(narrow) or 'all there are'}"
 
 
 def _operation(operation: str, both: _Space, before: Seen, after: Seen) -> Iterator[Difference]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Hashable, Iterator, Mapping
 from typing import Any, Literal
 
-from pcmrs.fsm.behaviour import Answer, Joint, behaviour, endings, operations
+from pcmrs.fsm.behaviour import Joint, Ruling, behaviour, endings, operations
 from pcmrs.fsm.blueprint import Blueprint, OperationSpec
 from pcmrs.fsm.closure import Change, Denial
 
@@ -18,12 +18,12 @@ Seen = dict[Joint, Facets]
 """The facets of an operation's answers in each joint state."""
 
 
-def answers_seen(blueprint: Blueprint, common: Collection[str], limit: int) -> dict[str, Seen]:
+def answers_seen(blueprint: Blueprint, common: Collection[str]) -> dict[str, Seen]:
     """The facets of all answers of each operation; under "" every joint state that is reached."""
     places = [list(blueprint.branches).index(branch) for branch in common]
     specs = {f"{branch}.{operation}": spec for branch, operation, spec in operations(blueprint) if not spec.iio}
     found: dict[str, Seen] = {operation: {} for operation in ("", *specs)}
-    for joint, answers in behaviour(blueprint, limit).items():
+    for joint, answers in behaviour(blueprint).items():
         part = tuple(joint[place] for place in places)
         found[""][part] = {}
         for operation, spec in specs.items():
@@ -33,7 +33,7 @@ def answers_seen(blueprint: Blueprint, common: Collection[str], limit: int) -> d
     return found
 
 
-def _sides(spec: OperationSpec, said: Answer, common: Collection[str]) -> Iterator[tuple[str, Hashable]]:
+def _sides(spec: OperationSpec, said: Ruling, common: Collection[str]) -> Iterator[tuple[str, Hashable]]:
     yield "accepted", not isinstance(said, Denial)
     if isinstance(said, Denial):
         yield "reason", said.code

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 
@@ -11,9 +11,10 @@ import msgspec
 
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.files.places import Places
+from pcmrs.fsm.files.bounded import read_bounded
+from pcmrs.fsm.files.places import Places, placed
 from pcmrs.fsm.files.sequence import SequenceError, expand
-from pcmrs.fsm.files.toml import MAX_BYTES, convert, read_toml
+from pcmrs.fsm.files.toml import convert, read_toml
 from pcmrs.fsm.finding import Finding, summary
 from pcmrs.fsm.rules import check_rules
 from pcmrs.fsm.verify import MAX_JOINT_STATES, verify
@@ -27,11 +28,13 @@ class Examination:
         blueprint: The workflow as far as it could be read; None where it could not.
         findings: All that is wrong; empty for a sound workflow.
         joint_states: How many of them can be reached, where the search came to its end.
+        transitions: Commands accepted in them, with each of their endings.
     """
 
     blueprint: Blueprint | None
     findings: list[Finding] = field(default_factory=list)
     joint_states: int = 0
+    transitions: int = 0
 
     @property
     def readable(self) -> bool:
@@ -51,8 +54,7 @@ def load_blueprint(path: FilePath) -> Blueprint:
         BlueprintError: The file cannot be read, or is no sound blueprint.
     """
     try:
-        with path.open("rb") as stream:
-            raw = stream.read(MAX_BYTES + 1)
+        raw = read_bounded(path)
     except OSError as error:
         raise BlueprintError(f"{path}: cannot be read: {error.strerror}", path=str(path)) from error
     return parse_blueprint(raw, origin=str(path))
@@ -95,9 +97,9 @@ def examine(
         return Examination(None, error.fields["findings"])
     broken = list(check_rules(blueprint))
     if broken:
-        return Examination(blueprint, _placed(broken, places, origin))
-    verification = verify(blueprint, limit=limit, progress=progress)
-    return Examination(blueprint, _placed(verification.findings, places, origin), verification.joint_states)
+        return Examination(blueprint, placed(broken, places, origin))
+    found = verify(blueprint, limit=limit, progress=progress)
+    return Examination(blueprint, placed(found.findings, places, origin), found.joint_states, found.transitions)
 
 
 def read_blueprint(raw: bytes, origin: str) -> tuple[Blueprint | None, list[Finding]]:
@@ -115,7 +117,7 @@ def _read(raw: bytes, origin: str) -> tuple[Blueprint, Places]:
         blueprint = expand(blueprint)
     except SequenceError as error:
         finding = Finding(code="bad_sequence", text=error.text, path=error.path)
-        raise BlueprintError(error.text, findings=_placed([finding], places, origin)) from None
+        raise BlueprintError(error.text, findings=placed([finding], places, origin)) from None
     return msgspec.structs.replace(blueprint, hash=content_hash(blueprint)), places
 
 
@@ -123,12 +125,3 @@ def content_hash(blueprint: Blueprint) -> str:
     """SHA-256 of what a blueprint says, hexadecimal: neither comments and layout nor its migrations matter."""
     content = msgspec.json.encode(msgspec.structs.replace(blueprint, hash="", migrations=[]))
     return hashlib.sha256(content).hexdigest()
-
-
-def _placed(findings: Iterable[Finding], places: Places, origin: str) -> list[Finding]:
-    """The findings with file, line and column."""
-    placed = []
-    for finding in findings:
-        line, column = places.of(finding.path)
-        placed.append(msgspec.structs.replace(finding, file=origin, line=line, column=column))
-    return placed

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
+import msgspec
 from tree_sitter import Node, Tree
 
-from pcmrs.fsm.finding import Path
+from pcmrs.fsm.finding import Finding, Path, Place
 
 
 class Places:
@@ -21,12 +22,12 @@ class Places:
 
     def __init__(self, tree: Tree, raw: bytes) -> None:
         self._lines = raw.split(b"\n")
-        self._places: dict[Path, tuple[int, int]] = {}
+        self._places: dict[Path, Place] = {}
         self._lengths: dict[Path, int] = {}  # of arrays of tables
         for node in tree.root_node.named_children:
             self._take(node, ())
 
-    def of(self, path: Path) -> tuple[int, int]:
+    def of(self, path: Path) -> Place:
         """Line and column, from 1, of the key at `path`, or of the nearest above it that is in the file."""
         while path and path not in self._places:
             path = path[:-1]
@@ -73,6 +74,12 @@ class Places:
             return path
         self._lengths[path] = self._lengths.get(path, 0) + 1
         return (*path, str(self._lengths[path] - 1))
+
+
+def placed(findings: Iterable[Finding], places: Places, origin: str) -> list[Finding]:
+    """The findings with file, line and column."""
+    found = [(finding, *places.of(finding.path)) for finding in findings]
+    return [msgspec.structs.replace(each, file=origin, line=line, column=column) for each, line, column in found]
 
 
 def _keys(node: Node) -> Path:

@@ -5,17 +5,17 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping
-from typing import Any, NoReturn, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import tree_sitter_toml
 from tree_sitter import Language, Parser, Tree
 
-from pcmrs.errors import BlueprintError
+from pcmrs.fsm.files.bounded import MAX_BYTES as MAX_BYTES
+from pcmrs.fsm.files.bounded import text_of
 from pcmrs.fsm.files.places import Places
-from pcmrs.fsm.finding import Finding, Path
+from pcmrs.fsm.finding import Path, refuse
 
-MAX_BYTES = 256 * 1024
 MAX_DEPTH = 64
 """Of nested arrays, inline tables and dotted keys, counted in nodes of the grammar."""
 
@@ -32,27 +32,17 @@ def read_toml(raw: bytes, origin: str) -> tuple[dict[str, Any], Places]:
     Raises:
         BlueprintError: It is too large or too deep, or not TOML; `findings` has where.
     """
-    if len(raw) > MAX_BYTES:
-        _refuse(origin, "too_large", f"The file has {len(raw)} bytes; the limit is {MAX_BYTES}. Split the workflow.")
-    try:
-        text = raw.decode()
-    except UnicodeDecodeError as error:
-        before = raw[: error.start]
-        line, column = before.count(b"\n") + 1, len(before.rpartition(b"\n")[2].decode()) + 1
-        value = raw[error.start]
-        _refuse(origin, "not_utf8", f"Byte 0x{value:02x} is not UTF-8: save the file as UTF-8.", line, column)
+    text = text_of(raw, origin)
     tree = Parser(Language(tree_sitter_toml.language())).parse(raw)
     _check_depth(tree, origin)
     try:
         return tomllib.loads(text), Places(tree, raw)
     except RecursionError:  # brackets that nobody closes are no nodes
-        _refuse(origin, "too_deep", f"Values are nested over {MAX_DEPTH} deep.")
+        refuse(origin, "too_deep", f"Values are nested over {MAX_DEPTH} deep.")
     except ValueError as error:  # more than TOMLDecodeError: a number may have too many digits
         place = _PLACE.search(str(error))
-        line, column = (int(place[1]), int(place[2])) if place and place[1] else (0, 0)
-        _refuse(
-            origin, "not_toml", f"This is not TOML: {_PLACE.sub('', str(error))}.", line or text.count("\n") + 1, column
-        )
+        line, column = (int(place[1]), int(place[2])) if place and place[1] else (text.count("\n") + 1, 0)
+        refuse(origin, "not_toml", f"This is not TOML: {_PLACE.sub('', str(error))}.", (line, column))
 
 
 def convert(table: Mapping[str, Any], kind: type[T], places: Places, origin: str) -> T:
@@ -65,14 +55,8 @@ def convert(table: Mapping[str, Any], kind: type[T], places: Places, origin: str
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
         path = _narrowed(table, kind, error)
-        line, column = places.of(path)
         where = ".".join(path) or "the file"
-        _refuse(origin, "bad_value", f"In {where}: {_PATH.sub('', str(error))}.", line, column, path)
-
-
-def _refuse(origin: str, code: str, text: str, line: int = 1, column: int = 1, path: Path = ()) -> NoReturn:
-    finding = Finding(code=code, text=text, file=origin, line=line, column=column, path=path)
-    raise BlueprintError(str(finding), findings=[finding])
+        refuse(origin, "bad_value", f"In {where}: {_PATH.sub('', str(error))}.", places.of(path), path)
 
 
 def _check_depth(tree: Tree, origin: str) -> None:
@@ -81,7 +65,7 @@ def _check_depth(tree: Tree, origin: str) -> None:
     while True:
         if depth > MAX_DEPTH:
             row, column = cursor.node.start_point if cursor.node is not None else (0, 0)
-            _refuse(origin, "too_deep", f"Keys or values are nested over {MAX_DEPTH} deep.", row + 1, column + 1)
+            refuse(origin, "too_deep", f"Keys or values are nested over {MAX_DEPTH} deep.", (row + 1, column + 1))
         if cursor.goto_first_child():
             depth += 1
             continue

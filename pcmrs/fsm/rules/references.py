@@ -50,7 +50,7 @@ def _operation_exists(blueprint: Blueprint, operation: str, path: Path) -> Itera
     branch, _, name = operation.partition(".")
     spec = blueprint.branches.get(branch)
     if spec is None or name not in spec.operations:
-        text = f"There is no operation {operation!r}: write branch.operation, as in placement.approach."
+        text = f"There is no operation {operation!r}: write branch.operation."
         yield Finding(code="unknown_operation", text=text, path=path)
 
 

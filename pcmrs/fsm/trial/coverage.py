@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 import msgspec
 
-from pcmrs.fsm.behaviour import Joint, joint_of, operations, shown
+from pcmrs.fsm.behaviour import Joint, branch_states, joint_of, line_of, operations
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Denial
 from pcmrs.fsm.engine import Engine
@@ -73,10 +73,11 @@ def deviation(blueprint: Blueprint, move: Move, decision: str, after: Joint, cod
     if as_told:
         return None
     expected, found = (
-        f"{said}{f' ({why})' * bool(why)} and {shown(blueprint, joint)}"
+        f"{said}{f' ({why})' * bool(why)} and {line_of(branch_states(blueprint, joint))}"
         for said, why, joint in ((move.decision, move.code, move.after), (decision, code, after))
     )
-    return Deviation(command=str(move), before=shown(blueprint, move.before), expected=expected, found=found)
+    before = line_of(branch_states(blueprint, move.before))
+    return Deviation(command=str(move), before=before, expected=expected, found=found)
 
 
 def tour_engine(blueprint: Blueprint, tour: Tour) -> Iterator[tuple[Move, Deviation | None]]:

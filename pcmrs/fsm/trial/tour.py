@@ -14,7 +14,7 @@ from typing import Literal
 
 import msgspec
 
-from pcmrs.fsm.behaviour import Answer, Joint, behaviour, endings, joint_of, operations
+from pcmrs.fsm.behaviour import Joint, Ruling, behaviour, endings, joint_of, operations
 from pcmrs.fsm.blueprint import Blueprint, OperationSpec
 from pcmrs.fsm.closure import Change, Denial
 
@@ -153,7 +153,7 @@ def all_moves(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> dict[Joint
 
 
 def _moves(
-    blueprint: Blueprint, joint: Joint, branch: str, operation: str, spec: OperationSpec, said: Answer
+    blueprint: Blueprint, joint: Joint, branch: str, operation: str, spec: OperationSpec, said: Ruling
 ) -> Iterator[Move]:
     asked = Move(branch=branch, operation=operation, ending="rejected", before=joint, after=joint)
     if spec.iio or spec.event:

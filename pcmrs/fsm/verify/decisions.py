@@ -91,7 +91,7 @@ class Decisions:
         """Adds the decision that is taken in a joint state, and the questions that lead to it."""
         self._count()
         states = self._encoding.decoded(code)
-        decision = decide(self._blueprint, self._other, states, self.branch, self.operation)
+        decision = decide((self._blueprint, self._other), states, self.branch, self.operation)
         self.known.append(decision)
         node = self._root
         digit = self._encoding.value(self.branch, states[self.branch])

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from pcmrs.fsm.behaviour import line_of
 from pcmrs.fsm.blueprint import Condition
 from pcmrs.fsm.closure import Closure
 from pcmrs.fsm.verify.decisions import Decisions
@@ -74,7 +75,7 @@ class Moments:
     def shown(self, code: int) -> str:
         """A moment in a line."""
         states, running = self.decoded(code)
-        said = " ".join(f"{branch}={state}" for branch, state in states.items())
+        said = line_of(states)
         return f"{said} while {' and '.join(name for name, _ in running)} runs" if running else said
 
     def hold(self, condition: Condition, batch: Batch) -> NDArray[np.bool_]:

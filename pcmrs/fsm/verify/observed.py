@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pcmrs.fsm.behaviour import Answer, answer
+from pcmrs.fsm.behaviour import Ruling, answer
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Change, Closure
 
@@ -21,27 +21,26 @@ class Decision:
     """
 
     seen: dict[str, str]
-    answer: Answer
+    answer: Ruling
     ordered: bool
 
 
-def decide(blueprint: Blueprint, other: Blueprint, states: Mapping[str, str], branch: str, operation: str) -> Decision:
+def decide(orders: Sequence[Blueprint], states: Mapping[str, str], branch: str, operation: str) -> Decision:
     """Works out the closure of an operation in a joint state, and what it depends on.
 
     Args:
-        blueprint: The workflow.
-        other: The same with its branches in another order.
+        orders: The workflow, and the same with its branches in other orders, where that is of interest.
         states: The joint state.
         branch: The branch asked.
         operation: Any of its operations.
     """
     seen: dict[str, str] = {}
     watched = {name: _Watched(state, name, seen) for name, state in states.items()}
-    found = [answer(each, watched, branch, operation) for each in (blueprint, other)]
+    found = [answer(each, watched, branch, operation) for each in orders]
     touched = {name for each in found for name in _touched(each)}
     seen |= {name: states[name] for name in states if name in touched and name not in seen}
-    plain = answer(blueprint, states, branch, operation)
-    return Decision(seen, plain, _result(found[0]) != _result(found[1]))
+    plain = answer(orders[0], states, branch, operation)
+    return Decision(seen, plain, any(_result(each) != _result(found[0]) for each in found[1:]))
 
 
 class _Watched(str):
@@ -72,13 +71,13 @@ def changes(closure: Closure) -> list[Change]:
     return [*closure.outcomes.values(), *(change for change in (closure.failure, closure.unknown) if change)]
 
 
-def _touched(found: Answer) -> list[str]:
+def _touched(found: Ruling) -> list[str]:
     if not isinstance(found, Closure):
         return []
     return [effect.branch for change in changes(found) for effect in change.effects]
 
 
-def _result(found: Answer) -> object:
+def _result(found: Ruling) -> object:
     if not isinstance(found, Closure):
         return found.code
     return [dict(sorted(change.targets.items())) for change in changes(found)], sorted(found.outcomes)

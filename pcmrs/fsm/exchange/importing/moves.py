@@ -12,11 +12,11 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from pcmrs.fsm.exchange.chart import Edge, Node
 from pcmrs.fsm.exchange.cubes import Cube, merge
-from pcmrs.fsm.exchange.moves import Situation
-from pcmrs.fsm.exchange.reading import Findings
-from pcmrs.fsm.exchange.regions import Region, domain_of
+from pcmrs.fsm.exchange.importing.chart import Edge, Node
+from pcmrs.fsm.exchange.importing.choices import Situation
+from pcmrs.fsm.exchange.importing.reading import Findings
+from pcmrs.fsm.exchange.importing.regions import Region, domain_of
 
 Sets = tuple[tuple[Region, Node], ...]
 

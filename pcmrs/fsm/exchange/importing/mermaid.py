@@ -10,11 +10,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.exchange.chart import Edge, Node
-from pcmrs.fsm.exchange.checked import imported
-from pcmrs.fsm.exchange.labels import NO_EVENTS, events_of
-from pcmrs.fsm.exchange.mermaid_lines import Arrow, RegionLines, read_lines
-from pcmrs.fsm.exchange.reading import Findings, read_text
+from pcmrs.fsm.exchange.importing.chart import Edge, Node
+from pcmrs.fsm.exchange.importing.imported import imported
+from pcmrs.fsm.exchange.importing.labels import NO_EVENTS, events_of
+from pcmrs.fsm.exchange.importing.mermaid_lines import Arrow, RegionLines, read_lines
+from pcmrs.fsm.exchange.importing.reading import Findings, read_text
 from pcmrs.fsm.finding import Finding
 
 ANY_STATE = "any state"

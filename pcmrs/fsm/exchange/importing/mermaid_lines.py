@@ -6,7 +6,8 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from pcmrs.fsm.exchange.reading import MAX_DEPTH, Findings, Place, refuse
+from pcmrs.fsm.exchange.importing.reading import MAX_DEPTH, Findings
+from pcmrs.fsm.finding import Place, refuse
 
 NAME = r"(?:\[\*\]|[\w.-]+?)(?: ?:::\w+)?"
 HEADER = re.compile(r"stateDiagram(-v2)?")

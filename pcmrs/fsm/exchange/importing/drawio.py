@@ -8,12 +8,12 @@ marker says that the procedure may end there. Notes and texts are ignored.
 from __future__ import annotations
 
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.exchange.chart import Edge, Node
-from pcmrs.fsm.exchange.checked import imported
-from pcmrs.fsm.exchange.drawio_cells import Cell, read_cells
-from pcmrs.fsm.exchange.labels import NO_EVENTS, events_of
-from pcmrs.fsm.exchange.reading import MAX_DEPTH, Findings, Place, refuse
-from pcmrs.fsm.finding import Finding
+from pcmrs.fsm.exchange.importing.chart import Edge, Node
+from pcmrs.fsm.exchange.importing.drawio_cells import Cell, read_cells
+from pcmrs.fsm.exchange.importing.imported import imported
+from pcmrs.fsm.exchange.importing.labels import NO_EVENTS, events_of
+from pcmrs.fsm.exchange.importing.reading import MAX_DEPTH, Findings
+from pcmrs.fsm.finding import Finding, Place, refuse
 
 
 def from_drawio(raw: bytes, origin: str = "drawio") -> tuple[Blueprint | None, list[Finding]]:

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from urllib.parse import unquote
 
-from pcmrs.fsm.exchange.markup import Element, read_xml
-from pcmrs.fsm.exchange.reading import Place, refuse
-from pcmrs.fsm.files.toml import MAX_BYTES
+from pcmrs.fsm.exchange.importing.markup import Element, read_xml
+from pcmrs.fsm.files.bounded import MAX_BYTES
+from pcmrs.fsm.finding import Place, refuse
 
 RAW_DEFLATE = -15
 TAG = re.compile(r"<[^<>]*>")

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 from xml.parsers import expat
 
-from pcmrs.fsm.exchange.reading import MAX_DEPTH, Place, check_size, refuse
+from pcmrs.fsm.exchange.importing.reading import MAX_DEPTH
+from pcmrs.fsm.files.bounded import check_size
+from pcmrs.fsm.finding import Place, refuse
 
 
 @dataclass(slots=True)

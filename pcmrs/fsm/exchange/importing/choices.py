@@ -6,8 +6,8 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from pcmrs.fsm.exchange.chart import Edge, Node, reaction
-from pcmrs.fsm.exchange.regions import Region
+from pcmrs.fsm.exchange.importing.chart import Edge, Node
+from pcmrs.fsm.exchange.importing.regions import Region
 
 MAX_SITUATIONS = 2_000
 """Of one event; beyond this the operations made from it could not be reviewed."""
@@ -44,12 +44,12 @@ def choices(region: Region, event: str) -> list[Choice]:
     if len(found) > MAX_SITUATIONS:
         raise TooManyError
     is_state = region.label is region.home or region.label in region.states
-    own = None if is_state else reaction(region.label, event)
+    own = None if is_state else region.label.first_edge(event)
     return [Choice(c.where, c.edges or ((own,) if own else ())) for c in found]
 
 
 def _of_state(region: Region, state: Node, event: str) -> Iterator[Choice]:
-    own = reaction(state, event)
+    own = state.first_edge(event)
     inner = [_quiet_or(choices(within, event)) for within in region.inside(state)]
     for number, combination in enumerate(itertools.product(*inner)):
         if number > MAX_SITUATIONS:

@@ -148,7 +148,7 @@ def _decisions(blueprint: Blueprint, branch: str, operation: str) -> Iterator[De
     waiting: list[dict[str, str]] = [{}]
     while waiting:
         fixed = waiting.pop()
-        decision = decide(blueprint, blueprint, {**blueprint.initial(), **fixed}, branch, operation)
+        decision = decide([blueprint], {**blueprint.initial(), **fixed}, branch, operation)
         yield decision
         before: dict[str, str] = {}
         for name, state in decision.seen.items():

@@ -12,12 +12,11 @@ from collections import defaultdict
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.exchange import SCXML_NAMESPACE
 from pcmrs.fsm.exchange.cubes import Cube
-from pcmrs.fsm.exchange.nested import nesting_of
-from pcmrs.fsm.exchange.nesting import Nesting
-from pcmrs.fsm.exchange.reactions import Reaction, reactions
+from pcmrs.fsm.exchange.exporting.nesting import Nesting, nesting_of
+from pcmrs.fsm.exchange.exporting.reactions import Reaction, reactions
 
-NAMESPACE = "http://www.w3.org/2005/07/scxml"
 PARALLEL = "joint-state"
 """Id of the state of all regions; the hyphen keeps it apart from every name in a blueprint."""
 
@@ -32,7 +31,7 @@ def scxml(blueprint: Blueprint) -> str:
         BlueprintError: So many branches depend on each other that the conditions cannot be written out.
     """
     writer = _Writer(blueprint, nesting_of(blueprint))
-    root = Element("scxml", xmlns=NAMESPACE)
+    root = Element("scxml", xmlns=SCXML_NAMESPACE)
     roots = [name for name in blueprint.branches if name not in writer.nesting.nested]
     root.attrib.update({"version": "1.0", "name": blueprint.id, "datamodel": "ecmascript"})
     root.set("initial", PARALLEL if len(roots) > 1 else roots[0])

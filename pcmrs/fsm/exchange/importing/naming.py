@@ -6,7 +6,8 @@ import keyword
 import re
 
 from pcmrs.fsm.classes import RESERVED
-from pcmrs.fsm.exchange.reading import Findings, Place
+from pcmrs.fsm.exchange.importing.reading import Findings
+from pcmrs.fsm.finding import Place
 from pcmrs.fsm.rules.names import ENDINGS, NAME, STATE_NAME
 
 HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")

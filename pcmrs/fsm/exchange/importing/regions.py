@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from pcmrs.fsm.exchange.chart import Edge, Node, descriptors
+from pcmrs.fsm.exchange.importing.chart import Edge, Node, descriptors
 
 
 @dataclass(slots=True, eq=False)

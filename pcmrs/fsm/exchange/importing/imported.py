@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.exchange.chart import Node
-from pcmrs.fsm.exchange.convert import blueprint_of
-from pcmrs.fsm.exchange.reading import Findings
+from pcmrs.fsm.exchange.importing.chart import Node
+from pcmrs.fsm.exchange.importing.convert import blueprint_of
+from pcmrs.fsm.exchange.importing.reading import Findings
 from pcmrs.fsm.finding import Finding
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from pcmrs.fsm.behaviour import answer, endings
-from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, OperationSpec
-from pcmrs.fsm.closure import Change, Closure
-from pcmrs.fsm.exchange.coupling import Joint, combinations, coupled
+from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.closure import Change
 from pcmrs.fsm.exchange.cubes import Cube, cover
-from pcmrs.fsm.exchange.nesting import Nesting
+from pcmrs.fsm.exchange.exporting.commands import Command, change_of, commands
+from pcmrs.fsm.exchange.exporting.coupling import Joint, combinations, coupled
+from pcmrs.fsm.exchange.exporting.nesting import Nesting
 
 Entered = tuple[tuple[str, str], ...]
 """Branches and the states they go to."""
@@ -34,41 +34,6 @@ class Reaction:
     source: str
     entered: Entered
     guard: Cube
-
-
-@dataclass(frozen=True, slots=True)
-class Command:
-    """An operation and one of the ways it can end."""
-
-    branch: str
-    operation: str
-    ending: str
-    event: str
-
-
-def commands(blueprint: Blueprint) -> Iterator[Command]:
-    """All commands that somebody may give: an operation that signals for a child is none."""
-    for branch, spec in blueprint.branches.items():
-        for name, operation in spec.operations.items():
-            possible = [] if operation.iio else _endings(operation)
-            for ending in possible:
-                event = f"{branch}.{name}" if possible == [START_OUTCOME] else f"{branch}.{name}.{ending}"
-                yield Command(branch, name, ending, event)
-
-
-def _endings(operation: OperationSpec) -> list[str]:
-    failed = ["failed"] if operation.steps and operation.on_failure is not None else []
-    unknown = ["unknown"] if operation.steps and operation.on_unknown is not None else []
-    return [*operation.endings, *failed, *unknown]
-
-
-def change_of(blueprint: Blueprint, states: Joint, command: Command) -> Change | None:
-    """What a command changes in a joint state; None where it is rejected."""
-    said = answer(blueprint, states, command.branch, command.operation)
-    if not isinstance(said, Closure):
-        return None
-    operation = blueprint.branches[command.branch].operations[command.operation]
-    return endings(operation, said).get(command.ending)
 
 
 def reactions(blueprint: Blueprint, nesting: Nesting) -> Iterator[Reaction]:

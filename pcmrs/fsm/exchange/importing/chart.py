@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from pcmrs.fsm.exchange.reading import Place
+from pcmrs.fsm.finding import Place
 
 
 @dataclass(slots=True, eq=False)
@@ -92,14 +92,13 @@ class Node:
         self.children.append(child)
         return child
 
+    def first_edge(self, event: str) -> Edge | None:
+        """Its first transition, not of the states around it, that the event triggers."""
+        matching = set(descriptors(event))
+        return next((edge for edge in self.edges if matching.intersection(edge.events)), None)
+
 
 def descriptors(event: str) -> list[str]:
     """What may be written to react to an event: itself, and its beginnings up to a dot."""
     tokens = event.split(".")
     return [".".join(tokens[:length]) for length in range(len(tokens), 0, -1)]
-
-
-def reaction(node: Node, event: str) -> Edge | None:
-    """The first transition of a state, not of the states around it, that the event triggers."""
-    matching = set(descriptors(event))
-    return next((edge for edge in node.edges if matching.intersection(edge.events)), None)

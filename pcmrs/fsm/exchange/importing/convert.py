@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, ParentSpec, RevocationSpec
-from pcmrs.fsm.exchange.chart import Node
-from pcmrs.fsm.exchange.commands import Group, Move, Mover, grouped
-from pcmrs.fsm.exchange.moves import TooManyError, choices
-from pcmrs.fsm.exchange.naming import Names, plain
-from pcmrs.fsm.exchange.reading import Findings, Place
-from pcmrs.fsm.exchange.regions import Region, regions_of
+from pcmrs.fsm.exchange.importing.chart import Node
+from pcmrs.fsm.exchange.importing.choices import TooManyError, choices
+from pcmrs.fsm.exchange.importing.moves import Group, Move, Mover, grouped
+from pcmrs.fsm.exchange.importing.naming import Names, plain
+from pcmrs.fsm.exchange.importing.reading import Findings
+from pcmrs.fsm.exchange.importing.regions import Region, regions_of
+from pcmrs.fsm.finding import Place
 
 MAX_WORK = 1_000_000
 """Events times states and transitions: what can be converted without a wait."""
@@ -129,7 +130,7 @@ class _Converter:
             operations=operations,
             parent=ParentSpec(branch=region.outer.name, start=home, compatible=compatible),
             emits=dict.fromkeys(states, f"{region.name}_changed"),
-            revocations=self._revocations(region, list(states)),
+            revocations=self._revocations(region, region.outer),
         )
 
     def _signals(self, region: Region, states: list[str]) -> Iterator[tuple[str, OperationSpec]]:
@@ -140,8 +141,21 @@ class _Converter:
             self._operation_names[region].take(name, name, inner.label.place)
             yield name, OperationSpec(from_=["*"], to=keep, iio=True)
 
-    def _revocations(self, region: Region, states: list[str]) -> list[RevocationSpec]:
-        """Any change further out than the parent leaves the region, also where the parent itself keeps its state."""
-        further = [outer.name for outer, _ in list(region.chain())[1:]]
-        start, *others = states
-        return [RevocationSpec(by=further, from_=others, to=start)] if further and others else []
+    def _revocations(self, region: Region, outer: Region) -> list[RevocationSpec]:
+        """Any change further out than the parent leaves the region, also where the parent itself keeps its state.
+
+        Such a change takes the parent to its start or sets it. A parent that was there already does not change, and
+        Rule 3 re-initiates the region only with a change: so this is needed where the parent's start, or a state that
+        an operation sets it to, is the one that the region refines.
+        """
+        further = [around.name for around, _ in list(region.chain())[1:]]
+        start, *others = (self._names[state] for state in region.states)
+        if not further or not others or not self._may_be_kept(outer, region.home):
+            return []
+        return [RevocationSpec(by=further, from_=others, to=start)]
+
+    def _may_be_kept(self, region: Region, state: Node | None) -> bool:
+        """Whether a change further out may enter a state of the region that is active already."""
+        operations = (operation for taken in self._operations.values() for operation in taken.values())
+        set_to = (operation.sets.get(region.name) for operation in operations)
+        return state is not None and (state is region.states[0] or self._names[state] in set_to)

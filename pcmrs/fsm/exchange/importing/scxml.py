@@ -6,12 +6,12 @@ What else SCXML has, conditions and executable content above all, is named in a 
 from __future__ import annotations
 
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.exchange.chart import Edge, Node
-from pcmrs.fsm.exchange.checked import imported
-from pcmrs.fsm.exchange.markup import Element, read_xml
-from pcmrs.fsm.exchange.reading import Findings, Place, refuse
-from pcmrs.fsm.exchange.scxml import NAMESPACE
-from pcmrs.fsm.finding import Finding
+from pcmrs.fsm.exchange import SCXML_NAMESPACE
+from pcmrs.fsm.exchange.importing.chart import Edge, Node
+from pcmrs.fsm.exchange.importing.imported import imported
+from pcmrs.fsm.exchange.importing.markup import Element, read_xml
+from pcmrs.fsm.exchange.importing.reading import Findings
+from pcmrs.fsm.finding import Finding, Place, refuse
 
 STATES = frozenset({"state", "parallel", "final"})
 
@@ -52,7 +52,7 @@ class _Reader:
     def _read_inside(self, element: Element, node: Node) -> None:
         node.initial = element.attributes.get("initial", "")
         for child in element.children:
-            if child.namespace not in ("", NAMESPACE):
+            if child.namespace not in ("", SCXML_NAMESPACE):
                 continue
             if child.name in STATES:
                 self._read_state(child, node)

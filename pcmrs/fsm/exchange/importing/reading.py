@@ -1,0 +1,33 @@
+"""What all readers of foreign files share: a limit, and how they say what is wrong."""
+
+from __future__ import annotations
+
+from pcmrs.fsm.files.bounded import text_of
+from pcmrs.fsm.finding import Finding, Place
+
+MAX_DEPTH = 64
+"""Deepest nesting of elements or states that is read."""
+
+
+class Findings(list[Finding]):
+    """What is wrong with one file.
+
+    Args:
+        origin: How findings call the file.
+    """
+
+    def __init__(self, origin: str) -> None:
+        super().__init__()
+        self.origin = origin
+
+    def say(self, code: str, text: str, place: Place) -> None:
+        """Adds a finding; the same one again only once."""
+        line, column = place
+        finding = Finding(code=code, text=text, file=self.origin, line=line, column=column)
+        if finding not in self:
+            self.append(finding)
+
+
+def read_text(raw: bytes, origin: str) -> str:
+    """The text of a file, without the mark that some editors begin it with; see `text_of`."""
+    return text_of(raw, origin).removeprefix("\ufeff")
