@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -112,10 +112,16 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
 
     def targets(self) -> set[str]:
         """Every state it can lead to, by success, failure or doubt."""
-        endings = [ending.to for ending in self.endings.values()]
-        doubtful = [target for target in (self.on_failure, self.on_unknown) if target is not None]
-        named = ([target] if isinstance(target, str) else target.values() for target in (*endings, *doubtful))
-        return {state for states in named for state in states}
+        return _states_in([ending.to for ending in self.endings.values()]) | self.doubtful_targets()
+
+    def doubtful_targets(self) -> set[str]:
+        """Every state that failure or doubt can lead to."""
+        return _states_in([target for target in (self.on_failure, self.on_unknown) if target is not None])
+
+
+def _states_in(targets: list[Target]) -> set[str]:
+    named = ([target] if isinstance(target, str) else target.values() for target in targets)
+    return {state for states in named for state in states}
 
 
 class ParentSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -147,6 +153,8 @@ class SequenceSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
         count: How many items there are, or
         items: their names, in order.
         item: What one of a counted sequence is called; items are ``<item>_1``, ``<item>_2`` …
+        before: Name of a first state in which no item can be performed yet: an operation of the branch's own leads
+            from it to the first item, and `reinit` leads back to it. Empty for none.
         perform: How one item is performed; `from`, `to` and `on_failure` are made.
         skip: Further keys of the operation that leaves an item out.
         repeat: Further keys of the operation that opens a stopped item again.
@@ -156,6 +164,7 @@ class SequenceSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     count: int | None = None
     items: list[str] = []
     item: str = "point"
+    before: str = ""
     perform: dict[str, Any] = {}
     skip: dict[str, Any] = {}
     repeat: dict[str, Any] = {}
@@ -241,12 +250,12 @@ class MigrationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True)
     Attributes:
         version: Of the older blueprint.
         hash: Of the older blueprint.
-        why: Why that is safe.
+        why: Why that is safe; not blank, since it goes into the journal.
     """
 
     version: str
     hash: str
-    why: str
+    why: Annotated[str, msgspec.Meta(pattern=r"\S")]
 
 
 class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):

@@ -7,7 +7,7 @@ the states it revokes. If any part of it is not allowed, the command is not allo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
@@ -85,7 +85,23 @@ class _DeniedError(Exception):
         self.denial = denial
 
 
-def close(blueprint: Blueprint, states: Mapping[str, str], branch: str, operation: str) -> Closure | Denial:
+Ask = Callable[[str, str, str], OperationSpec | None]
+"""What a state says to an operation: (branch, state, operation) → how to perform it; None where it is not valid."""
+
+
+def as_declared(blueprint: Blueprint) -> Ask:
+    """Answers as the blueprint declares them."""
+
+    def ask(branch: str, state: str, operation: str) -> OperationSpec | None:
+        spec = blueprint.branches[branch]
+        return spec.operations[operation] if spec.valid_in(operation, state) else None
+
+    return ask
+
+
+def close(
+    blueprint: Blueprint, states: Mapping[str, str], branch: str, operation: str, ask: Ask | None = None
+) -> Closure | Denial:
     """Works out the closure of an operation that is valid in its branch's own state.
 
     Args:
@@ -93,11 +109,21 @@ def close(blueprint: Blueprint, states: Mapping[str, str], branch: str, operatio
         states: The present joint state: branch to state.
         branch: The branch asked.
         operation: An operation that the branch's active state allows.
+        ask: Who says what is valid and how it is performed: a daemon's state objects; by default the blueprint.
 
     Returns:
         The closure, or why some part of it is not allowed.
     """
-    spec = blueprint.branches[branch].operations[operation]
+    ask = ask or as_declared(blueprint)
+    spec = ask(branch, states[branch], operation)
+    if spec is None:
+        return Denial("invalid_in_state", f"{branch} {states[branch]} does not allow {operation}.")
+
+    def change(target: Target) -> Change:
+        cascade = _Cascade(blueprint, dict(states), ask)
+        cascade.perform("operation", branch, operation, target_from(target, states[branch]), spec)
+        return Change(cascade.states, tuple(cascade.effects))
+
     denial = unmet(states, spec.requires, spec.refusal, f"{branch}.{operation}")
     if denial is not None:
         return denial
@@ -105,15 +131,15 @@ def close(blueprint: Blueprint, states: Mapping[str, str], branch: str, operatio
     try:
         for name, ending in spec.endings.items():
             if unmet(states, ending.requires, "", "") is None:
-                outcomes[name] = _change(blueprint, states, branch, operation, ending.to)
-        failure = _change(blueprint, states, branch, operation, spec.on_failure) if spec.on_failure else None
-        unknown = _change(blueprint, states, branch, operation, spec.on_unknown) if spec.on_unknown else None
+                outcomes[name] = change(ending.to)
+        failure = change(spec.on_failure) if spec.on_failure else None
+        unknown = change(spec.on_unknown) if spec.on_unknown else None
     except _DeniedError as raised:
         return raised.denial
     if not outcomes:
         return Denial("no_outcome", f"{branch}.{operation} cannot end in any declared way in this situation.")
-    possible = [*outcomes.values(), *(change for change in (failure, unknown) if change is not None)]
-    writes = frozenset({branch}).union(*(change.moved for change in possible))
+    possible = [*outcomes.values(), *(each for each in (failure, unknown) if each is not None)]
+    writes = frozenset({branch}).union(*(each.moved for each in possible))
     return Closure(outcomes, failure, unknown, writes, _examined(blueprint, branch, spec) - writes)
 
 
@@ -144,24 +170,20 @@ def _examined(blueprint: Blueprint, branch: str, spec: OperationSpec) -> frozens
     return frozenset(examined)
 
 
-def _change(blueprint: Blueprint, states: Mapping[str, str], branch: str, operation: str, target: Target) -> Change:
-    cascade = _Cascade(blueprint, dict(states))
-    cascade.perform("operation", branch, operation, target_from(target, states[branch]))
-    return Change(cascade.states, tuple(cascade.effects))
-
-
 class _Cascade:
     """Applies one outcome to a copy of the joint state and follows what it triggers."""
 
-    def __init__(self, blueprint: Blueprint, states: dict[str, str]) -> None:
+    def __init__(self, blueprint: Blueprint, states: dict[str, str], ask: Ask) -> None:
         self.blueprint = blueprint
         self.states = states
+        self.ask = ask
         self.effects: list[Effect] = []
 
-    def perform(self, kind: EffectKind, branch: str, operation: str, target: str) -> None:
+    def perform(
+        self, kind: EffectKind, branch: str, operation: str, target: str, spec: OperationSpec | None = None
+    ) -> None:
         """Moves `branch` to `target`; then sets, signals, re-initiates and revokes what follows from it."""
         source = self._move(kind, branch, operation, target)
-        spec = self.blueprint.branches[branch].operations.get(operation)
         if spec is not None and kind == "operation":
             for child, state in spec.sets.items():
                 before = self._move("set", child, operation, state)
@@ -187,13 +209,14 @@ class _Cascade:
         if spec.parent is None:
             return
         parent, operation = spec.parent.branch, spec.emits[target]
-        parent_spec, state = self.blueprint.branches[parent], self.states[spec.parent.branch]
-        if not parent_spec.valid_in(operation, state):
+        state = self.states[parent]
+        called = self.ask(parent, state, operation)
+        if called is None:
             text = f"{branch} going to {target} would call {parent}.{operation}, which {parent} {state} does not allow."
             fields = {"branch": parent, "state": state, "operation": operation}
             raise _DeniedError(Denial("parent_refuses", text, fields))
-        for ending in parent_spec.operations[operation].endings.values():
-            self.perform("signal", parent, operation, target_from(ending.to, state))
+        for ending in called.endings.values():
+            self.perform("signal", parent, operation, target_from(ending.to, state), called)
 
     def _fit_children(self, branch: str, source: str, *, direct: bool) -> None:
         """Rule 3 for a direct change into a child's starting state, and children that no longer fit."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.blueprint import Blueprint, OperationSpec
 from pcmrs.fsm.branch import StateSet
 from pcmrs.fsm.closure import Change, Closure, Denial, close
 
@@ -80,13 +80,9 @@ class Engine:
         closure = self.ask(branch, operation)
         if isinstance(closure, Denial):
             return closure
-        change = self._ending(closure, outcome)
-        self.apply(change)
-        return change
-
-    def apply(self, change: Change) -> None:
-        """Commits a change: all its branches move together."""
+        change = self._ending(closure, self.blueprint.branches[branch].operations[operation], outcome)
         self.place(change.targets)
+        return change
 
     def place(self, states: Mapping[str, str]) -> None:
         """Puts the named branches into states, all together.
@@ -97,8 +93,8 @@ class Engine:
         self._states.transition(states)
         self._here = self._situation(self._states.joint())
 
-    def _ending(self, closure: Closure, outcome: str | None) -> Change:
-        if outcome in ("failed", "unknown"):
+    def _ending(self, closure: Closure, spec: OperationSpec, outcome: str | None) -> Change:
+        if outcome in ("failed", "unknown") and spec.steps:
             change = closure.failure if outcome == "failed" else closure.unknown
             return change or Change(self.joint(), ())
         if outcome is None and len(closure.outcomes) == 1:
@@ -112,8 +108,15 @@ class Engine:
         except KeyError:
             states = situation.states
             answer = self._states.objects[branch][states[branch]].ask(operation)
-            found = answer if isinstance(answer, Denial) else close(self.blueprint, states, branch, operation)
+            found = (
+                answer if isinstance(answer, Denial) else close(self.blueprint, states, branch, operation, self._say)
+            )
             return situation.answers.setdefault((branch, operation), found)
+
+    def _say(self, branch: str, state: str, operation: str) -> OperationSpec | None:
+        """What a state object says: so that what decides is what is generated, also in a cascade."""
+        answer = self._states.objects[branch][state].ask(operation)
+        return None if isinstance(answer, Denial) else answer
 
     def _situation(self, states: Mapping[str, str]) -> _Situation:
         key = tuple(states[branch] for branch in self.blueprint.branches)

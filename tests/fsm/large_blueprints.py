@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import msgspec
 
-from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, ParentSpec, RevocationSpec
+from pcmrs.fsm.blueprint import (
+    Blueprint,
+    BranchSpec,
+    Condition,
+    OperationSpec,
+    ParentSpec,
+    PropertySpec,
+    RevocationSpec,
+)
 
 
 def free(branches: int, states: int) -> Blueprint:
@@ -23,6 +31,16 @@ def entangled(branches: int, states: int) -> Blueprint:
         rule = RevocationSpec(by=[f"b{n - 1}"], from_=[names[-1]], to=names[0])
         made[f"b{n}"] = msgspec.structs.replace(made[f"b{n}"], revocations=[rule])
     return Blueprint(id="entangled", version="1.0.0", branches=made, goal={"b0": ["s0"]})
+
+
+def promising(branches: int) -> Blueprint:
+    """Free rings of two states, with a goal and a promise on what runs, which doubles what must be looked at."""
+    alone = PropertySpec(
+        id="alone",
+        when=Condition(running=["b0.on"]),
+        leads_to=Condition(states={"b0": ["s1"], f"b{branches - 1}": ["s1"]}),
+    )
+    return msgspec.structs.replace(free(branches, 2), properties=[alone], goal={"b0": ["s1"]})
 
 
 def _ring(states: int, *, before: str | None = None) -> BranchSpec:

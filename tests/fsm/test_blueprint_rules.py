@@ -55,7 +55,7 @@ rio = true
 
 [branches.side]
 level = 1
-states = { safe = "clear", near = "close" }
+states = { safe = "clear", near = "close", held = "stopped" }
 revocations = [{ by = ["top"], from = ["near"], to = "safe" }]
 
 [branches.side.operations.move]
@@ -63,9 +63,13 @@ from = ["safe"]
 to = "near"
 motion = "approach"
 steps = ["follow"]
-on_failure = "safe"
-on_unknown = "safe"
+on_failure = "held"
+on_unknown = "held"
 requires = { top = ["11"] }
+
+[branches.side.operations.withdraw]
+from = ["near", "held"]
+to = "safe"
 """
 
 FAULTS = {
@@ -85,7 +89,7 @@ FAULTS = {
     ),
     "one class for two": ("[branches.side]", "[branches.to_p]\n[branches.side]", "no_states", "to_p", "to_p"),
     "no states": (
-        'states = { safe = "clear", near = "close" }',
+        'states = { safe = "clear", near = "close", held = "stopped" }',
         "states = {}",
         "no_states",
         "side",
@@ -129,9 +133,16 @@ FAULTS = {
     "no time": ("motion =", "timeout_s = 0\nmotion =", "bad_operation", "timeout_s = 0", "operations.move"),
     "time is no number": ("motion =", "timeout_s = nan\nmotion =", "bad_operation", "nan", "operations.move"),
     "time without end": ("motion =", "timeout_s = inf\nmotion =", "bad_operation", "inf", "operations.move"),
-    "motion without failure": ('on_failure = "safe"\n', "", "bad_operation", "on_failure", "operations.move"),
-    "motion without doubt": ('on_unknown = "safe"\n', "", "bad_operation", "on_unknown", "operations.move"),
+    "motion without failure": ('on_failure = "held"\n', "", "bad_operation", "on_failure", "operations.move"),
+    "motion without doubt": ('on_unknown = "held"\n', "", "bad_operation", "on_unknown", "operations.move"),
     "motion without steps": ('steps = ["follow"]\n', "", "bad_operation", "no steps", "operations.move"),
+    "motion that fails to where it began": (
+        'on_failure = "held"',
+        'on_failure = "safe"',
+        "bad_operation",
+        "may fail to safe, where move begins",
+        "operations.move",
+    ),
     "only a motion could release Stop": (
         "unlatches = true\n",
         "unlatches = true\nacts = true\n",
@@ -139,7 +150,7 @@ FAULTS = {
         "neither moves nor acts",
         "operations.clear",
     ),
-    "failure unknown": ('on_failure = "safe"', 'on_failure = "far"', "unknown_state", "'far'", "on_failure"),
+    "failure unknown": ('on_failure = "held"', 'on_failure = "far"', "unknown_state", "'far'", "on_failure"),
     "iio with steps": (
         'to = "11"\niio = true',
         'to = "11"\niio = true\nsteps = ["a"]',
@@ -178,6 +189,20 @@ FAULTS = {
         "bad_property",
         "exactly one",
         "properties",
+    ),
+    "property without a name": (
+        'version = "1"',
+        'version = "1"\n[[properties]]\nid = ""\nnever = { states = { top = ["10"] } }',
+        "bad_name",
+        "a property",
+        "id =",
+    ),
+    "property of no state": (
+        'version = "1"',
+        'version = "1"\n[[properties]]\nid = "p"\nnever = { states = { top = [] } }',
+        "unknown_state",
+        "can never hold",
+        "never",
     ),
     "property of no operation": (
         'version = "1"',

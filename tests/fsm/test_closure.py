@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from ratms_oracle import BLUEPRINT, Joint, as_dict, reachable
@@ -213,3 +214,11 @@ def test_a_revocation_takes_children_of_every_level_along() -> None:
     change = engine.perform("watch", "shout")
     assert isinstance(change, Change)
     assert change.states == {"top": "a", "mid": "m0", "leaf": "l0", "watch": "loud"}
+
+
+def test_what_has_no_steps_cannot_fail() -> None:
+    engine = Engine(parse_blueprint(THREE_LEVELS))
+    for ending in ("failed", "unknown", "elsewhere"):
+        with pytest.raises(KeyError):
+            engine.perform("top", "enter", ending)
+    assert engine.joint() == parse_blueprint(THREE_LEVELS).initial()

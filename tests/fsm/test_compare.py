@@ -20,6 +20,7 @@ from ratms_oracle import BLUEPRINT, as_dict, expected, reachable
 from pcmrs.cli import main
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint, BranchSpec, OperationSpec, load_blueprint
+from pcmrs.fsm.blueprint import Condition
 from pcmrs.fsm.difference.compare import Difference, Kind, compare
 
 RATMS = load_blueprint(BLUEPRINT)
@@ -184,3 +185,25 @@ def test_the_command_says_what_differs_and_how_it_ends(tmp_path: Any) -> None:
     as_json = CliRunner().invoke(main, ["fsm", "diff", str(BLUEPRINT), str(other), "--json"])
     (difference,) = msgspec.json.decode(as_json.output, type=list[Difference])
     assert (difference.kind, difference.old, difference.new) == ("changed", "300.0", "301.0")
+
+
+def test_a_weaker_promise_is_a_difference() -> None:
+    """Whoever reviews a change must not miss that a safety property has gone."""
+    stop, *others = RATMS.properties
+    assert {d.subject for d in compare(RATMS, msgspec.structs.replace(RATMS, properties=others))} == {
+        f"property.{stop.id}"
+    }
+    weakened = msgspec.structs.replace(stop, when=Condition(states={"robot": ["0"]}))
+    (changed,) = compare(RATMS, msgspec.structs.replace(RATMS, properties=[weakened, *others]))
+    assert (changed.kind, changed.subject) == ("changed", f"property.{stop.id}")
+    (goal,) = compare(RATMS, msgspec.structs.replace(RATMS, goal={"placement": ["standoff"]}))
+    assert "goal changed" in goal.text
+    assert (
+        compare(
+            RATMS,
+            msgspec.structs.replace(
+                RATMS, properties=[msgspec.structs.replace(p, text="in other words") for p in RATMS.properties]
+            ),
+        )
+        == []
+    )

@@ -81,6 +81,13 @@ CORNERS = {
     <state id="s1"><transition event="e1" target="s0"/>
       <state id="s2"><state id="s3"><transition event="e2" target="s4"/></state><state id="s4"/></state>
       <state id="s5"/></state>""",
+    "what is inside a state that is entered from further out begins anew, also where the state is active": """
+    <parallel id="p">
+      <state id="s1" initial="s2"><transition event="e0" target="s3"/>
+        <state id="s2"/>
+        <state id="s3"><state id="s5"><transition event="e1" target="s6"/></state><state id="s6"/></state></state>
+      <state id="s4"><state id="s7"><transition event="e2" target="s8"/></state><state id="s8"/></state>
+    </parallel>""",
     "a transition without target uses the event up": """<state id="s0"><transition event="e0" target="s3"/>
       <state id="s1"><transition event="e0"/><transition event="e1" target="s2"/></state>
       <state id="s2"><transition event="e1" target="s1"/></state></state>

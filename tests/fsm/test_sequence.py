@@ -71,6 +71,20 @@ def test_a_sequence_does_what_a_counter_does(items: list[str], commands: list[tu
         state = after
 
 
+def test_before_is_the_first_state_in_which_nothing_can_be_done_and_to_which_reinit_leads() -> None:
+    plan = {"from": ["*"], "to": "a"}
+    blueprint = expand(with_sequence({"items": ["a", "b"], "before": "unplanned"}, operations={"plan": plan}))
+    branch = blueprint.branches["mapping"]
+    assert branch.start == "unplanned"
+    able = [name for name in branch.operations if branch.valid_in(name, "unplanned")]
+    assert sorted(able) == ["plan", "reinit"]
+    assert branch.operations["reinit"].to == "unplanned"
+    without = expand(with_sequence({"items": ["a", "b"]}, operations={"plan": plan})).branches["mapping"]
+    assert list(branch.states) == ["unplanned", *without.states]
+    same = ("perform", "skip", "repeat", "abandon")
+    assert [branch.operations[name] for name in same] == [without.operations[name] for name in same]
+
+
 def test_states_are_in_order_and_readable() -> None:
     branch = expand(with_sequence({"count": 2, "item": "spot"})).branches["mapping"]
     assert branch.sequence is None
@@ -130,6 +144,9 @@ def test_expanding_twice_changes_nothing() -> None:
         ({"items": ["done"]}, "items.0", "done"),
         ({"items": ["x-y"]}, "items.0", "x-y"),
         ({"items": [f"p{i}" for i in range(MAX_ITEMS + 1)]}, "items", "1001"),
+        ({"items": ["a", "b"], "before": "b"}, "before", "twice"),
+        ({"items": ["a"], "before": "done"}, "before", "done"),
+        ({"items": ["a"], "before": "Not yet"}, "before", "Not yet"),
         ({"items": ["a"], "perform": {"to": "b"}}, "perform.to", "made"),
         ({"items": ["a"], "skip": {"from": ["b"]}}, "skip.from", "made"),
         ({"items": ["a"], "perform": {"speed": 3}}, "perform", "speed"),

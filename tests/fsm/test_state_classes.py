@@ -17,6 +17,7 @@ from pcmrs.errors import BlueprintError
 from pcmrs.fsm import (
     Blueprint,
     BranchSpec,
+    Change,
     Closure,
     Denial,
     Engine,
@@ -170,3 +171,23 @@ def test_classes_that_do_not_say_what_the_blueprint_says_are_refused(monkeypatch
     changed = msgspec.structs.replace(later.branches["robot"], operations=operations)
     with pytest.raises(BlueprintError, match="robot 0 does not say of connect"):
         StateSet(msgspec.structs.replace(later, branches={"robot": changed}))
+
+
+def test_what_the_classes_say_decides_also_in_a_cascade(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One path: were a class changed, the engine would do as the class says, not as the blueprint says."""
+    monkeypatch.setattr(StateSet, "_check_answers", lambda *_: None)
+    source = source_of(RATMS).replace(
+        """    def digitized(self) -> Answer:
+        return self.DIGITIZED""",
+        """    def digitized(self) -> Answer:
+        return self.UNDIGITIZED""",
+    )
+    monkeypatch.setattr("pcmrs.fsm.classes.source_of", lambda _: source)
+    engine = Engine(RATMS)
+    engine.perform("registration", "plan_landmarks")
+    change = engine.perform("digitization", "digitize_all")
+    assert isinstance(change, Change)
+    assert [(e.kind, e.branch, e.target) for e in change.effects][:2] == [
+        ("operation", "digitization", "1"),
+        ("signal", "registration", "100"),
+    ]

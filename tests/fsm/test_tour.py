@@ -15,7 +15,8 @@ from ratms_oracle import BLUEPRINT, INTERNAL_OPERATIONS, all_operations, as_dict
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint, BranchSpec, OperationSpec, load_blueprint
 from pcmrs.fsm.blueprint import OutcomeSpec
-from pcmrs.fsm.trial.coverage import coverage, is_complete, tour_engine
+from pcmrs.fsm.trial.coverage import coverage, is_complete
+from pcmrs.fsm.trial.engine_tour import tour_engine
 from pcmrs.fsm.trial.tour import Move, Tour, plan_tour
 
 RATMS = load_blueprint(BLUEPRINT)

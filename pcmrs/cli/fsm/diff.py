@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 import msgspec
 
-from pcmrs.cli.fsm.files import refuse, sound
+from pcmrs.cli.fsm.files import EXIT_UNREADABLE, refuse, sound
 from pcmrs.cli.options import json_option
 from pcmrs.cli.running import readable_errors
 from pcmrs.errors import BlueprintError
@@ -19,13 +19,13 @@ from pcmrs.errors import BlueprintError
 def diff(old: str, new: str, as_json: bool) -> None:
     """Say what the workflow NEW answers otherwise than OLD: joint states, accepted operations, where they lead.
 
-    Comments, layout, order and titles do not count. Exit status 0: the same behaviour, 1: it differs, 2: one cannot
-    be read or is too large.
+    Goal, properties and what operations declare count, too; comments, layout, order and titles do not. Exit status
+    0: the same behaviour, 1: it differs, 2: one is unsound, cannot be read, or has over 20,000 joint states.
     """
     from pcmrs.fsm.difference.compare import compare
 
     try:
-        differences = compare(sound(old), sound(new))
+        differences = compare(*(sound(file, otherwise=EXIT_UNREADABLE) for file in (old, new)))
     except BlueprintError as error:
         refuse(error.text)
     if as_json:

@@ -40,12 +40,18 @@ def read(file: str) -> tuple[bytes, str]:
         refuse(error.text)
 
 
-def sound(file: str) -> Blueprint:
-    """The sound workflow in a file; otherwise the findings are printed and the command ends."""
+def sound(file: str, *, otherwise: int = EXIT_UNSOUND) -> Blueprint:
+    """The sound workflow in a file; otherwise the findings are printed and the command ends.
+
+    Args:
+        file: See `read`.
+        otherwise: Exit status for one that is readable, but unsound.
+    """
     raw, origin = read(file)
     examination = examine(raw, origin=origin)
     if examination.blueprint is None or examination.findings:
-        end_with(examination.findings, readable=examination.readable)
+        click.echo(summary(examination.findings), err=True)
+        sys.exit(otherwise if examination.readable else EXIT_UNREADABLE)
     return examination.blueprint
 
 
@@ -62,8 +68,8 @@ def refuse(text: str) -> NoReturn:
 
 
 def write(text: str | bytes, output: Path | None) -> None:
-    """Writes a result to the file that was asked for, or to standard output."""
-    if output is None:
+    """Writes a result to the file that was asked for, or to standard output (also for ``-``)."""
+    if output is None or str(output) == "-":
         click.echo(text, nl=False)
         return
     try:

@@ -13,12 +13,12 @@ from typing import Any, Literal
 import msgspec
 
 from pcmrs.fsm.behaviour import Joint, line_of, operations
-from pcmrs.fsm.blueprint import Blueprint, OperationSpec
+from pcmrs.fsm.blueprint import Blueprint, OperationSpec, PropertySpec
 from pcmrs.fsm.difference.facets import FacetKind, Seen, answers_seen, differing, worded
 
 Kind = Literal["added", "removed", "changed", "reached", "unreached"] | FacetKind
 
-DECLARED = ("payload", "checks", "steps", "timeout_s", "motion", "iio", "event", "unlatches")
+DECLARED = ("payload", "checks", "steps", "timeout_s", "motion", "acts", "iio", "event", "unlatches")
 """What an operation declares of its performance; all else shows in what it answers."""
 
 BEGINNINGS: dict[Kind, str] = {
@@ -88,14 +88,19 @@ def _owner(subject: str) -> str:
 
 
 def _declarations(blueprint: Blueprint) -> dict[str, dict[str, Any]]:
-    """Everything declared, by its name: the workflow, its branches, and their states and operations."""
-    found: dict[str, dict[str, Any]] = {"": {"defaults": blueprint.defaults}}
+    """Everything declared, by its name: the workflow, its promises, its branches, and their states and operations."""
+    found: dict[str, dict[str, Any]] = {"": {"defaults": blueprint.defaults, "goal": blueprint.goal}, "property": {}}
+    found |= {f"property.{promise.id}": _promise(promise) for promise in blueprint.properties}
     for name, branch in blueprint.branches.items():
         found[name] = {"start": branch.start, "flags": branch.flags}
         found |= {f"{name}.[{state}]": {} for state in branch.states}
     for branch_name, operation, spec in operations(blueprint):
         found[f"{branch_name}.{operation}"] = _declaration(spec)
     return found
+
+
+def _promise(promise: PropertySpec) -> dict[str, Any]:
+    return {key: value for key, value in msgspec.structs.asdict(promise).items() if key not in ("id", "text")}
 
 
 def _declaration(spec: OperationSpec) -> dict[str, Any]:

@@ -113,6 +113,9 @@ def read_blueprint(raw: bytes, origin: str) -> tuple[Blueprint | None, list[Find
 def _read(raw: bytes, origin: str) -> tuple[Blueprint, Places]:
     table, places = read_toml(raw, origin)
     blueprint = convert(table, Blueprint, places, origin)
+    if "hash" in table:
+        finding = Finding(code="bad_value", text="`hash` is worked out from the content: leave it out.", path=("hash",))
+        raise BlueprintError(finding.text, findings=placed([finding], places, origin))
     try:
         blueprint = expand(blueprint)
     except SequenceError as error:

@@ -69,12 +69,13 @@ def _without_sequence(path: tuple[str, ...], branch: BranchSpec, sequence: Seque
     if branch.states:
         raise SequenceError((*path, "states"), "A branch with a sequence has its states from it: leave `states` out.")
     items = _items((*path, "sequence"), sequence)
+    states = _before((*path, "sequence", "before"), sequence.before, items) | _states(items)
     made = _operations((*path, "sequence"), sequence, items, branch.operations)
     operations = made | branch.operations
     if branch.rio is None and "reinit" not in operations:
-        first = next(iter(items))
+        first = next(iter(states))
         operations["reinit"] = OperationSpec(title="Begin again", from_=["*"], to=first, rio=True)
-    return msgspec.structs.replace(branch, sequence=None, states=_states(items), operations=operations)
+    return msgspec.structs.replace(branch, sequence=None, states=states, operations=operations)
 
 
 def _items(path: tuple[str, ...], sequence: SequenceSpec) -> dict[str, str]:
@@ -91,6 +92,15 @@ def _items(path: tuple[str, ...], sequence: SequenceSpec) -> dict[str, str]:
     return {f"{sequence.item}_{i}": f"{sequence.item} {i}" for i in range(1, sequence.count + 1)}
 
 
+def _before(path: tuple[str, ...], name: str, items: Mapping[str, str]) -> dict[str, str]:
+    """The state ahead of the first item, where the sequence has one."""
+    if not name:
+        return {}
+    if fault := _fault_of(name, set(items)):
+        raise SequenceError(path, fault)
+    return {name: "none can be performed yet"}
+
+
 def _check_names(path: tuple[str, ...], names: list[str]) -> None:
     if len(names) > MAX_ITEMS:
         raise SequenceError(path, f"The sequence has {len(names)} items; the limit is {MAX_ITEMS}.")
@@ -104,10 +114,10 @@ def _check_names(path: tuple[str, ...], names: list[str]) -> None:
 
 def _fault_of(name: str, seen: set[str]) -> str:
     if not ITEM.fullmatch(name):
-        return f"{name!r} cannot be an item: use 1 to 24 of a-z, 0-9 and _."
+        return f"{name!r} cannot be a state of a sequence: use 1 to 24 of a-z, 0-9 and _."
     if name in (DONE, ABANDONED) or name.endswith(STOPPED):
-        return f"{name!r} cannot be an item: {DONE}, {ABANDONED} and names in {STOPPED} are states of every sequence."
-    return f"The item {name!r} is named twice." if name in seen else ""
+        return f"{name!r} cannot be used: {DONE}, {ABANDONED} and names in {STOPPED} are states of every sequence."
+    return f"{name!r} is named twice." if name in seen else ""
 
 
 def _states(items: Mapping[str, str]) -> dict[str, str]:

@@ -46,6 +46,8 @@ def check_names(blueprint: Blueprint) -> Iterator[Finding]:
                 yield Finding(code="name_collision", text=text, path=(*path, "flags"))
             flags[flag] = name
         yield from _states(name, branch)
+    for index, promise in enumerate(blueprint.properties):
+        yield from _name(promise.id, "a property", ("properties", str(index), "id"))
 
 
 def _name(word: str, what: str, path: Path, reserved: frozenset[str] = RESERVED) -> Iterator[Finding]:

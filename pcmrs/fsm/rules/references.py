@@ -21,7 +21,7 @@ def check_references(blueprint: Blueprint) -> Iterator[Finding]:
                 yield from _branch_exists(blueprint, by, (*where, "by"))
             yield from _states_exist(blueprint, {name: revocation.from_}, (*where, "from"))
             yield from _states_exist(blueprint, {name: [revocation.to]}, (*where, "to"))
-    yield from _states_exist(blueprint, blueprint.goal, ("goal",))
+    yield from _requirement(blueprint, blueprint.goal, ("goal",))
     for index, promise in enumerate(blueprint.properties):
         conditions = {"always": promise.always, "never": promise.never, "reachable": promise.reachable}
         for key, condition in (conditions | {"when": promise.when, "leads_to": promise.leads_to}).items():
@@ -44,6 +44,14 @@ def _states_exist(blueprint: Blueprint, states: Requirement, path: Path) -> Iter
                 known = ", ".join(blueprint.branches[branch].states)
                 text = f"{branch} has no state {state!r}; it has {known}."
                 yield Finding(code="unknown_state", text=text, path=path)
+
+
+def _requirement(blueprint: Blueprint, requirement: Requirement, path: Path) -> Iterator[Finding]:
+    yield from _states_exist(blueprint, requirement, path)
+    for branch, states in requirement.items():
+        if not states:
+            text = f"No state of {branch} is named, so that this can never hold: give at least one."
+            yield Finding(code="unknown_state", text=text, path=(*path, branch))
 
 
 def _operation_exists(blueprint: Blueprint, operation: str, path: Path) -> Iterator[Finding]:
@@ -78,11 +86,11 @@ def _operation_references(blueprint: Blueprint, branch: str, spec: OperationSpec
     own |= {key: _named(target) for key, target in targets.items() if target is not None}
     for key, states in own.items():
         yield from _states_exist(blueprint, {branch: states}, (*path, key))
-    yield from _states_exist(blueprint, spec.requires, (*path, "requires"))
+    yield from _requirement(blueprint, spec.requires, (*path, "requires"))
     yield from _states_exist(blueprint, {child: [state] for child, state in spec.sets.items()}, (*path, "sets"))
     for name, ending in spec.outcomes.items():
         yield from _states_exist(blueprint, {branch: _named(ending.to)}, (*path, "outcomes", name, "to"))
-        yield from _states_exist(blueprint, ending.requires, (*path, "outcomes", name, "requires"))
+        yield from _requirement(blueprint, ending.requires, (*path, "outcomes", name, "requires"))
 
 
 def _named(target: Target) -> list[str]:
@@ -90,7 +98,7 @@ def _named(target: Target) -> list[str]:
 
 
 def _condition(blueprint: Blueprint, condition: Condition, path: Path) -> Iterator[Finding]:
-    yield from _states_exist(blueprint, condition.states, (*path, "states"))
+    yield from _requirement(blueprint, condition.states, (*path, "states"))
     for operation in condition.running:
         yield from _operation_exists(blueprint, operation, (*path, "running"))
     for operation in condition.accepted:

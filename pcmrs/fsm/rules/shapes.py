@@ -76,6 +76,10 @@ def _faults(blueprint: Blueprint, branch: str, spec: BranchSpec, operation: Oper
     doubtful = operation.on_failure is not None or operation.on_unknown is not None
     if not operation.steps and (doubtful or operation.moves):
         yield "has no steps: it can neither move nor fail, nor end in doubt."
+    for state in sorted(operation.doubtful_targets()) if operation.moves else ():
+        starting = [key for key, o in spec.operations.items() if o.motion == "approach" and spec.valid_in(key, state)]
+        if starting:
+            yield f"may fail to {state}, where {starting[0]} begins: what was not confirmed may only be led away."
     sources = {state for state in spec.states if state in operation.from_ or operation.from_ == ["*"]}
     for target in (*(e.to for e in operation.endings.values()), operation.on_failure, operation.on_unknown):
         if isinstance(target, dict) and set(target) != sources:

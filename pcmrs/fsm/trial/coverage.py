@@ -6,11 +6,9 @@ from collections.abc import Iterable, Iterator
 
 import msgspec
 
-from pcmrs.fsm.behaviour import Joint, branch_states, joint_of, line_of, operations
+from pcmrs.fsm.behaviour import Joint, branch_states, line_of, operations
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.closure import Denial
-from pcmrs.fsm.engine import Engine
-from pcmrs.fsm.trial.tour import Move, Tour
+from pcmrs.fsm.trial.tour import Move
 
 MEANINGS = {
     "pairs": "joint state and operation",
@@ -78,39 +76,6 @@ def deviation(blueprint: Blueprint, move: Move, decision: str, after: Joint, cod
     )
     before = line_of(branch_states(blueprint, move.before))
     return Deviation(command=str(move), before=before, expected=expected, found=found)
-
-
-def tour_engine(blueprint: Blueprint, tour: Tour) -> Iterator[tuple[Move, Deviation | None]]:
-    """Takes the engine through a tour: what it leaves to its callers, checks and who may ask, it does not see.
-
-    Yields:
-        Every command and what was not as it must be; a stretch that has left the tour is not gone on with.
-    """
-    for stretch in tour.stretches:
-        engine = Engine(blueprint)
-        for move in stretch:
-            decision, code = (move.decision, move.code) if _of_callers(move) else _performed(engine, move)
-            after = joint_of(blueprint, engine.joint())
-            yield move, deviation(blueprint, move, decision, after, code)
-            if after != move.after:
-                break
-
-
-def _performed(engine: Engine, move: Move) -> tuple[str, str]:
-    """Decision and code of the engine; what it allows although it must not is not performed."""
-    said = engine.ask(move.branch, move.operation)
-    if isinstance(said, Denial):
-        return "rejected", said.code
-    if move.decision == "rejected":
-        return "accepted", ""
-    if move.decision == "accepted" and move.ending not in said.outcomes:
-        return f"no outcome {move.ending}", ""
-    engine.perform(move.branch, move.operation, move.ending)
-    return move.decision, ""
-
-
-def _of_callers(move: Move) -> bool:
-    return bool(move.ending == "rejected" and move.at) or move.code in ("internal_operation", "event_operation")
 
 
 def _counted(moves: Iterable[Move]) -> Iterator[tuple[str, object]]:

@@ -1,0 +1,1 @@
+"""State charts of other tools as blueprints: SCXML, Mermaid and draw.io."""
