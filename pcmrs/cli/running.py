@@ -45,6 +45,11 @@ def readable_errors(function: Callable[P, T]) -> Callable[P, T]:
             return function(*args, **kwargs)
         except PcmrsError as error:
             fail(error)
+        except BrokenPipeError:
+            raise  # whoever read the output has had enough: click ends in silence
+        except OSError as error:
+            click.echo(f"{click.get_current_context().command_path}: {error}", err=True)
+            sys.exit(EXIT_FAILED)
         except KeyboardInterrupt:
             sys.exit(130)
 

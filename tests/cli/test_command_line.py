@@ -153,3 +153,20 @@ def test_a_journal_that_is_not_there_is_named(tmp_path: Path) -> None:
     assert ended.exit_code == 2
     (line,) = ended.stderr.splitlines()
     assert "none.sqlite" in line
+
+
+def test_options_for_a_cell_are_refused_where_no_cell_is_tested() -> None:
+    for option in (["--connect"], ["--rate", "5"], ["--arguments", "mine.toml"], ["--set", "sim.seed=2"]):
+        ended = _run("fsm", "test", "ratms", *option)
+        assert ended.exit_code == 2
+        assert f"{option[0]} is for --live only" in ended.stderr
+
+
+def test_a_name_means_the_installed_workflow_whatever_lies_in_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is verified is what a daemon would run."""
+    (tmp_path / "ratms").write_text("not a blueprint")
+    monkeypatch.chdir(tmp_path)
+    assert _run("fsm", "verify", "ratms").exit_code == 0
+    assert _run("fsm", "verify", "./ratms").exit_code == 2

@@ -10,7 +10,7 @@ import click
 
 from pcmrs.errors import PcmrsError
 from pcmrs.fsm import Blueprint, examine
-from pcmrs.fsm.files.toml import MAX_BYTES
+from pcmrs.fsm.files.bounded import MAX_BYTES, read_bounded
 from pcmrs.fsm.finding import Finding, summary
 
 EXIT_UNSOUND = 1
@@ -32,8 +32,7 @@ def read(file: str) -> tuple[bytes, str]:
         return sys.stdin.buffer.read(MAX_BYTES + 1), "<stdin>"
     try:
         path = _installed(file) if file.isidentifier() else Path(file)
-        with path.open("rb") as stream:
-            return stream.read(MAX_BYTES + 1), str(path)
+        return read_bounded(path), str(path)
     except OSError as error:
         refuse(f"{file} cannot be read: {error.strerror}.")
     except PcmrsError as error:

@@ -7,11 +7,13 @@ from pathlib import Path
 import click
 
 from pcmrs.cli.fsm.files import file_argument, output_option, sound, write
+from pcmrs.cli.running import readable_errors
 
 
 @click.command()
 @file_argument
 @output_option
+@readable_errors
 def generate(file: str, output: Path | None) -> None:
     """Print the Python source of the branch and state classes of FILE.
 

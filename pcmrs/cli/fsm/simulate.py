@@ -83,6 +83,9 @@ def _lines() -> Iterator[str]:
         line = sys.stdin.buffer.readline(LONGEST_LINE)
         if not line:
             return
+        rest = line
+        while len(rest) == LONGEST_LINE and not rest.endswith(b"\n"):  # what is left of the line is no other line
+            rest = sys.stdin.buffer.readline(LONGEST_LINE)
         yield line.decode(errors="replace").strip()
 
 

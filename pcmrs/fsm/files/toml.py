@@ -11,7 +11,6 @@ import msgspec
 import tree_sitter_toml
 from tree_sitter import Language, Parser, Tree
 
-from pcmrs.fsm.files.bounded import MAX_BYTES as MAX_BYTES
 from pcmrs.fsm.files.bounded import text_of
 from pcmrs.fsm.files.places import Places
 from pcmrs.fsm.finding import Path, refuse
