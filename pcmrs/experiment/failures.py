@@ -12,6 +12,7 @@ from pcmrs.experiment.plan import Plan
 from pcmrs.experiment.private import Bench, private_bench
 from pcmrs.experiment.published import FailureRun, published
 from pcmrs.experiment.setup import Setup
+from pcmrs.experiment.treatment import prepare
 
 NEXT_STATE = {"000": "100", "100": "110", "110": "111"}
 """The way of the registration: what could not be reached from where it stayed."""
@@ -110,6 +111,7 @@ async def _run_workflow(setup: Setup, results: list[FailureResult], total: int) 
     setup.progress("starting the daemon", len(results), total)
     async with private_bench([f"workflow={setup.workflow}", *setup.settings()]) as bench:
         await bench.planner.connect()
+        await prepare(bench.client, setup.workflow)
         for run in published(setup.workflow).failures:
             setup.progress(f"run {run.run}: {run.injection.replace('_', ' ')}", len(results), total)
             await bench.scene.reseed(setup.seed + run.run)

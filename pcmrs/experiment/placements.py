@@ -13,7 +13,7 @@ from pcmrs.errors import CommandRefusedError, ConfigurationError
 from pcmrs.experiment.private import Bench, private_bench
 from pcmrs.experiment.published import Reported, published
 from pcmrs.experiment.setup import Setup
-from pcmrs.experiment.treatment import Treated, treat
+from pcmrs.experiment.treatment import Treated, prepare, treat
 from pcmrs.messages import PoseMessage, SceneTruth
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.workflows.data import Registered, as_message, as_transform
@@ -114,6 +114,7 @@ async def run_placements(setup: Setup, trials: int) -> PlacementReport:
     async with private_bench([f"workflow={setup.workflow}", f"sim.seed={setup.seed}", *settings]) as bench:
         progress("planning and digitizing the landmarks", 1, steps)
         await bench.planner.connect()
+        await prepare(bench.client, setup.workflow)
         await bench.planner.plan_landmarks([landmark.position for landmark in plan.landmarks])
         await bench.planner.digitize_all()
         progress("registering", 2, steps)

@@ -17,11 +17,12 @@ from pcmrs.client import Client, Event
 from pcmrs.clock import SystemClock
 from pcmrs.dispatcher import Dispatcher, ProcedureData, Run
 from pcmrs.errors import ConfigurationError, RefusalError, UnknownOutcomeError
-from pcmrs.experiment.tours import tour as live
+from pcmrs.experiment.tours import live
 from pcmrs.experiment.tours.arguments import Arguments, read_arguments
 from pcmrs.experiment.tours.record import DECIDED_AT_ONCE
 from pcmrs.experiment.tours.rehearsal import Forgetful, Script, scripted
-from pcmrs.experiment.tours.tested import TourReport, tour_live
+from pcmrs.experiment.tours.report import TourReport
+from pcmrs.experiment.tours.run import tour_live
 from pcmrs.fsm import Blueprint, Closure, load_blueprint
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
 

@@ -87,7 +87,7 @@ def test_the_command_reports_everything_covered(tmp_path: Path) -> None:
     file = tmp_path / "tour.jsonl"
     run = CliRunner().invoke(main, ["fsm", "test", "ratms", "--json", "-o", str(file)])
     assert run.exit_code == 0
-    from pcmrs.experiment.tours.tested import TourReport
+    from pcmrs.experiment.tours.report import TourReport
 
     report = msgspec.json.decode(run.stdout, type=TourReport)
     assert report.passed

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 from daemon_process import own_settings, run_pcmrs, running_daemon
 
-from pcmrs.experiment.tours.tested import TourReport
+from pcmrs.experiment.tours.report import TourReport
 from pcmrs.fsm.trial.tour import Move
 
 pytestmark = pytest.mark.slow

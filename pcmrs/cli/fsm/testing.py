@@ -22,7 +22,8 @@ from pcmrs.errors import ConfigurationError, PcmrsError
 
 if TYPE_CHECKING:
     from pcmrs.experiment.tours.arguments import Arguments
-    from pcmrs.experiment.tours.tested import ShowProgress, TourReport
+    from pcmrs.experiment.tours.live import ShowProgress
+    from pcmrs.experiment.tours.report import TourReport
     from pcmrs.fsm.blueprint import Blueprint
     from pcmrs.fsm.trial.tour import Move
 
@@ -95,7 +96,7 @@ async def _scripted(blueprint: Blueprint, limit: int, progress: ShowProgress) ->
 
     import structlog
 
-    from pcmrs.experiment.tours.tested import tour_scripted
+    from pcmrs.experiment.tours.run import tour_scripted
 
     # Steps that raise because the tour wants it are nothing to log; a dispatcher that breaks is.
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
@@ -118,7 +119,7 @@ async def _live(
 ) -> tuple[TourReport, Sequence[Move]]:
     from pcmrs.experiment.private import private_bench
     from pcmrs.experiment.setup import at_rate
-    from pcmrs.experiment.tours.tested import tour_live
+    from pcmrs.experiment.tours.run import tour_live
 
     arguments = _arguments(blueprint, arguments_file)
     if connect:
@@ -130,14 +131,15 @@ async def _live(
 
 
 def _arguments(blueprint: Blueprint, file: Path | None) -> Arguments:
-    """Those of the workflow's example plan, where it has one, and over them those of the file."""
+    """Those of the workflow's example plan, or of RATMS' where it has none, and over them those of the file."""
     from pcmrs.experiment.plan import example_plan, read_plan
     from pcmrs.experiment.tours.arguments import Arguments, plan_arguments, read_arguments
 
     try:
-        planned = plan_arguments(read_plan(example_plan(blueprint.id)))
+        plan = example_plan(blueprint.id)
     except ConfigurationError:
-        planned = {}  # a workflow without an example; the report says which arguments are missing
+        plan = example_plan("ratms")
+    planned = plan_arguments(read_plan(plan))
     return Arguments(planned | (read_arguments(file) if file is not None else {}))
 
 

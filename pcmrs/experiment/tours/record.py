@@ -91,7 +91,7 @@ class Record:
         """
         if verdict.decision == "accepted":
             self._accepted.add(move.name)
-        fitting = [m for m in self._same(move) if (m.decision, m.after) == (verdict.decision, after)]
+        fitting = [m for m in self.same(move) if (m.decision, m.after) == (verdict.decision, after)]
         self.saw(fitting)
         if not fitting:
             self.judge(move, verdict.decision, after, verdict.reason.code if verdict.reason is not None else "")
@@ -110,7 +110,7 @@ class Record:
             self.seen.made.discard(move)
             self.seen.deviations.append(found)
 
-    def _same(self, move: Move) -> list[Move]:
+    def same(self, move: Move) -> list[Move]:
         """All ways in which the same command may end."""
         asked = (move.name, move.asker)
         return [other for other in self.moves[move.before] if (other.name, other.asker) == asked]

@@ -42,7 +42,7 @@ NOT_REACHED = "no way found into the joint states"
 OUT_OF_TIME = "the time was up"
 
 ShowProgress = Callable[[int, int], None]
-"""Told how much of all that there is to see has been seen."""
+"""Told how much of how much is done."""
 
 
 class LiveTour:
@@ -126,13 +126,18 @@ class LiveTour:
             return await self._observer.settled()
         self._judged.add(verdict.id)
         after = await self._observer.settled(verdict.sequence)
-        shown = self._observer.joint_at(verdict) or tuple(after.branches.values())
+        shown = self._observer.joint_at(verdict) or self._led_to(move, verdict, tuple(after.branches.values()))
         if verdict.decision == "rejected":
             self._record.rejected(move, verdict, before.sequence, shown)
         else:
             self._record.ended(move, verdict, shown, ran=move.name in self._observer.ran)
         await self._follow(move, shown, tuple(after.branches.values()))
         return after
+
+    def _led_to(self, move: Move, verdict: Verdict, end: Joint) -> Joint:
+        """Where a decision led whose snapshot was overtaken by the next: from there the rest must lead to the end."""
+        endings = (other.after for other in self._record.same(move) if other.decision == verdict.decision)
+        return next((joint for joint in endings if self._unasked(joint)[1] == end), end)
 
     async def _command(self, move: Move) -> Verdict:
         payload = self._blueprint.branches[move.branch].operations[move.operation].payload

@@ -1,68 +1,26 @@
-"""What a test tour has shown of a workflow: how much was covered, what was otherwise, and what was left out."""
+"""Takes a workflow through a test tour: engine and dispatcher on scripted steps, or a running cell."""
 
 from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
-
-import msgspec
 
 from pcmrs.client import Client
 from pcmrs.errors import ConfigurationError, DeviceError, UnknownOutcomeError
 from pcmrs.experiment.tours.arguments import Arguments
+from pcmrs.experiment.tours.live import LiveTour, ShowProgress
 from pcmrs.experiment.tours.observer import observing
 from pcmrs.experiment.tours.rehearsal import rehearse
-from pcmrs.experiment.tours.tour import OUT_OF_TIME, LiveTour
+from pcmrs.experiment.tours.report import Left, TourReport
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.trial.coverage import Count, Deviation, coverage, is_complete, tour_engine
+from pcmrs.fsm.trial.coverage import Deviation, coverage, is_complete
+from pcmrs.fsm.trial.engine_tour import tour_engine
 from pcmrs.fsm.trial.tour import Move, Tour, plan_tour
 
 SUBJECTS = ("engine", "dispatcher, steps outside", "dispatcher, steps at once")
 """What is tested without a cell."""
-
-ShowProgress = Callable[[int, int], None]
-"""Told how much of how much is done."""
-
-
-class Left(msgspec.Struct, frozen=True):
-    """An ending of an operation that was not seen, in how many joint states, and why."""
-
-    command: str
-    joint_states: int
-    reason: str
-
-
-class TourReport(msgspec.Struct, frozen=True, kw_only=True):
-    """Result of a test tour.
-
-    Attributes:
-        subjects: What was tested, and how many commands each was given.
-        joint_states: How many there are.
-        restarts: How often the workflow was started anew on the way.
-        stops: How often Stop was pressed.
-        events: How often a device reported something by itself.
-        seconds: How long it took, s of the machine.
-        coverage: What of the workflow was seen to be as it must, by the keys of `pcmrs.fsm.trial.coverage.MEANINGS`.
-        deviations: What was not, by subject.
-        left: What could not be seen.
-        passed: Nothing deviates, and everything was seen or has a reason other than time.
-    """
-
-    workflow: str
-    version: str
-    hash: str
-    subjects: dict[str, int]
-    joint_states: int
-    restarts: int = 0
-    stops: int = 0
-    events: int = 0
-    seconds: float
-    coverage: dict[str, Count]
-    deviations: dict[str, list[Deviation]]
-    left: list[Left] = []
-    passed: bool
 
 
 @dataclass
@@ -141,6 +99,7 @@ async def tour_live(
         raise ConfigurationError(text, running=tag.hash, given=blueprint.hash)
     async with observing(client) as observer:
         seen = await LiveTour(blueprint, client, observer, arguments, limit).run(seconds, progress)
+    counts = coverage(blueprint, seen.made, seen.wanted)
     left = Counter((f"{move.name}:{move.ending}", reason) for move, reason in seen.left.items())
     report = TourReport(
         workflow=blueprint.id,
@@ -151,10 +110,10 @@ async def tour_live(
         stops=seen.stops,
         events=seen.events,
         seconds=asyncio.get_running_loop().time() - begin,
-        coverage=coverage(blueprint, seen.made, seen.wanted),
+        coverage=counts,
         deviations={"cell": seen.deviations},
         left=[Left(command, count, reason) for (command, reason), count in sorted(left.items())],
-        passed=not seen.deviations and OUT_OF_TIME not in seen.left.values(),
+        passed=not seen.deviations and counts["pairs"].covered == counts["pairs"].total,
     )
     return report, seen.tour
 
