@@ -42,7 +42,7 @@ def _treated(step: Treated) -> str:
     if "surgeon" in step.result:
         return f"{said}, confirmed by {step.result['surgeon']}"
     shift_mm, turn_deg = step.result["translation_error"] * 1000, math.degrees(step.result["rotation_error"])
-    return f"{said}: {shift_mm:.4f} mm, {turn_deg:.4f}° from the plan"
+    return f"{said}: {shift_mm:.4f} mm, {turn_deg:.4f}° from where the drill began"
 
 
 def _placement_summary(report: PlacementReport) -> Table:

@@ -30,7 +30,7 @@ from pcmrs.service.hearing import Hearing, awaited
 from pcmrs.service.nodes import NodeProcesses
 from pcmrs.service.publishing import Publishing, answer_queries
 from pcmrs.service.recorder import JournalRecorder
-from pcmrs.service.resume import check_resumable
+from pcmrs.service.resume import migration_for
 from pcmrs.service.watch import RobotWatch
 from pcmrs.settings import Settings
 from pcmrs.workflows import find_workflow, open_workflow
@@ -89,9 +89,11 @@ class Daemon:
             blueprint = workflow.blueprint
             journal = Journal.open(settings.cell.journal(blueprint.id), durable=settings.journal.durable)
             stack.push_async_callback(journal.close)
-            check_resumable(journal.reader, blueprint, find_workflow(settings.workflow).blueprint)
+            migration = migration_for(journal.reader, blueprint, find_workflow(settings.workflow).blueprint)
             tag = BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash)
             recorder = JournalRecorder(journal, clock, uuid.uuid4().hex, tag)
+            if migration is not None:
+                await recorder.taken_up(migration)
             for verdict in await recorder.close_unfinished():
                 log.warning("unknown_outcome", command=verdict.id, operation=f"{verdict.branch}.{verdict.operation}")
             workflow = replace(workflow, initial=recorder.previous(workflow.initial))

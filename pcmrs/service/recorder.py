@@ -10,6 +10,7 @@ import msgspec
 
 from pcmrs.clock import Clock
 from pcmrs.errors import JournalError
+from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.journal import Journal, JournalRow, Kind
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Verdict
 from pcmrs.workflows.data import PlacementData
@@ -66,6 +67,12 @@ class JournalRecorder:
     def recall(self, source: str, command_id: str) -> Verdict | None:
         """See `Recorder.recall`."""
         return self._journal.reader.verdict_of(source, command_id)
+
+    async def taken_up(self, migration: MigrationSpec) -> None:
+        """Journals that what an older blueprint has written is taken up under the present one, and why."""
+        text = f"Taken up from {migration.version} {migration.hash} because {migration.why}"
+        result = {"text": text, **msgspec.to_builtins(migration)}
+        await self._journal.append([self._row("event", source="daemon", operation="taken_up", result=result)])
 
     async def close_unfinished(self) -> list[Verdict]:
         """Journals ``unknown`` for what an earlier run had begun when it ended; returns those verdicts."""

@@ -8,12 +8,13 @@ import tomli_w
 
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm import Blueprint
+from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.journal import JournalReader
 from pcmrs.messages import BlueprintTag
 
 
-def check_resumable(journal: JournalReader, blueprint: Blueprint, file: Path) -> None:
-    """Refuses a journal that was last written under another blueprint, unless the present one declares the migration.
+def migration_for(journal: JournalReader, blueprint: Blueprint, file: Path) -> MigrationSpec | None:
+    """The declared migration by which a journal of another blueprint is taken up; None where none is needed.
 
     Args:
         journal: Of the cell.
@@ -21,12 +22,15 @@ def check_resumable(journal: JournalReader, blueprint: Blueprint, file: Path) ->
         file: Where that was read from, for the text.
 
     Raises:
-        ConfigurationError: The journal is of another blueprint; the text has the table that declares the migration.
+        ConfigurationError: The journal is of another blueprint, and the present one declares no migration from it;
+            the text has the table that does.
     """
     last = next((stored.row.blueprint for stored in journal.read(last=1)), None)
-    declared = {(known.version, known.hash) for known in blueprint.migrations}
-    if last is None or (last.version, last.hash) in declared | {(blueprint.version, blueprint.hash)}:
-        return
+    if last is None or (last.version, last.hash) == (blueprint.version, blueprint.hash):
+        return None
+    for known in blueprint.migrations:
+        if (known.version, known.hash) == (last.version, last.hash):
+            return known
     text = (
         f"{journal.path} was last written under {_named(last)}, and {file} is now {_named(blueprint)}. "
         f"Review the change with `pcmrs fsm diff OLD {file}`; then add to {file}:\n\n{_migration(last)}\n"

@@ -17,7 +17,7 @@ from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import JointState
 from pcmrs.spatial import Floats, Frame, FrameGraph, Transform
-from pcmrs.workflows.data import PlacementData, as_transform
+from pcmrs.workflows.data import PlacementData, Registered, as_transform
 from pcmrs.workflows.settings import ProcedureSettings
 
 
@@ -30,6 +30,8 @@ class Cell:
         resting_since: When the arm came to rest, s of the clock; poses captured earlier show it moving.
         initial_joints: Posture that `placement.to_initial` returns to; the home posture until one is remembered.
         base_from_body_ref: Where the body was last seen in the robot's base.
+        middle_in_body_ref: Centre of the landmarks that were registered last, m, (3,): it stays where it is in the
+            body when the registration is given up. None until this cell has seen a registration.
     """
 
     robot: Robot
@@ -41,6 +43,7 @@ class Cell:
     joints: JointState | None = None
     resting_since: float = -math.inf
     base_from_body_ref: Transform | None = None
+    middle_in_body_ref: Floats | None = None
     initial_joints: list[float] | None = None
     flange_from_coil: Transform = field(init=False)
     pointer_from_tip: Transform = field(init=False)
@@ -103,8 +106,14 @@ class Cell:
         graph.set(Frame.TRACKER, Frame.BODY_REF, tracked["body_ref"])
         if data.registered is not None:
             graph.set(Frame.BODY_REF, Frame.IMAGE, as_transform(data.registered.body_ref_from_image))
+            self.remember_middle(data.registered)
         self.base_from_body_ref = graph.get(Frame.ROBOT_BASE, Frame.BODY_REF)
         return graph
+
+    def remember_middle(self, registered: Registered) -> None:
+        """Takes the middle of the body from a registration."""
+        centre: Floats = np.mean([landmark.position for landmark in registered.landmarks], axis=0)
+        self.middle_in_body_ref = as_transform(registered.body_ref_from_image) @ centre
 
     def image_from_coil(self, data: PlacementData) -> Transform:
         """Where the tool is in the image: as the tracker sees it, or by the joints and where the body was last seen.

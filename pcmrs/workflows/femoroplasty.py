@@ -1,8 +1,9 @@
-"""Femoroplasty's own checks and steps: the drill trajectory, the surgeon's confirmations, the check of the guide."""
+"""Femoroplasty's own checks and steps: the drill trajectory, the surgeon's confirmations, the guide and the hole."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 import msgspec
@@ -11,13 +12,15 @@ import numpy as np
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
+from pcmrs.fsm import Effect
+from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.data import PlacementData, Point
-from pcmrs.workflows.motion import measure_placement
+from pcmrs.workflows.data import PlacementData, Point, as_message, as_transform
+from pcmrs.workflows.data import settle as settle_placement
+from pcmrs.workflows.motion import as_result, errors_of, measure_coil
+from pcmrs.workflows.placement import planned
 from pcmrs.workflows.toolplan import FARTHEST_TARGET, accept_pose
-
-Run = AnyRun[Cell, PlacementData]
 
 SHORTEST_TRAJECTORY = 0.005
 """Entry and target nearer than this (m) give no direction worth drilling along."""
@@ -25,6 +28,25 @@ LONGEST_TRAJECTORY = 0.200
 """No femoral neck is so long, m."""
 ANTERIOR, SUPERIOR = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 NEARLY_PARALLEL = 0.99
+
+AT_THE_HOLE = ("drilling", "drilling_interrupted", "drilled", "checked", "injecting", "injecting_interrupted")
+"""States of the treatment in which there is a hole, or will be, that work goes on at."""
+
+NAME = r"\A(?=.*\w)[^\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]+\Z"
+"""Something to read, and nothing that would write on another line or place of a record: no control characters."""
+
+
+class Data(PlacementData, frozen=True, kw_only=True):
+    """What a femoroplasty gathers.
+
+    Attributes:
+        hole: ``image_from_coil`` as measured when the drill went in.
+    """
+
+    hole: PoseMessage | None = None
+
+
+Run = AnyRun[Cell, Data]
 
 
 class Trajectory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -37,7 +59,7 @@ class Trajectory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Confirmation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Arguments of what only the surgeon can know: the name of the surgeon who says so."""
 
-    surgeon: Annotated[str, msgspec.Meta(min_length=1, max_length=100, pattern=r"\S")]
+    surgeon: Annotated[str, msgspec.Meta(max_length=100, pattern=NAME)]
 
 
 def guide_pose(entry: Floats, target: Floats) -> Transform:
@@ -76,22 +98,53 @@ def record_confirmation(run: Run) -> None:
     run.result |= {"surgeon": run.payload.surgeon, "confirmed": run.command.operation}
 
 
-async def check_guide_pose(run: Run) -> None:
-    """Measures the guide by the tracker, and refuses one that is not where it was planned.
+async def check_guide_on_plan(run: Run) -> None:
+    """Measures the guide by the tracker, and refuses one beside the plan; what was nudged on purpose counts as well.
 
     Raises:
-        RefusalError: An error is over its limit.
+        RefusalError: An error is over its limit, or the guide is not seen.
     """
-    await measure_placement(run)
+    plan, offset = planned(run.data), run.cell.settings.placement.confirm_offset
+    run.prepared = measured = await measure_coil(run)
+    run.result |= {"planned": as_result(plan), **errors_of(measured, plan, offset)}
+    _refuse_beside(run, "guide", "the plan, nudges included", "Back off and place it anew, or plan another trajectory.")
+
+
+def keep_hole(run: Run) -> None:
+    """The hole is where the guide has been measured: nudges and plans do not move it."""
+    run.keep(hole=as_message(run.prepared))
+
+
+async def check_guide_pose(run: Run) -> None:
+    """Measures the guide by the tracker, and refuses one that is not where it was when the hole was drilled.
+
+    Raises:
+        RefusalError: An error is over its limit, the guide is not seen, or nobody knows where the hole is.
+    """
+    if run.data.hole is None:
+        raise RefusalError("no_hole", "Where the hole is has not been measured: drill through the guide first.")
+    hole, measured = as_transform(run.data.hole), await measure_coil(run)
+    run.result |= {"hole": as_result(hole), **errors_of(measured, hole)}
+    _refuse_beside(run, "hole", "where the hole was drilled", "Back off and place it anew, with the nudges of then.")
+
+
+def _refuse_beside(run: Run, kind: str, what: str, advice: str) -> None:
+    """Refuses a guide whose errors are over the limits of their kind."""
     limits = run.cell.settings.limits
     shift_mm, turn_deg = run.result["translation_error"] * 1000.0, math.degrees(run.result["rotation_error"])
-    limit_mm, limit_deg = limits["guide_error_mm"], limits["guide_error_deg"]
+    limit_mm, limit_deg = limits[f"{kind}_error_mm"], limits[f"{kind}_error_deg"]
     if not (shift_mm <= limit_mm and turn_deg <= limit_deg):
         text = (
-            f"The guide is {shift_mm:.2f} mm and {turn_deg:.2f}° from the plan; the limits are {limit_mm:g} mm and "
-            f"{limit_deg:g}°. Back off and place it anew."
+            f"The guide is {shift_mm:.2f} mm and {turn_deg:.2f}° from {what}; the limits are {limit_mm:g} mm and "
+            f"{limit_deg:g}°. {advice}"
         )
         raise RefusalError("guide_off", text, shift_mm=shift_mm, turn_deg=turn_deg)
+
+
+def settle(data: PlacementData, states: Mapping[str, str], effects: Sequence[Effect]) -> PlacementData:
+    """Forgets where the hole is once nothing more is to be done there. Pure."""
+    settled = settle_placement(data, states, effects)
+    return settled if states["treatment"] in AT_THE_HOLE else msgspec.structs.replace(settled, hole=None)
 
 
 def register(registry: Registry[Cell, PlacementData]) -> None:
@@ -99,5 +152,7 @@ def register(registry: Registry[Cell, PlacementData]) -> None:
     registry.payload("trajectory", Trajectory)
     registry.payload("confirmation", Confirmation)
     registry.check(trajectory_reachable)
-    registry.step(record_confirmation)
-    registry.world_step(check_guide_pose)
+    for step in (keep_hole, record_confirmation):
+        registry.step(step)
+    for world_step in (check_guide_on_plan, check_guide_pose):
+        registry.world_step(world_step)

@@ -47,6 +47,7 @@ def find_workflow(name: str) -> Place:
         return _at(Path(name).expanduser())
     found = [place for known, place in _installed() if known == name]
     if not found:
+        _refuse_incomplete(name)
         names = ", ".join(sorted({known for known, _ in _installed()}))
         text = f"There is no workflow {name!r}; there are {names}, or give the path of a .toml file."
         raise ConfigurationError(text, workflow=name)
@@ -55,6 +56,14 @@ def find_workflow(name: str) -> Place:
         text = f"More than one workflow is called {name!r}: {files}. Give the path of the one."
         raise ConfigurationError(text, workflow=name)
     return found[0]
+
+
+def _refuse_incomplete(name: str) -> None:
+    """Raises `ConfigurationError` where a package offers the workflow, but not the module that it names."""
+    for point in entry_points(group=GROUP, name=name):
+        package = point.dist.name if point.dist is not None else "a package"
+        text = f"The workflow {name!r} is installed by {package}, but its module {point.module} is missing: "
+        raise ConfigurationError(f"{text}install {package} again, with that module in it.", workflow=name)
 
 
 def _at(path: Path) -> Place:

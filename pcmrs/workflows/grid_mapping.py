@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Self
 
 import msgspec
@@ -10,9 +11,11 @@ import msgspec
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
-from pcmrs.fsm import Blueprint
+from pcmrs.fsm import Blueprint, Effect
+from pcmrs.workflows import data as placement_data
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message
+from pcmrs.workflows.motion import as_result, errors_of, measure_coil
 from pcmrs.workflows.toolplan import ToolPose, accept_pose, pose_of
 
 
@@ -22,10 +25,14 @@ class Data(PlacementData, frozen=True, kw_only=True):
     Attributes:
         points: States of the mapping in which a point is next, in order.
         grid: ``image_from_coil`` of each point; empty until a grid is planned.
+        performed: Points of the present map at which the coil was, in order.
+        skipped: Points of the present map that were left out, in order.
     """
 
     points: tuple[str, ...] = ()
     grid: tuple[ToolPose, ...] = ()
+    performed: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
 
     @classmethod
     def begin(cls, blueprint: Blueprint) -> Self:
@@ -70,28 +77,60 @@ def plan_is_of_point(run: Run) -> None:
         raise RefusalError("other_point_planned", text, point=run.states["mapping"])
 
 
+async def measure_at_point(run: Run) -> None:
+    """Measures the coil by the tracker, and its errors against the pose of the point: nudges do not belong to that."""
+    point, offset = pose_of(_next_pose(run)), run.cell.settings.placement.confirm_offset
+    errors = errors_of(await measure_coil(run), point, offset)
+    run.result |= {"point": run.states["mapping"], "planned": as_result(point), **errors}
+
+
 def point_within_tolerance(run: Run) -> None:
     """Fails a point at which the coil has been measured too far from where it was planned."""
-    limits = run.cell.settings.limits
+    limits, point = run.cell.settings.limits, run.states["mapping"]
     found = {
         "mm": run.result["translation_error"] * 1000.0,
         "deg": math.degrees(run.result["rotation_error"]),
     }
-    run.result["point"] = run.states["mapping"]
     for unit, value in found.items():
         limit = limits[f"point_tolerance_{unit}"]
         if not value <= limit:
-            text = f"The coil is {value:.2f} {unit} from the planned pose of the point; the limit is {limit:g} {unit}."
-            raise RefusalError("point_missed", text, point=run.states["mapping"], value=value, limit=limit)
+            text = (
+                f"The coil is {value:.2f} {unit} from the planned pose of {point}, to which nudges do not belong; "
+                f"the limit is {limit:g} {unit}. Place it anew and repeat the point, or skip it."
+            )
+            raise RefusalError("point_missed", text, point=point, value=value, limit=limit)
+
+
+def count_as_performed(run: Run) -> None:
+    """Puts on record that the point was performed."""
+    run.keep(performed=(*run.data.performed, run.states["mapping"]))
+    _tell_points(run)
+
+
+def count_as_skipped(run: Run) -> None:
+    """Puts on record that the point, stopped or not, was left out: a map of skipped points is no mapping."""
+    run.result["point"] = point = run.states["mapping"].removesuffix("_stopped")
+    run.keep(skipped=(*run.data.skipped, point))
+    _tell_points(run)
+
+
+def _tell_points(run: Run) -> None:
+    run.result |= {"performed": list(run.data.performed), "skipped": list(run.data.skipped)}
+
+
+def settle(data: Data, states: Mapping[str, str], effects: Sequence[Effect]) -> PlacementData:
+    """Drops what the joint state no longer stands for; a map that begins anew has no points behind it. Pure."""
+    begins = states["mapping"] in ("unplanned", data.points[0])
+    fitted = msgspec.structs.replace(data, performed=(), skipped=()) if begins else data
+    fitted = msgspec.structs.replace(fitted, grid=()) if states["mapping"] == "unplanned" else fitted
+    return placement_data.settle(fitted, states, effects)
 
 
 def _next_pose(run: Run) -> ToolPose:
     data, state = run.data, run.states["mapping"]
     if state not in data.points:
-        text = f"No point is next: the mapping is in {state}. Repeat or skip the point, or plan a grid."
+        text = f"No point is next: the mapping is in {state}. Plan a grid, or repeat or skip a stopped point."
         raise RefusalError("no_next_point", text, state=state)
-    if not data.grid:
-        raise RefusalError("no_grid", "No grid is planned: ask for mapping.plan_grid first.")
     return data.grid[data.points.index(state)]
 
 
@@ -100,5 +139,6 @@ def register(registry: Registry[Cell, PlacementData]) -> None:
     registry.payload("grid", Grid)
     for check in (grid_fits, point_reachable, plan_is_of_point):
         registry.check(check)
-    for step in (keep_grid, point_within_tolerance):
+    registry.world_step(measure_at_point)
+    for step in (keep_grid, point_within_tolerance, count_as_performed, count_as_skipped):
         registry.step(step)

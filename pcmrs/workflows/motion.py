@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from pcmrs.workflows.paths import along_axis
 from pcmrs.workflows.placement import NOTHING, at_present_plan, nudges_with, planned, target
 
 Run = AnyRun[Cell, PlacementData]
+P = TypeVar("P", bound=PlacementData)
 
 
 async def follow_prepared(run: Run) -> None:
@@ -71,12 +73,16 @@ async def measure_placement(run: Run) -> None:
     """
     offset = run.cell.settings.placement.confirm_offset
     measured, plan = await measure_coil(run), target(run.data, offset) @ along_axis(-offset)
-    error = measured.rotation.T @ (measured.translation - plan.translation) - np.array([0.0, 0.0, offset])
-    run.result |= {
-        "planned": _as_result(planned(run.data)),
-        "measured": _as_result(measured),
+    run.result |= {"planned": as_result(planned(run.data)), **errors_of(measured, plan, offset)}
+
+
+def errors_of(measured: Transform, expected: Transform, offset: float = 0.0) -> dict[str, Any]:
+    """A measured pose and its errors against the one expected, `offset` (m) away along the tool's axis, as a result."""
+    error = measured.rotation.T @ (measured.translation - expected.translation) - np.array([0.0, 0.0, offset])
+    return {
+        "measured": as_result(measured),
         "translation_error": float(np.linalg.norm(error)),
-        "rotation_error": rotation_angle(plan, measured),
+        "rotation_error": rotation_angle(expected, measured),
     }
 
 
@@ -85,7 +91,7 @@ async def find_where_retreat_ended(run: Run) -> None:
     run.outcome = "standoff" if _at_standoff(run) else where_clear(run)
 
 
-async def measure_coil(run: Run) -> Transform:
+async def measure_coil(run: AnyRun[Cell, P]) -> Transform:
     """``image_from_coil`` as the mean of fresh tracker frames, with the arm at rest."""
     cell, placement = run.cell, run.cell.settings.placement
     registered = run.data.registered
@@ -115,7 +121,8 @@ def _at_standoff(run: Run) -> bool:
     return distance(planned(data) @ along_axis(placement.standoff), measured) * 1000 <= placement.standoff_tolerance_mm
 
 
-def _as_result(pose: Transform) -> dict[str, list[float]]:
+def as_result(pose: Transform) -> dict[str, list[float]]:
+    """A pose as results have it."""
     return {"position": pose.translation.tolist(), "quat_xyzw": pose.quat_xyzw.tolist()}
 
 

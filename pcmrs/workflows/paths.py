@@ -11,7 +11,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Frame, Transform
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.data import PlacementData, as_transform
+from pcmrs.workflows.data import PlacementData
 
 CHECK_EVERY = 8
 """Every so manyth sample of a trajectory is looked at: 40 ms apart."""
@@ -24,9 +24,10 @@ TOLERANCE = 0.001
 
 
 def middle_of_body(cell: Cell, data: PlacementData) -> Floats:
-    """A point inside the body, in the robot's base, m, (3,): the centre of the landmarks once registered.
+    """A point inside the body, in the robot's base, m, (3,): the centre of the landmarks registered last.
 
-    The body is where it is seen now; where it was seen last while something hides it.
+    The body is where it is seen now; where it was seen last while something hides it. Until a registration has been
+    seen, its reference stands for it.
 
     Raises:
         RefusalError: The body has never been seen together with the tool.
@@ -36,11 +37,11 @@ def middle_of_body(cell: Cell, data: PlacementData) -> Floats:
     if cell.base_from_body_ref is None:
         text = "Where the body is has not been seen yet: show the tool and the body's reference to the tracker."
         raise RefusalError("body_unknown", text)
-    if data.registered is None:
+    if data.registered is not None:
+        cell.remember_middle(data.registered)
+    if cell.middle_in_body_ref is None:
         return cell.base_from_body_ref.translation
-    centre: Floats = np.mean([landmark.position for landmark in data.registered.landmarks], axis=0)
-    centre_in_body_ref = as_transform(data.registered.body_ref_from_image) @ centre
-    return cell.base_from_body_ref @ centre_in_body_ref
+    return cell.base_from_body_ref @ cell.middle_in_body_ref
 
 
 def distance_from_body(cell: Cell, data: PlacementData) -> float:
@@ -83,8 +84,16 @@ def distances(cell: Cell, trajectory: JointTrajectory, middle: Floats) -> Floats
     return np.asarray(np.linalg.norm(np.array(coils) - middle, axis=1))
 
 
-def check_only_grows(cell: Cell, trajectory: JointTrajectory, data: PlacementData) -> None:
+def check_only_grows(
+    cell: Cell, trajectory: JointTrajectory, data: PlacementData, advice: str = "Back off first."
+) -> None:
     """Refuses a retreat that comes nearer to the body, unless it stays clear of it all the way.
+
+    Args:
+        cell: The cell.
+        trajectory: The way.
+        data: Of the procedure.
+        advice: What else can be done, for the text.
 
     Raises:
         RefusalError: It comes nearer than `clearance` and by more than `TOLERANCE`.
@@ -95,7 +104,7 @@ def check_only_grows(cell: Cell, trajectory: JointTrajectory, data: PlacementDat
     if way[worst] < cell.settings.placement.clearance and shrinks[worst] > TOLERANCE:
         text = (
             f"The way leads back towards the body: to {way[worst] * 1000:.0f} mm from its middle after "
-            f"{(way[worst] + shrinks[worst]) * 1000:.0f} mm. Back off first."
+            f"{(way[worst] + shrinks[worst]) * 1000:.0f} mm. {advice}"
         )
         raise RefusalError("distance_shrinks", text, distance=float(way[worst]), shrinks=float(shrinks[worst]))
 

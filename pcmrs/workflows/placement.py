@@ -33,6 +33,10 @@ SHORT_OF_LIMIT = 0.005
 """So far before the place where the arm cannot follow a line any more, it stops following it, m."""
 
 
+BY_HAND = "Register the body anew, or bring the arm away by hand, with the robot's own controls; then back off."
+"""What is left where even backing off is refused."""
+
+
 class Nudge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Arguments of `nudge`, in the tool frame: m, and rotations about z, y, x in rad."""
 
@@ -75,15 +79,15 @@ def retreat_possible(run: Run) -> None:
     """Plans the straight way back along the tool's axis: to the standoff it belongs to, or clear of the body.
 
     Where the arm cannot follow that line to its end it goes on home: backing off is the only way out of `held`,
-    so a joint limit on the line must not refuse it.
+    so a joint limit on the line must not refuse it. Nor must a body of which only the reference has been seen: that may
+    be beside it, while +z leads away from the body by definition. Only the way home is held against the reference.
     """
     cell = run.cell
-    way, complete = _back_off(run)
-    if not complete:
-        way = concatenate(way, joint_motion(cell.arm, way.positions[-1], cell.settings.home, cell.motion_limits()))
-    if not complete or cell.base_from_body_ref is not None:
-        check_only_grows(cell, way, run.data)
-    run.prepared = way
+    straight, complete = _back_off(run)
+    middle_known = cell.base_from_body_ref is not None and cell.middle_in_body_ref is not None
+    run.prepared = straight if complete else _then_home(run, straight, checked_later=middle_known)
+    if middle_known:
+        check_only_grows(cell, run.prepared, run.data, BY_HAND)
 
 
 def home_grows_distance(run: Run) -> None:
@@ -147,18 +151,43 @@ def _back_off(run: Run) -> tuple[JointTrajectory, bool]:
 
     It is cut short where the arm cannot follow it any farther.
     """
-    length = _length_of_retreat(run)
-    try:
-        return _straight_away(run, length), True
-    except UnreachableError as error:
-        followed = error.fields.get("parameter", 0.0) * length
-    return _straight_away(run, max(0.0, followed - SHORT_OF_LIMIT)), False
+    length = whole = _length_of_retreat(run)
+    while True:
+        try:
+            return _straight_away(run, length), length == whole
+        except UnreachableError as error:
+            shorter = error.fields.get("parameter", 0.0) * length - SHORT_OF_LIMIT
+            length = shorter if shorter > SHORT_OF_LIMIT else 0.0  # not worth moving for
+
+
+def _then_home(run: Run, straight: JointTrajectory, *, checked_later: bool) -> JointTrajectory:
+    """On home from the end of a straight way that was cut short; the straight way alone where that is refused."""
+    cell = run.cell
+    home = joint_motion(cell.arm, straight.positions[-1], cell.settings.home, cell.motion_limits())
+    if not checked_later:
+        try:
+            check_only_grows(cell, home, run.data, BY_HAND)
+        except RefusalError:
+            if len(straight.positions) == 1:
+                raise
+            return straight
+    return concatenate(straight, home)
 
 
 def _straight_away(run: Run, length: float) -> JointTrajectory:
+    """Straight along the tool's +z axis. Raises `UnreachableError` where a joint would leave its limits on the way."""
     cell = run.cell
-    goal = cell.flange_for(cell.arm.forward(cell.posture()) @ cell.flange_from_coil @ along_axis(length))
-    return straight_motion(cell.arm, cell.posture(), goal, cell.motion_limits(), flange_from_tool=cell.flange_from_coil)
+    base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
+    goal = cell.flange_for(base_from_coil @ along_axis(length))
+    way = straight_motion(cell.arm, cell.posture(), goal, cell.motion_limits(), flange_from_tool=cell.flange_from_coil)
+    # Between two knots of the line a joint that comes to rest at its limit can swing beyond it.
+    postures = np.array(way.positions)
+    beyond = np.any((postures < cell.arm.lower) | (postures > cell.arm.upper), axis=1)[1:]
+    if np.any(beyond):
+        reached = cell.arm.forward(postures[1 + np.argmax(beyond)]) @ cell.flange_from_coil
+        parameter = float(np.linalg.norm(reached.translation - base_from_coil.translation)) / length
+        raise UnreachableError("A joint would leave its limits on the straight way.", parameter=parameter)
+    return way
 
 
 def _length_of_retreat(run: Run) -> float:

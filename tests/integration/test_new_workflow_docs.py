@@ -52,7 +52,7 @@ def _sessions() -> Iterator[Shown]:
 def test_the_page_and_the_example_are_the_same_files() -> None:
     folder = ROOT / "examples" / "biopsy"
     written = _files()
-    for name in ("biopsy.toml", "biopsy.py"):
+    for name in ("biopsy.toml", "biopsy.py", "landmarks.json"):
         assert written[name] == (folder / name).read_text()
 
 

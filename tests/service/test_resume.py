@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 import msgspec
 import pytest
+from click.testing import CliRunner
 from clock import ManualClock
 
+from pcmrs.cli import main
 from pcmrs.errors import ConfigurationError, JournalError
 from pcmrs.fsm import Blueprint
+from pcmrs.fsm.blueprint import MigrationSpec
+from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.journal import Journal, JournalRow
 from pcmrs.messages import BlueprintTag, DeviceEvent
 from pcmrs.service.recorder import JournalRecorder
-from pcmrs.service.resume import check_resumable
+from pcmrs.service.resume import migration_for
 from pcmrs.workflows.data import PlacementData
 
 FILE = Path("my/lamp.toml")
@@ -37,9 +42,9 @@ async def _write(journal: Journal, blueprint: Blueprint) -> None:
 
 
 async def test_an_empty_journal_and_one_of_the_same_blueprint_are_taken_up(journal: Journal) -> None:
-    check_resumable(journal.reader, OLD, FILE)
+    assert migration_for(journal.reader, OLD, FILE) is None
     await _write(journal, OLD)
-    check_resumable(journal.reader, OLD, FILE)
+    assert migration_for(journal.reader, OLD, FILE) is None
 
 
 @pytest.mark.parametrize(
@@ -50,7 +55,7 @@ async def test_another_version_or_content_is_refused_until_the_table_of_the_text
 ) -> None:
     await _write(journal, OLD)
     with pytest.raises(ConfigurationError) as refused:
-        check_resumable(journal.reader, other, FILE)
+        migration_for(journal.reader, other, FILE)
     text = refused.value.text
     for word in (
         "1.0.0",
@@ -66,15 +71,42 @@ async def test_another_version_or_content_is_refused_until_the_table_of_the_text
     (_, table, _) = text.split("\n\n")
     migrations = msgspec.convert(tomllib.loads(table), type=dict[str, list[dict[str, str]]])["migrations"]
     migrated = msgspec.convert(msgspec.to_builtins(other) | {"migrations": migrations}, Blueprint)
-    check_resumable(journal.reader, migrated, FILE)
+    used = migration_for(journal.reader, migrated, FILE)
+    assert used is not None
+    assert (used.version, used.hash, used.why) == ("1.0.0", "aa", "what makes it safe")
+
+
+async def test_a_migration_that_is_used_is_in_the_journal_once(journal: Journal) -> None:
+    await _write(journal, OLD)
+    other = MigrationSpec(version="0.9", hash="99", why="never used")
+    declared = MigrationSpec(version="1.0.0", hash="aa", why="only a deadline changed")
+    migrated = msgspec.structs.replace(NEW, migrations=[other, declared])
+    used = migration_for(journal.reader, migrated, FILE)
+    assert used == declared
+    tag = BlueprintTag(id=NEW.id, version=NEW.version, hash=NEW.hash)
+    await JournalRecorder(journal, ManualClock(), "s2", tag).taken_up(used)
+    shown = CliRunner().invoke(main, ["journal", "show", str(journal.reader.path), "--last", "1"])
+    assert shown.exit_code == 0, shown.output
+    assert "event" in shown.output
+    assert "Taken up from 1.0.0 aa because only a deadline changed" in shown.output
+    assert migration_for(journal.reader, migrated, FILE) is None, "it is written under the present blueprint now"
+
+
+@pytest.mark.parametrize("why", ["", " ", "\n\t"])
+def test_a_migration_must_say_why(why: str) -> None:
+    text = f'id = "x"\nversion = "1"\nmigrations = [{{ version = "0", hash = "aa", why = {json.dumps(why)} }}]\n'
+    text += 'branches.lamp = { states = { off = "dark" } }\n'
+    blueprint, (finding,) = read_blueprint(text.encode(), "x.toml")
+    assert blueprint is None
+    assert (finding.code, finding.path) == ("bad_value", ("migrations", "0", "why"))
 
 
 async def test_only_the_blueprint_that_wrote_last_counts(journal: Journal) -> None:
     await _write(journal, OLD)
     await _write(journal, NEW)
-    check_resumable(journal.reader, NEW, FILE)
+    assert migration_for(journal.reader, NEW, FILE) is None
     with pytest.raises(ConfigurationError):
-        check_resumable(journal.reader, OLD, FILE)
+        migration_for(journal.reader, OLD, FILE)
 
 
 async def test_what_an_older_program_left_in_other_types_is_told_with_the_file(journal: Journal) -> None:

@@ -15,7 +15,7 @@ from pcmrs.cli import main
 from pcmrs.errors import BlueprintError, ConfigurationError
 from pcmrs.settings import Settings, read_settings
 from pcmrs.workflows import find_workflow, open_workflow, read_workflow
-from pcmrs.workflows.settings import PlacementSettings
+from pcmrs.workflows.settings import RegistrationSettings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 BIOPSY = EXAMPLES / "biopsy" / "biopsy.toml"
@@ -110,10 +110,11 @@ def test_an_unknown_name_is_refused_with_what_there_is(name: str) -> None:
         assert known in refused.value.text
 
 
-def test_an_entry_point_of_a_package_that_is_gone_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_entry_point_without_its_module_is_told_with_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _install(tmp_path, monkeypatch, "gone", "no_such_package.lamp")
-    with pytest.raises(ConfigurationError, match="There is no workflow 'gone'"):
+    with pytest.raises(ConfigurationError, match=r"'gone' is installed by lamps, but its module no_such_package\.lamp"):
         find_workflow("gone")
+    assert find_workflow("ratms").blueprint.name == "ratms.toml"
 
 
 def test_a_path_is_relative_to_where_it_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,21 +183,19 @@ def test_defaults_of_a_workflow_lie_between_the_built_in_ones_and_the_file(tmp_p
     file = _write(
         tmp_path,
         _with(
-            "[defaults.procedure.placement]\nstandoff = 0.2\nframes = 7\nclearance = 0.3\n[defaults.sim]\nseed = 5\n"
+            "[defaults.procedure.registration]\nsamples = 7\nspread_limit_mm = 3.0\n[defaults.sim]\nseed = 5\n"
             "[defaults.procedure.limits]\nbrightness = 2.0\n"
         ),
     )
     config = tmp_path / "cell.toml"
-    # Only against the workflow's standoff is this offset possible.
-    config.write_text('workflow = "lamp.toml"\nprocedure.placement = { confirm_offset = 0.1, frames = 8 }\n')
-    settings = read_settings(config, ["procedure.placement.clearance=0.4"])
-    placement = settings.procedure.placement
-    assert (placement.standoff, placement.confirm_offset) == (0.2, 0.1)
-    assert (placement.frames, placement.clearance) == (8, 0.4)
-    assert placement.settle_time == PlacementSettings().settle_time
+    config.write_text('workflow = "lamp.toml"\nprocedure.registration = { samples = 8, residual_limit_mm = 5.0 }\n')
+    settings = read_settings(config, ["procedure.registration.residual_limit_mm=6"])
+    registration = settings.procedure.registration
+    assert (registration.samples, registration.spread_limit_mm, registration.residual_limit_mm) == (8, 3.0, 6.0)
+    assert registration.touch_timeout_s == RegistrationSettings().touch_timeout_s
     assert settings.sim == {"seed": 5}
     assert settings.procedure.limits == {"brightness": 2.0}
-    assert read_settings(None, [f"workflow={file}"]).procedure.placement.frames == 7
+    assert read_settings(None, [f"workflow={file}"]).procedure.registration.samples == 7
     assert read_settings() == Settings(), "the defaults of a workflow are nobody else's"
 
 
@@ -207,8 +206,10 @@ def test_defaults_of_a_workflow_lie_between_the_built_in_ones_and_the_file(tmp_p
         ("defaults.procedure.placement.frames = 0", ("frames",)),
         ("defaults.procedure.max_pose_age = inf", ("max_pose_age", "finite")),
         ("defaults.sim.sed = 5", ("sed",)),
-        ("defaults.cell.folder = '/elsewhere'", ("cell", "procedure and sim")),
-        ("defaults.gateway.host = '0.0.0.0'", ("gateway", "procedure and sim")),
+        ("defaults.cell.folder = '/elsewhere'", ("cell", "may change procedure.limits")),
+        ("defaults.procedure.patient = 'bob'", ("procedure.patient", "may change procedure.limits")),
+        ("defaults.procedure.placement.standoff = 0.2", ("procedure.placement", "may change procedure.limits")),
+        ("defaults.gateway.host = '0.0.0.0'", ("gateway", "may change procedure.limits")),
         ("defaults.procedure.limits.brightness = 'much'", ("procedure.limits", "float")),
     ],
 )
@@ -297,6 +298,19 @@ async def test_the_example_refuses_what_it_must() -> None:
         await bench.accept("needle.insert")
         await bench.accept("registration.register")
         assert bench.states["needle"] == "astray", "after a new registration the tip is not known to be at the target"
+
+
+async def test_a_latched_stop_keeps_the_needle_out_and_lets_it_be_withdrawn() -> None:
+    async with open_bench(workflow=str(BIOPSY)) as bench:
+        await _planned(bench)
+        await bench.dispatcher.stop("test")
+        refused = await bench.refuse("needle.insert", "latched")
+        assert refused.reason is not None
+        assert "safety.acknowledge" in refused.reason.text
+        await bench.accept("safety.acknowledge")
+        await bench.accept("needle.insert")
+        await bench.dispatcher.stop("test")
+        assert (await bench.accept("needle.withdraw")).state == "planned"
 
 
 async def test_commands_to_branches_that_the_workflow_has_not_are_rejections_and_stop_works() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -21,12 +22,12 @@ from pcmrs.spatial import Transform
 from pcmrs.workflows import open_workflow
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
-from pcmrs.workflows.femoroplasty import guide_pose
+from pcmrs.workflows.femoroplasty import Data, guide_pose
 from sim.plan import TRAJECTORIES, trajectory
 
 PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "femoroplasty_plan.json").read_text())
 ENTRY, TARGET = [0.1190896, 0.0086103, -0.0247955], [0.0652414, 0.0161782, -0.0051043]
-TRAJECTORY = {"entry": ENTRY, "target": TARGET}
+TRAJECTORY: dict[str, Any] = {"entry": ENTRY, "target": TARGET}
 SURGEON = {"surgeon": "A. Surgeon"}
 LOST = DeviceEvent(device="robot", code="link_lost", text="The robot is silent.", danger=True)
 
@@ -44,6 +45,7 @@ def workflow() -> Workflow[Cell, PlacementData]:
 async def open_femur(procedure: dict[str, Any] | None = None) -> AsyncIterator[WorkflowBench]:
     """The guide placed at a planned trajectory of a registered femur."""
     async with open_bench(procedure, workflow=workflow()) as bench:
+        await bench.accept("treatment.confirm_clear", **SURGEON)
         await bench.connect()
         await bench.accept("registration.plan_landmarks", landmarks=PLAN["landmarks"])
         await bench.accept("digitization.digitize_all")
@@ -71,13 +73,41 @@ async def drill(bench: WorkflowBench) -> None:
     await bench.accept("treatment.confirm_drilled", **SURGEON)
 
 
+async def drill_and_check(bench: WorkflowBench) -> None:
+    await drill(bench)
+    await bench.accept("treatment.check_guide")
+
+
+async def lose_the_robot(bench: WorkflowBench) -> None:
+    """And find it again, held where it is."""
+    await bench.scene.cut_robot(True)
+    await bench.dispatcher.report(LOST)
+    assert bench.states["placement"] == "unknown"
+    await bench.scene.cut_robot(False)
+    await bench.clock.sleep(1.0)
+    await bench.connect()
+    assert bench.states["placement"] == "held"
+    await bench.accept("robot.acknowledge")
+
+
 async def check_that_nothing_moves(bench: WorkflowBench) -> None:
     for motion in ("back_off", "home", "to_initial"):
         await bench.refuse(f"placement.{motion}", "drill_in_bone")
     await bench.refuse("placement.nudge", "drill_in_bone", translation=[0.0, 0.0, 0.001])
     for leaving in ("robot.disconnect", "registration.reinit", "toolplan.reinit", "placement.reinit"):
         await bench.refuse(leaving, "drill_in_bone")
-    await bench.refuse("treatment.reinit", "drill_in_bone")
+    await bench.refuse("treatment.reinit", "drill_in_bone", **SURGEON)
+
+
+async def check_that_nothing_is_planned(bench: WorkflowBench) -> None:
+    for name in ("clear_landmarks", "clear_digitization", "clear_registration", "register", "use_previous"):
+        await bench.refuse(f"registration.{name}", "drill_in_bone")
+    await bench.refuse("registration.plan_landmarks", "drill_in_bone", landmarks=PLAN["landmarks"])
+    for name in ("digitize_all", "reuse_previous", "reinit"):
+        await bench.refuse(f"digitization.{name}", "drill_in_bone")
+    await bench.refuse("digitization.redigitize_one", "drill_in_bone", index=0)
+    await bench.refuse("toolplan.plan_trajectory", "drill_in_bone", **TRAJECTORY)
+    await bench.refuse("toolplan.clear", "drill_in_bone")
 
 
 async def test_a_whole_procedure_from_the_landmarks_to_the_injection(femur: WorkflowBench) -> None:
@@ -85,18 +115,22 @@ async def test_a_whole_procedure_from_the_landmarks_to_the_injection(femur: Work
     assert as_transform(femur.data.plan).translation.tolist() == ENTRY
     for name, state in (("start_drilling", "drilling"), ("confirm_drilled", "drilled")):
         said = await femur.accept(f"treatment.{name}", **SURGEON)
-        assert (said.state, said.result) == (state, {"surgeon": "A. Surgeon", "confirmed": name})
+        assert said.result is not None
+        assert (said.state, said.result["surgeon"], said.result["confirmed"]) == (state, "A. Surgeon", name)
         if state == "drilling":
             await check_that_nothing_moves(femur)
+            await check_that_nothing_is_planned(femur)
     await femur.refuse("treatment.start_injection", "invalid_in_state", **SURGEON)
     checked = await femur.accept("treatment.check_guide")
     assert checked.result is not None
     assert 0.0 < checked.result["translation_error"] < 0.0005
     await femur.accept("treatment.start_injection", **SURGEON)
     await check_that_nothing_moves(femur)
+    await check_that_nothing_is_planned(femur)
     assert (await femur.accept("treatment.confirm_injected", **SURGEON)).state == "injected"
     assert (await femur.accept("placement.home")).state == "retracted"
     assert [verdict.operation for verdict in femur.recorder.verdicts if (verdict.result or {}).get("surgeon")] == [
+        "confirm_clear",
         "start_drilling",
         "confirm_drilled",
         "start_injection",
@@ -106,11 +140,32 @@ async def test_a_whole_procedure_from_the_landmarks_to_the_injection(femur: Work
 
 async def test_no_confirmation_without_a_name_and_no_drilling_without_a_guide(femur: WorkflowBench) -> None:
     nameless: list[dict[str, Any]] = [{}, {"surgeon": ""}, {"surgeon": "  "}, {"surgeon": 1}, {"surgeon": "x" * 101}]
+    nameless += [{"surgeon": f"A.{letter}Surgeon"} for letter in "\n\r\t\0\x1b\x7f\x85\u2028\u202e"]
+    nameless += [{"surgeon": letters} for letters in ("A. Surgeon\n", "\nA. Surgeon", "\u200b", "- -")]
     for arguments in nameless:
         await femur.refuse("treatment.start_drilling", "bad_arguments", **arguments)
         await femur.refuse("treatment.abandon", "bad_arguments", **arguments)
     await femur.accept("placement.back_off")
     await femur.refuse("treatment.start_drilling", "guide_not_placed", **SURGEON)
+    given_up = await femur.accept("treatment.abandon", surgeon="Dr. Þóra Ñandú-O’Neill, 医師")
+    assert given_up.result == {"surgeon": "Dr. Þóra Ñandú-O’Neill, 医師", "confirmed": "abandon"}
+
+
+async def test_after_a_restart_nothing_moves_until_the_surgeon_says_that_nothing_is_in_the_bone() -> None:
+    async with open_bench(workflow=workflow()) as bench:
+        await bench.connect()
+        await bench.accept("registration.plan_landmarks", landmarks=PLAN["landmarks"])
+        await bench.accept("digitization.digitize_all")
+        await bench.accept("registration.register")
+        await bench.accept("toolplan.plan_trajectory", **TRAJECTORY)
+        for leaving in ("placement.approach", "placement.home", "robot.disconnect", "placement.reinit"):
+            await bench.refuse(leaving, "drill_in_bone")
+        for work in ("start_drilling", "confirm_drilled", "withdraw", "abandon"):
+            await bench.refuse(f"treatment.{work}", "invalid_in_state", **SURGEON)
+        await bench.refuse("treatment.confirm_clear", "bad_arguments")
+        assert (await bench.accept("treatment.confirm_clear", **SURGEON)).state == "ready"
+        await bench.refuse("treatment.confirm_clear", "invalid_in_state", **SURGEON)
+        await place(bench)
 
 
 async def test_a_guide_beside_the_plan_is_not_checked(femur: WorkflowBench) -> None:
@@ -125,17 +180,68 @@ async def test_a_guide_beside_the_plan_is_not_checked(femur: WorkflowBench) -> N
     await femur.refuse("treatment.start_injection", "invalid_in_state", **SURGEON)
 
 
-async def test_a_guide_askew_is_not_checked() -> None:
-    async with open_femur({"limits": {"guide_error_mm": 2.0, "guide_error_deg": 1e-6}}) as bench:
-        await drill(bench)
-        failed = await bench.refuse("treatment.check_guide", "guide_off", decision="failed")
-        assert failed.state == "drilled"
+@pytest.mark.parametrize(
+    ("kind", "operation", "state"), [("guide", "start_drilling", "ready"), ("hole", "check_guide", "drilled")]
+)
+async def test_a_guide_askew_is_refused(kind: str, operation: str, state: str) -> None:
+    async with open_femur({"limits": {f"{kind}_error_deg": 1e-6}}) as bench:
+        arguments = SURGEON if operation == "start_drilling" else {}
+        if not arguments:
+            await drill(bench)
+        failed = await bench.refuse(f"treatment.{operation}", "guide_off", decision="failed", **arguments)
+        assert failed.state == state
+
+
+async def test_drill_and_needle_go_in_only_where_the_guide_is_now(femur: WorkflowBench) -> None:
+    """The body moves after the guide was placed, and again after it was checked."""
+    await femur.scene.move_body((0.0, 0.003, 0.0))
+    await femur.clock.sleep(1.0)
+    failed = await femur.refuse("treatment.start_drilling", "guide_off", decision="failed", **SURGEON)
+    assert isinstance(femur.data, Data)
+    assert (failed.state, femur.data.hole) == ("ready", None)
+    await femur.scene.move_body((0.0, -0.003, 0.0))
+    await femur.clock.sleep(1.0)
+    await drill_and_check(femur)
+    await femur.scene.move_body((0.0, 0.003, 0.0))
+    await femur.clock.sleep(1.0)
+    failed = await femur.refuse("treatment.start_injection", "guide_off", decision="failed", **SURGEON)
+    assert failed.state == "drilled", "the check is taken back"
+
+
+async def test_work_in_the_bone_is_not_begun_unseen(femur: WorkflowBench) -> None:
+    await femur.scene.occlude("coil", True)
+    await femur.clock.sleep(1.0)
+    failed = await femur.refuse("treatment.start_drilling", "pose_missing", decision="failed", **SURGEON)
+    assert failed.state == "ready"
+
+
+async def test_while_stop_is_latched_nothing_begins_and_all_that_is_done_can_be_said(femur: WorkflowBench) -> None:
+    await femur.dispatcher.stop("test")
+    await femur.refuse("treatment.start_drilling", "latched", **SURGEON)
+    await femur.accept("robot.acknowledge")
+    await femur.accept("treatment.start_drilling", **SURGEON)
+    await femur.dispatcher.stop("test")
+    assert femur.states["treatment"] == "drilling"
+    await femur.accept("treatment.confirm_drilled", **SURGEON)
+    await femur.accept("treatment.check_guide")
+    await femur.refuse("treatment.start_injection", "latched", **SURGEON)
+    await femur.accept("treatment.abandon", **SURGEON)
+    await femur.refuse("placement.back_off", "latched")
+    await femur.accept("robot.acknowledge")
+    await femur.accept("placement.back_off")
+
+
+async def test_stop_while_the_guide_is_measured_keeps_the_drill_out(femur: WorkflowBench) -> None:
+    asking = asyncio.create_task(femur.do("treatment.start_drilling", **SURGEON))
+    await femur.until(lambda: bool(femur.dispatcher.snapshot().running))
+    await femur.dispatcher.stop("test")
+    verdict = await asking
+    assert (verdict.decision, verdict.state) == ("failed", "ready")
 
 
 async def test_a_guide_that_was_moved_must_be_checked_again(femur: WorkflowBench) -> None:
-    await drill(femur)
-    await femur.accept("treatment.check_guide")
-    await femur.accept("placement.nudge", translation=[0.001, 0.0, 0.0])
+    await drill_and_check(femur)
+    await femur.accept("placement.nudge", translation=[0.0005, 0.0, 0.0])
     assert femur.states["treatment"] == "drilled"
     await femur.refuse("treatment.start_injection", "invalid_in_state", **SURGEON)
     await femur.accept("treatment.check_guide")
@@ -144,37 +250,89 @@ async def test_a_guide_that_was_moved_must_be_checked_again(femur: WorkflowBench
     await femur.refuse("treatment.check_guide", "guide_not_placed")
 
 
-async def test_a_new_plan_ends_the_work_along_the_old_one(femur: WorkflowBench) -> None:
+async def test_nudges_excuse_nothing(femur: WorkflowBench) -> None:
+    """The drill goes where the plan is, within the limit; the needle where the drill went, whatever was nudged."""
+    await femur.accept("placement.nudge", translation=[0.003, 0.0, 0.0])
+    await femur.refuse("treatment.start_drilling", "guide_off", decision="failed", **SURGEON)
+    await femur.accept("placement.nudge", translation=[-0.0015, 0.0, 0.0])
+    await drill_and_check(femur)
+    await femur.accept("placement.nudge", translation=[0.003, 0.0, 0.0])
+    failed = await femur.refuse("treatment.check_guide", "guide_off", decision="failed")
+    assert failed.reason is not None
+    assert failed.reason.fields["shift_mm"] == pytest.approx(3.0, abs=0.1)
+    await femur.accept("placement.home")
+    await place(femur)
+    failed = await femur.refuse("treatment.check_guide", "guide_off", decision="failed")
+    assert failed.reason is not None
+    assert failed.reason.fields["shift_mm"] == pytest.approx(1.5, abs=0.1)
+    await femur.accept("placement.nudge", translation=[0.0015, 0.0, 0.0])
+    await femur.accept("treatment.check_guide")
+    await femur.accept("treatment.start_injection", **SURGEON)
+
+
+async def test_a_new_plan_ends_the_work_along_the_old_one_and_no_hole_is_drilled_twice(femur: WorkflowBench) -> None:
     await femur.accept("treatment.start_drilling", **SURGEON)
-    await femur.accept("toolplan.plan_trajectory", **TRAJECTORY)
-    assert (femur.states["treatment"], femur.states["placement"]) == ("interrupted", "held")
-    await femur.refuse("treatment.confirm_drilled", "invalid_in_state", **SURGEON)
-    await femur.refuse("placement.back_off", "drill_in_bone")
+    await femur.refuse("toolplan.plan_trajectory", "drill_in_bone", **TRAJECTORY)
     assert (await femur.accept("treatment.withdraw", **SURGEON)).state == "ready"
+    await drill(femur)
+    await femur.accept("toolplan.plan_trajectory", **TRAJECTORY)
+    assert (femur.states["treatment"], femur.states["placement"]) == ("abandoned", "held")
     await femur.accept("placement.back_off")
     await femur.accept("placement.home")
     await place(femur)
+    await femur.refuse("treatment.start_drilling", "invalid_in_state", **SURGEON)
+    await femur.refuse("treatment.reinit", "trajectory_in_force", **SURGEON)
+    await femur.accept("toolplan.clear")
+    await femur.refuse("treatment.reinit", "bad_arguments")
+    begun = await femur.accept("treatment.reinit", **SURGEON)
+    assert (begun.state, begun.result) == ("ready", {**SURGEON, "confirmed": "reinit"})
+
+
+async def test_a_new_registration_ends_the_work_and_an_injection_stays_one(femur: WorkflowBench) -> None:
     await drill(femur)
+    await femur.accept("registration.register")
+    assert femur.states["treatment"] == "abandoned"
+    await femur.accept("toolplan.clear")
+    await femur.accept("treatment.reinit", **SURGEON)
     await femur.accept("toolplan.plan_trajectory", **TRAJECTORY)
-    assert (femur.states["treatment"], femur.states["placement"]) == ("ready", "held")
-
-
-async def test_a_lost_link_while_injecting_is_an_interruption(femur: WorkflowBench) -> None:
-    await drill(femur)
-    await femur.accept("treatment.check_guide")
+    await femur.accept("placement.back_off")
+    await femur.accept("placement.home")
+    await place(femur)
+    await drill_and_check(femur)
     await femur.accept("treatment.start_injection", **SURGEON)
-    await femur.scene.cut_robot(True)
-    await femur.dispatcher.report(LOST)
-    assert (femur.states["treatment"], femur.states["placement"]) == ("interrupted", "unknown")
-    await femur.refuse("treatment.confirm_injected", "invalid_in_state", **SURGEON)
-    await femur.scene.cut_robot(False)
-    await femur.clock.sleep(1.0)
-    await femur.connect()
-    assert femur.states["placement"] == "held"
-    await femur.accept("robot.acknowledge")
+    await femur.accept("treatment.confirm_injected", **SURGEON)
+    await femur.refuse("treatment.reinit", "trajectory_in_force", **SURGEON)
+    await femur.accept("toolplan.plan_trajectory", **TRAJECTORY)
+    assert femur.states["treatment"] == "injected"
+
+
+@pytest.mark.parametrize(("said", "state"), [("confirm_drilled", "drilled"), ("withdraw", "ready")])
+async def test_a_lost_link_while_drilling_forgets_no_hole(femur: WorkflowBench, said: str, state: str) -> None:
+    await femur.accept("treatment.start_drilling", **SURGEON)
+    await lose_the_robot(femur)
+    assert femur.states["treatment"] == "drilling_interrupted"
+    await check_that_nothing_is_planned(femur)
     await femur.refuse("placement.back_off", "drill_in_bone")
     await femur.refuse("robot.disconnect", "drill_in_bone")
-    assert (await femur.accept("treatment.withdraw", **SURGEON)).state == "ready"
+    assert (await femur.accept(f"treatment.{said}", **SURGEON)).state == state
+    await femur.accept("placement.back_off")
+    await femur.accept("placement.home")
+    await place(femur)
+    if said == "withdraw":
+        await drill(femur)
+    else:
+        await femur.refuse("treatment.start_drilling", "invalid_in_state", **SURGEON)
+    await femur.accept("treatment.check_guide")
+
+
+@pytest.mark.parametrize(("said", "state"), [("confirm_injected", "injected"), ("withdraw", "drilled")])
+async def test_a_lost_link_while_injecting_forgets_no_cement(femur: WorkflowBench, said: str, state: str) -> None:
+    await drill_and_check(femur)
+    await femur.accept("treatment.start_injection", **SURGEON)
+    await lose_the_robot(femur)
+    assert femur.states["treatment"] == "injecting_interrupted"
+    await femur.refuse("treatment.confirm_drilled", "invalid_in_state", **SURGEON)
+    assert (await femur.accept(f"treatment.{said}", **SURGEON)).state == state
     await femur.accept("placement.back_off")
 
 
@@ -185,7 +343,8 @@ async def test_giving_up_is_for_the_record_and_a_next_trajectory_begins_anew(fem
     given_up = await femur.accept("treatment.abandon", **SURGEON)
     assert (given_up.state, given_up.result) == ("abandoned", {**SURGEON, "confirmed": "abandon"})
     await femur.refuse("treatment.start_drilling", "invalid_in_state", **SURGEON)
-    assert (await femur.accept("treatment.reinit")).state == "ready"
+    await femur.accept("toolplan.clear")
+    assert (await femur.accept("treatment.reinit", **SURGEON)).state == "ready"
 
 
 async def test_what_is_no_trajectory_is_refused(femur: WorkflowBench) -> None:

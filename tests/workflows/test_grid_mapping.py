@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -24,6 +25,7 @@ from pcmrs.workflows.grid_mapping import Data
 from pcmrs.workflows.toolplan import ToolPose, pose_of
 
 GRID = POSES[:3]
+PAGE = (Path(__file__).parents[2] / "docs" / "workflows.md").read_text()
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +74,7 @@ async def test_points_in_order_with_a_failed_a_repeated_and_a_skipped_one(
         assert first.result is not None
         assert first.result["point"] == "point_1"
         assert first.result["translation_error"] < 0.001
+        assert (first.result["performed"], first.result["skipped"]) == (["point_1"], [])
         await bench.refuse("mapping.perform", "other_point_planned")
         await _go_to_next(bench)
         assert bench.data.plan == as_message(pose_of(ToolPose(**GRID[1])))
@@ -83,7 +86,9 @@ async def test_points_in_order_with_a_failed_a_repeated_and_a_skipped_one(
         await bench.refuse("toolplan.aim", "no_next_point")
         assert (await bench.accept("mapping.repeat")).state == "point_2"
         assert (await bench.accept("mapping.perform")).state == "point_3"
-        assert (await bench.accept("mapping.skip")).state == "done"
+        ended = await bench.accept("mapping.skip")
+        assert ended.state == "done"
+        assert ended.result == {"point": "point_3", "performed": ["point_1", "point_2"], "skipped": ["point_3"]}
         await bench.refuse("mapping.abandon", "invalid_in_state")
 
 
@@ -97,6 +102,79 @@ async def test_a_point_at_which_the_coil_is_not_stops_the_next(three_points: Wor
         assert (await bench.accept("mapping.skip")).state == "point_2"
         assert (await bench.accept("mapping.abandon")).state == "abandoned"
         await bench.refuse("toolplan.aim", "no_next_point")
+
+
+async def test_a_nudged_coil_is_measured_against_the_point_not_against_the_nudge(
+    three_points: Workflow[Cell, PlacementData],
+) -> None:
+    async with mapping(three_points) as bench:
+        await _go_to_next(bench)
+        await bench.accept("placement.nudge", translation=[0.0, 0.003, 0.0])
+        missed = await bench.refuse("mapping.perform", "point_missed", decision="failed")
+        assert missed.result is not None
+        assert missed.result["translation_error"] == pytest.approx(0.003, abs=0.0005)
+        await bench.accept("placement.nudge", translation=[0.0, -0.003, 0.0])
+        await bench.accept("mapping.repeat")
+        assert (await bench.accept("mapping.perform")).state == "point_2"
+
+
+async def test_a_map_of_skipped_points_says_so_and_the_next_begins_with_none(
+    three_points: Workflow[Cell, PlacementData],
+) -> None:
+    async with mapping(three_points, {"limits": {"point_tolerance_mm": 1e-6}}) as bench:
+        await _go_to_next(bench)
+        await bench.refuse("mapping.perform", "point_missed", decision="failed")
+        for _ in range(3):
+            ended = await bench.accept("mapping.skip")
+        assert ended.state == "done"
+        every = ["point_1", "point_2", "point_3"]
+        assert ended.result == {"point": "point_3", "performed": [], "skipped": every}
+        assert _behind(bench) == ((), tuple(every))
+        await bench.accept("registration.register")
+        assert (bench.states["mapping"], _behind(bench)) == ("point_1", ((), ()))
+        assert (await bench.accept("mapping.skip")).state == "point_2"
+        await bench.accept("mapping.plan_grid", poses=GRID)
+        assert _behind(bench) == ((), ())
+
+
+def _behind(bench: WorkflowBench) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Points performed and skipped; the copied file has a class of its own for them."""
+    data: Any = bench.data
+    return data.performed, data.skipped
+
+
+async def test_without_a_grid_nothing_can_be_performed_or_skipped(three_points: Workflow[Cell, PlacementData]) -> None:
+    async with open_bench(workflow=three_points) as bench:
+        await bench.to_placed()
+        for operation in ("perform", "skip", "repeat", "abandon"):
+            await bench.refuse(f"mapping.{operation}", "invalid_in_state")
+        await bench.refuse("toolplan.aim", "no_next_point")
+        await bench.accept("mapping.plan_grid", poses=GRID)
+        assert (await bench.accept("mapping.skip")).state == "point_2"
+        assert (await bench.accept("mapping.reinit")).state == "unplanned"
+        assert getattr(bench.data, "grid", None) == ()
+        await bench.refuse("mapping.skip", "invalid_in_state")
+
+
+async def test_no_point_is_performed_while_stop_is_latched(three_points: Workflow[Cell, PlacementData]) -> None:
+    async with mapping(three_points) as bench:
+        await _go_to_next(bench)
+        await bench.dispatcher.stop("test")
+        await bench.refuse("mapping.perform", "latched")
+        await bench.accept("robot.acknowledge")
+        assert (await bench.accept("mapping.perform")).state == "point_2"
+
+
+async def test_the_commands_of_the_documentation_map_every_point(three_points: Workflow[Cell, PlacementData]) -> None:
+    (section,) = re.findall(r"^## Grid mapping$(.*?)^## ", PAGE, re.MULTILINE | re.DOTALL)
+    shown = re.findall(r"^\$ pcmrs call (\S+)", section.rpartition("```console")[2], re.MULTILINE)
+    assert "mapping.perform" in shown
+    async with mapping(three_points) as bench:
+        for _ in GRID:
+            for name in shown:
+                await bench.accept(name)
+        assert bench.states["mapping"] == "done"
+        assert _behind(bench)[1] == ()
 
 
 async def test_stop_in_the_middle_of_a_point_stops_the_point(three_points: Workflow[Cell, PlacementData]) -> None:
@@ -114,7 +192,6 @@ async def test_stop_in_the_middle_of_a_point_stops_the_point(three_points: Workf
 
 async def test_a_grid_that_does_not_fit_is_refused(three_points: Workflow[Cell, PlacementData]) -> None:
     async with open_bench(workflow=three_points) as bench:
-        await bench.refuse("toolplan.aim", "no_grid")
         verdict = await bench.refuse("mapping.plan_grid", "wrong_number_of_points", poses=GRID[:2])
         assert verdict.reason is not None
         assert verdict.reason.fields["expected"] == 3

@@ -14,10 +14,15 @@ from pcmrs.workflows import read_workflow
 SHARED = ("registration", "digitization", "toolplan", "robot", "placement")
 
 PLACEMENT = ("approach", "confirm", "nudge", "back_off", "home", "to_initial", "reinit")
+PLANNING = {
+    "registration": ("plan_landmarks", "register", "use_previous", "clear_landmarks", "clear_digitization"),
+    "digitization": ("digitize_all", "digitize_one", "redigitize_one", "reuse_previous", "reuse_previous_except"),
+    "toolplan": ("plan", "clear"),
+}
 NOT_IN_BONE = (
     *(f"placement.operations.{name}" for name in PLACEMENT),
-    "registration.operations.reinit",
-    "toolplan.operations.reinit",
+    *(f"{branch}.operations.{name}" for branch, names in PLANNING.items() for name in (*names, "reinit")),
+    "registration.operations.clear_registration",
     "robot.operations.disconnect",
 )
 
