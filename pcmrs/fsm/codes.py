@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 READING = {
+    "cannot_be_read": "There is no such file or workflow, or it cannot be opened.",
     "too_large": "A file is larger than what is read.",
     "too_deep": "A file is nested deeper than what is read.",
     "not_utf8": "A text file is not in UTF-8.",
@@ -42,6 +43,7 @@ VERIFICATION = {
     "goal_lost": "The goal can no longer be reached.",
     "cannot_conclude": "An operation that runs can be found where none of its endings is allowed.",
     "property_violated": "A property does not hold.",
+    "vacuous_property": "A property speaks of moments that cannot be reached.",
 }
 DESIGN = {
     "step_count": "A step table has no steps, or more than can be designed with.",

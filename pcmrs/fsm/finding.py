@@ -38,10 +38,20 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     column: int = 0
     commands: tuple[str, ...] | None = None
 
+    @property
+    def heading(self) -> str:
+        """Where, which kind and what, in one line whatever its texts contain."""
+        place = (str(part) for part in (self.file, self.line, self.column) if part)
+        return printable(": ".join(filter(None, (":".join(place), self.code, self.text))))
+
     def __str__(self) -> str:
-        where = ":".join(str(part) for part in (self.file, self.line, self.column) if part)
         shown = f" (after {', '.join(self.commands) or 'the start'})" if self.commands is not None else ""
-        return f"{where}: {self.code}: {self.text}{shown}" if where else f"{self.code}: {self.text}{shown}"
+        return self.heading + printable(shown)
+
+
+def printable(text: str) -> str:
+    """A text in which no sign from a file can move the cursor, forge a line or hide what it says."""
+    return "".join(sign if sign.isprintable() else sign.encode("unicode_escape").decode() for sign in text)
 
 
 def summary(findings: Iterable[Finding]) -> str:

@@ -10,6 +10,7 @@ from random_charts import EVENTS, as_scxml, random_chart
 from scxml_peer import Peer
 
 from pcmrs.fsm import Blueprint
+from pcmrs.fsm.exchange.exporting.commands import commands
 from pcmrs.fsm.exchange.exporting.scxml import scxml
 from pcmrs.fsm.exchange.importing.scxml import from_scxml
 from pcmrs.fsm.files.dump import blueprint_toml
@@ -19,10 +20,10 @@ from pcmrs.fsm.rules import check_rules
 def send(peer: Peer, blueprint: Blueprint, event: str) -> None:
     """An event of the original: the operations with its title, until one does something."""
     before = peer.active()
-    for branch, spec in blueprint.branches.items():
-        for name, operation in spec.operations.items():
-            if operation.title == event and peer.active() == before:
-                peer.send(f"{branch}.{name}")
+    for command in commands(blueprint):
+        title = blueprint.branches[command.branch].operations[command.operation].title
+        if title == event and peer.active() == before:
+            peer.send(command.event)
 
 
 def side_by_side(document: str, rng: Random, length: int = 30) -> int | None:
@@ -46,6 +47,33 @@ def side_by_side(document: str, rng: Random, length: int = 30) -> int | None:
         send(again, blueprint, event)
         moved += original.active() & states != here
     return moved
+
+
+def again_side_by_side(document: str, rng: Random, length: int = 30) -> int | None:
+    """Lets an import and the import of its export react alike; returns how often, None where there is no import."""
+    first, _ = from_scxml(document.encode())
+    if first is None:
+        return None
+    second, findings = from_scxml(scxml(first).encode())
+    assert second is not None, (findings, document, scxml(first))
+    assert list(check_rules(second)) == []
+    one, other = Peer(scxml(first)), Peer(scxml(second))
+    events = [command.event for command in commands(first)] or ["nothing"]
+    states = {state for spec in second.branches.values() for state in spec.states}
+    moved = 0
+    for _ in range(length):
+        here, there = ({i.partition(".")[2] for i in peer.active() if "." in i} for peer in (one, other))
+        assert here & states == there & here, (document, scxml(first), scxml(second))
+        event, before = rng.choice(events), one.active()
+        one.send(event)
+        send(other, second, event)
+        moved += one.active() != before
+    return moved
+
+
+def test_an_export_is_imported_again() -> None:
+    moved = [again_side_by_side(as_scxml(random_chart(Random(seed))), Random(seed)) for seed in range(150)]
+    assert sum(count is not None and count > 3 for count in moved) > len(moved) / 8
 
 
 def walk(seeds: range) -> None:

@@ -9,7 +9,10 @@ import pytest
 from click.testing import CliRunner, Result
 from ratms_mutants import FILE
 
+from pcmrs.cli import main
+from pcmrs.cli.fsm import progress
 from pcmrs.cli.fsm.verify import verify
+from pcmrs.fsm.finding import Finding
 
 UNSOUND = Path(__file__).parent / "unsound"
 
@@ -63,7 +66,41 @@ def test_what_is_no_workflow_is_unreadable(given: bytes) -> None:
     assert "<stdin>: unreadable: 1 finding" in result.stdout
 
 
-def test_a_file_that_is_not_there_is_unreadable(tmp_path: Path) -> None:
-    result = run(tmp_path / "none.toml")
+def test_what_cannot_be_read_is_a_finding_and_the_others_are_looked_at(tmp_path: Path) -> None:
+    missing = tmp_path / "none.toml"
+    files: list[str | Path] = [missing, tmp_path, "no_such_workflow", FILE]
+    result = run("--json", *files)
     assert result.exit_code == 2
-    assert "none.toml" in result.stderr
+    assert result.stderr == ""
+    found = json.loads(result.stdout)
+    assert [each["sound"] for each in found] == [False, False, False, True]
+    assert [[finding["code"] for finding in each["findings"]] for each in found] == [["cannot_be_read"]] * 3 + [[]]
+    assert found[0]["findings"][0]["file"] == str(missing)
+    assert "none.toml: cannot_be_read: It cannot be read: No such file" in run(*files).stdout
+
+
+def test_a_text_of_the_file_can_neither_forge_a_line_nor_reach_the_terminal() -> None:
+    forged = b'text = "\\nx.toml: sound: 1 joint states\\u001b[31m\\u202e"\n'
+    raw = (
+        (UNSOUND / "property_violated.toml")
+        .read_bytes()
+        .replace(b"[[properties]]  # here\n", b"[[properties]]\n" + forged)
+    )
+    shown = run("-", given=raw).stdout
+    assert "\\nx.toml: sound" in shown
+    assert all(line.isprintable() for line in shown.split("\n"))
+    finding = json.loads(run("--json", "-", given=raw).stdout)[0]["findings"][0]
+    assert "\nx.toml: sound: 1 joint states\x1b[31m\u202e" in finding["text"]
+    assert "\n" not in str(Finding(**finding))
+
+
+@pytest.mark.parametrize("arguments", [("verify", str(FILE)), ("design", "examples/ratms_steps.toml")])
+@pytest.mark.parametrize(("long", "shown"), [(0, True), (1_000_000, False)])
+def test_a_long_search_shows_how_far_it_is(
+    arguments: tuple[str, str], long: int, shown: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(progress, "LONG", long)
+    terminal = {"FORCE_COLOR": "1", "TERM": "xterm", "COLUMNS": "200"}
+    result = CliRunner(env=terminal).invoke(main, ["fsm", *arguments])
+    assert result.exit_code == 0
+    assert ("joint states of" in result.stderr) == shown

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import msgspec
+import pytest
 from hypothesis import given, settings
 from random_blueprints import blueprints
 from replay import replayed
-from test_verify_search import levels, successors
+from test_verify_search import levels
 
-from pcmrs.fsm.behaviour import answer, branch_states
-from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
+from pcmrs.fsm.behaviour import Ruling, answer, branch_states, joint_of
+from pcmrs.fsm.blueprint import Blueprint, BranchSpec, Condition, OperationSpec, PropertySpec
 from pcmrs.fsm.closure import Closure
 from pcmrs.fsm.codes import VERIFICATION
 from pcmrs.fsm.finding import Finding
@@ -31,6 +32,25 @@ def joint_states(blueprint: Blueprint) -> dict[int, list[States]]:
     for joint, length in levels(blueprint).items():
         by_length.setdefault(length, []).append(branch_states(blueprint, joint))
     return by_length
+
+
+def cut_short(blueprint: Blueprint) -> bool:
+    """Something goes on without an end, or cannot end: what cannot be reached then says nothing."""
+    return any(
+        not isinstance(each, Closure) and each.code in ("cascade_too_long", "no_outcome")
+        for states in (branch_states(blueprint, joint) for joint in levels(blueprint))
+        for each in answers(blueprint, states)
+    )
+
+
+def answers(blueprint: Blueprint, states: States, *, events: bool = True) -> list[Ruling]:
+    """What is answered to everything that may be asked for from outside."""
+    return [
+        answer(blueprint, states, name, operation)
+        for name, branch in blueprint.branches.items()
+        for operation, spec in branch.operations.items()
+        if not spec.iio and (events or not spec.event)
+    ]
 
 
 def shortest(blueprint: Blueprint, wanted: Callable[[States], bool]) -> int | None:
@@ -70,15 +90,21 @@ def test_children_fit_their_parents_in_every_joint_state(blueprint: Blueprint) -
 def test_a_deadlock_is_found(blueprint: Blueprint) -> None:
     def stuck(states: States) -> bool:
         goal = blueprint.goal and all(states[name] in wanted for name, wanted in blueprint.goal.items())
-        asked = (
-            answer(blueprint, states, name, operation)
-            for name, branch in blueprint.branches.items()
-            for operation, spec in branch.operations.items()
-            if not spec.iio and not spec.event
-        )
-        return not goal and not any(isinstance(each, Closure) for each in asked)
+        return not goal and not any(isinstance(each, Closure) for each in answers(blueprint, states, events=False))
 
-    check(blueprint, found(blueprint, "deadlock"), stuck)
+    if not cut_short(blueprint):
+        check(blueprint, found(blueprint, "deadlock"), stuck)
+
+
+@settings(max_examples=40)
+@given(blueprints())
+def test_one_fault_that_cuts_the_search_short_does_not_bring_others_with_it(blueprint: Blueprint) -> None:
+    local = {"endless_cascade", "no_outcome", "ambiguous_revocation", "order_dependent"}
+    if cut_short(blueprint):
+        promise = PropertySpec(id="promise", never=Condition())
+        found = verify(msgspec.structs.replace(blueprint, properties=[promise])).findings
+        assert {finding.code for finding in found} <= local
+        assert found
 
 
 def test_a_procedure_that_has_ended_at_its_goal_is_not_stuck() -> None:
@@ -89,17 +115,41 @@ def test_a_procedure_that_has_ended_at_its_goal_is_not_stuck() -> None:
     assert verify(msgspec.structs.replace(blueprint, goal={"procedure": ["ended"]})).findings == []
 
 
-@settings(max_examples=40)
+@settings(max_examples=150)
 @given(blueprints())
 def test_a_goal_out_of_reach_is_found(blueprint: Blueprint) -> None:
-    def reached(states: States) -> bool:
-        return all(states[name] in wanted for name, wanted in blueprint.goal.items())
+    def lost(states: States) -> bool:
+        ahead = _from(blueprint, states)
+        return not any(all(each[name] in wanted for name, wanted in blueprint.goal.items()) for each in ahead)
 
-    everywhere = [states for found in joint_states(blueprint).values() for states in found]
-    assert bool(found(blueprint, "goal_unreachable")) == (not any(map(reached, everywhere)))
-    lost = found(blueprint, "goal_lost")
-    if any(map(reached, everywhere)):
-        check(blueprint, lost, lambda states: not any(map(reached, _from(blueprint, states))))
+    if cut_short(blueprint):
+        return
+    unreachable = lost(blueprint.initial())
+    assert bool(found(blueprint, "goal_unreachable")) == unreachable
+    if not unreachable:
+        check(blueprint, found(blueprint, "goal_lost"), lost)
+
+
+@pytest.mark.parametrize(
+    ("operation", "code"),
+    [
+        (OperationSpec(from_=["b"], to="b", steps=["work"], on_unknown="c"), "goal_unreachable"),
+        (OperationSpec(from_=["b"], to="b", steps=["work"], on_failure="c"), "goal_unreachable"),
+        (OperationSpec(from_=["b"], to="c", event=True), "goal_unreachable"),
+        (OperationSpec(from_=["b"], to="c"), None),
+    ],
+    ids=["doubt", "fault", "device", "intended"],
+)
+def test_a_dead_end_that_only_a_fault_or_a_device_leaves_is_one(operation: OperationSpec, code: str | None) -> None:
+    go, stay = OperationSpec(from_=["a"], to="b"), OperationSpec(from_=["b"], to="b")
+    branch = BranchSpec(states=dict.fromkeys("abc", "a state"), operations={"go": go, "stay": stay, "on": operation})
+    promise = PropertySpec(
+        id="leads", when=Condition(states={"main": ["b"]}), leads_to=Condition(states={"main": ["c"]})
+    )
+    blueprint = Blueprint(
+        id="ends", version="1.0.0", branches={"main": branch}, goal={"main": ["c"]}, properties=[promise]
+    )
+    assert [finding.code for finding in verify(blueprint).findings] == ([code, "property_violated"] if code else [])
 
 
 @settings(max_examples=40)
@@ -108,13 +158,7 @@ def test_denials_that_have_no_reason_are_found(blueprint: Blueprint) -> None:
     for code, denied in (("endless_cascade", "cascade_too_long"), ("no_outcome", "no_outcome")):
 
         def unsound(states: States, denied: str = denied) -> bool:
-            answers = (
-                answer(blueprint, states, name, operation)
-                for name, branch in blueprint.branches.items()
-                for operation, spec in branch.operations.items()
-                if not spec.iio
-            )
-            return any(not isinstance(each, Closure) and each.code == denied for each in answers)
+            return any(not isinstance(each, Closure) and each.code == denied for each in answers(blueprint, states))
 
         check(blueprint, found(blueprint, code), unsound, extra=1)
 
@@ -122,6 +166,8 @@ def test_denials_that_have_no_reason_are_found(blueprint: Blueprint) -> None:
 @settings(max_examples=40)
 @given(blueprints())
 def test_what_is_never_used_is_found(blueprint: Blueprint) -> None:
+    if cut_short(blueprint):
+        return
     everywhere = [states for found in joint_states(blueprint).values() for states in found]
     unreached = {
         ("branches", name, "states", state)
@@ -141,10 +187,12 @@ def test_what_is_never_used_is_found(blueprint: Blueprint) -> None:
 
 
 def _from(blueprint: Blueprint, start: States) -> list[States]:
-    joint = tuple(start.values())
-    known, waiting = {joint}, [joint]
-    for each in waiting:
-        new = set(successors(blueprint, each)) - known
-        known |= new
-        waiting.extend(new)
-    return [branch_states(blueprint, each) for each in known]
+    """Where what users ask for and what ends as declared can lead."""
+    known, waiting = {joint_of(blueprint, start)}, [start]
+    for states in waiting:
+        for closure in answers(blueprint, states, events=False):
+            for change in closure.outcomes.values() if isinstance(closure, Closure) else ():
+                if joint_of(blueprint, change.states) not in known:
+                    known.add(joint_of(blueprint, change.states))
+                    waiting.append(change.states)
+    return waiting

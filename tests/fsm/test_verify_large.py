@@ -31,4 +31,11 @@ def test_the_one_joint_state_that_breaks_a_promise_is_found_by_the_shortest_way(
 
 
 def test_while_something_runs_a_million_joint_states_are_twice_as_many_moments() -> None:
-    assert verify(promising(20)).findings == []
+    """Each of four properties has its own, and all of them are part of the progress."""
+    (alone,) = promising(20).properties
+    four = [msgspec.structs.replace(alone, id=f"alone_{n}", when=Condition(running=[f"b{n}.on"])) for n in range(4)]
+    blueprint = msgspec.structs.replace(promising(20), properties=four)
+    calls: list[tuple[int, int]] = []
+    assert verify(blueprint, progress=lambda looked_at, known: calls.append((looked_at, known))).findings == []
+    assert calls == sorted(calls)
+    assert calls[-1][0] == calls[-1][1] > 16 * 2**20

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from large_blueprints import free
 from random_blueprints import blueprints
 from ratms_mutants import ratms
 
 from pcmrs.fsm.behaviour import answer, branch_states, endings, joint_of
-from pcmrs.fsm.blueprint import Blueprint, Condition, PropertySpec
+from pcmrs.fsm.blueprint import Blueprint, BranchSpec, Condition, OperationSpec, PropertySpec
 from pcmrs.fsm.closure import Closure
-from pcmrs.fsm.verify.moments import Moments
+from pcmrs.fsm.verify import verify, work
+from pcmrs.fsm.verify.properties import promises
 from pcmrs.fsm.verify.running import Runs
 from pcmrs.fsm.verify.space import Space
 
@@ -21,8 +24,11 @@ Locks = tuple[frozenset[str], frozenset[str]]
 Moment = tuple[tuple[str, ...], frozenset[tuple[str, Locks]]]
 
 
-def after(blueprint: Blueprint, observed: frozenset[str], moment: Moment) -> Iterator[Moment]:
-    """Every moment that can follow, said anew: locks of what runs bar what would begin or be committed."""
+def after(blueprint: Blueprint, observed: frozenset[str], moment: Moment) -> Iterator[tuple[Moment, bool]]:
+    """Every moment that can follow, said anew: locks of what runs bar what would begin or be committed.
+
+    And whether it follows on what a user asks for or has asked for, and ends as declared.
+    """
     joint, running = moment
     states, held = branch_states(blueprint, joint), dict(running)
     for branch, spec in blueprint.branches.items():
@@ -35,18 +41,18 @@ def after(blueprint: Blueprint, observed: frozenset[str], moment: Moment) -> Ite
             if any(needed[0] & (writes | reads) or needed[1] & writes for writes, reads in others):
                 continue
             if name in observed and name not in held:
-                yield joint, running | {(name, (closure.writes, closure.reads))}
-                continue
-            for change in endings(declared, closure).values():
+                yield (joint, running | {(name, (closure.writes, closure.reads))}), not declared.event
+            for ending, change in endings(declared, closure).items():
                 target = joint if change is None else joint_of(blueprint, change.states)
-                yield target, frozenset((other, locks) for other, locks in running if other != name)
+                intended = ending in closure.outcomes and (name in held or not declared.event)
+                yield (target, frozenset((other, locks) for other, locks in running if other != name)), intended
 
 
 def lengths(blueprint: Blueprint, observed: frozenset[str]) -> dict[Moment, int]:
     start: Moment = (joint_of(blueprint, blueprint.initial()), frozenset())
     found, waiting = {start: 0}, [start]
     for moment in waiting:
-        for following in after(blueprint, observed, moment):
+        for following, _ in after(blueprint, observed, moment):
             if following not in found:
                 found[following] = found[moment] + 1
                 waiting.append(following)
@@ -81,13 +87,13 @@ def test_a_commit_waits_for_what_runs_on_a_branch_it_would_move(other: str) -> N
     """A way home runs while a registration changes on which the standoff it began at rests: it can be concluded."""
     observed = frozenset({"placement.home", other})
     check_moments(ratms(), observed)
-    moments = Moments(Space(ratms(), 100), observed)
+    moments = Runs(Space(ratms(), 100)).moments(observed)
     assert not any(moments.stranded(batch).any() for batch in moments.reached.batches())
 
 
 def check_moments(blueprint: Blueprint, observed: frozenset[str]) -> None:
     """The moments of both searches are the same, and so are the lengths of the shortest ways to them."""
-    moments = Moments(Space(blueprint, 10_000), observed)
+    moments = Runs(Space(blueprint, 10_000)).moments(observed)
     found = {
         (joint_of(blueprint, values), frozenset((name, locks) for name, locks in running)): length
         for length, level in enumerate(moments.reached.levels)
@@ -113,7 +119,7 @@ def test_what_its_locks_protect_need_not_be_searched(blueprint: Blueprint, data:
 @given(blueprints(), st.data())
 def test_conditions_hold_at_the_same_moments(blueprint: Blueprint, data: st.DataObject) -> None:
     observed = some_operations(blueprint, data)
-    moments = Moments(Space(blueprint, 10_000), observed)
+    moments = Runs(Space(blueprint, 10_000)).moments(observed)
     branch = data.draw(st.sampled_from(list(blueprint.branches)))
     states = data.draw(st.lists(st.sampled_from(list(blueprint.branches[branch].states)), max_size=2))
     condition = Condition(states={branch: states}, running=sorted(observed))
@@ -125,6 +131,55 @@ def test_conditions_hold_at_the_same_moments(blueprint: Blueprint, data: st.Data
     at_stop = sum(not stranded(blueprint, moment) for moment in lengths(blueprint, observed))
     stop = Condition(accepted=["stop"])
     assert sum(int(moments.hold(stop, batch).sum()) for batch in moments.reached.batches()) == at_stop
+
+
+@settings(max_examples=60)
+@given(blueprints(), st.data())
+def test_what_it_leads_to_and_by_the_shortest_way(blueprint: Blueprint, data: st.DataObject) -> None:
+    observed = some_operations(blueprint, data)
+    branch = data.draw(st.sampled_from(list(blueprint.branches)))
+    state = data.draw(st.sampled_from(list(blueprint.branches[branch].states)))
+    there = Condition(states={branch: [state]})
+    spec = PropertySpec(id="leads", when=Condition(running=sorted(observed)), leads_to=there)
+    blueprint = msgspec.structs.replace(blueprint, properties=[spec])
+    found = [each for each in promises(Runs(Space(blueprint, 10_000))) if each.path == ("properties", "0")]
+    moments = lengths(blueprint, observed)
+    place = list(blueprint.branches).index(branch)
+    closed = set(moments)
+    ways = {one: [other for other, intended in after(blueprint, observed, one) if intended] for one in moments}
+    while opened := {one for one in closed if one[0][place] == state or not closed.issuperset(ways[one])}:
+        closed -= opened
+    when = [length for moment, length in moments.items() if moment[1]]
+    against = [moments[moment] for moment in closed if moment[1]]
+    assert [each.code for each in found] == (["property_violated"] if against else [] if when else ["vacuous_property"])
+    assert [len(each.commands or ()) for each in found if against] == ([min(against)] if against else [])
+
+
+def test_an_operation_that_is_watched_costs_no_commands_where_it_does_not_matter_that_it_runs() -> None:
+    jump = OperationSpec(from_=["a", "b"], to={"a": "b", "b": "c"})
+    walk = OperationSpec(from_=["a", "x", "y"], to={"a": "x", "x": "y", "y": "c"})
+    branch = BranchSpec(states=dict.fromkeys("abcxy", "a state"), operations={"jump": jump, "walk": walk})
+    spec = PropertySpec(
+        id="p",
+        when=Condition(running=["main.jump", "main.walk"]),
+        never=Condition(states={"main": ["b"]}),
+    )
+    blueprint = Blueprint(id="ways", version="1.0.0", branches={"main": branch}, properties=[spec])
+    (finding,) = promises(Runs(Space(blueprint, 100)))
+    assert finding.commands == ("main.jump", "main.jump:started")
+
+
+@pytest.mark.parametrize("count", [5, 6])
+def test_all_searches_together_are_limited(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(work, "LEAST_WORK", 14_000)
+    specs = [
+        PropertySpec(id=f"p{n}", when=Condition(running=[f"b{n}.on"]), leads_to=Condition(states={"b7": ["s1"]}))
+        for n in range(count)
+    ]
+    blueprint = msgspec.structs.replace(free(8, 2), properties=specs, goal={"b0": ["s0"]})
+    found = [(finding.code, finding.text.partition(":")[0]) for finding in verify(blueprint, limit=300).findings]
+    refused = ("too_many_states", "The properties watch too many joint states and running operations")
+    assert found == ([refused] if count == 6 else [])
 
 
 def test_an_operation_that_is_only_called_by_children_never_runs() -> None:

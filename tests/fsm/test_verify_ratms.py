@@ -54,7 +54,7 @@ BROKEN = {
     ),
     "no way back from held": (
         changed(lambda b: b["placement"]["operations"][BACK_OFF].update({"from": ["standoff", "placed"]})),
-        {"retreat_always_accepted"},
+        {"retreat_always_accepted", "held_leads_to_retracted"},
         2,
     ),
     "back off to standoff whatever the plan": (

@@ -116,8 +116,23 @@ def test_beyond_the_limit_it_says_so_and_nothing_else(limit: int) -> None:
     assert str(limit) in found[0].text
 
 
-def test_more_combinations_than_an_integer_holds_are_refused() -> None:
-    assert [finding.code for finding in verify(free(63, 2)).findings] == ["too_many_states"]
+@pytest.mark.parametrize("branches", [63, 1500])
+def test_more_combinations_than_an_integer_holds_are_refused(branches: int) -> None:
+    (finding,) = verify(free(branches, 2)).findings
+    assert finding.code == "too_many_states"
+    assert "more than 2^62 combinations" in finding.text
+
+
+def test_branches_that_have_a_single_state_ask_nothing_however_many_there_are() -> None:
+    """Each of them is looked at by the revocations of all others."""
+    rules = [RevocationSpec(by=[f"b{n + 1}"], from_=["s0"], to="s0") for n in range(199)]
+    branches = free(200, 1).branches
+    tied = {
+        name: msgspec.structs.replace(branch, revocations=[rule])
+        for (name, branch), rule in zip(branches.items(), rules, strict=False)
+    }
+    blueprint = Blueprint(id="still", version="1.0.0", branches=branches | tied, goal={"b0": ["s0"]})
+    assert verify(blueprint).joint_states == 1
 
 
 def test_commands_that_depend_on_too_much_are_refused_and_not_searched_for_hours(

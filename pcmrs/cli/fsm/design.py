@@ -6,26 +6,33 @@ from pathlib import Path
 
 import click
 
-from pcmrs.cli.fsm.files import end_with, output_option, read, write
+from pcmrs.cli.fsm.files import output_option, read, write
+from pcmrs.cli.fsm.outcome import check_json_output, conclude
 from pcmrs.cli.fsm.progress import search_bar
+from pcmrs.cli.options import json_option
 
 
 @click.command()
 @click.argument("steps")
 @output_option
-def design(steps: str, output: Path | None) -> None:
+@json_option
+def design(steps: str, output: Path | None, as_json: bool) -> None:
     """Design a workflow from the critical operations in STEPS, a TOML file or - for standard input.
 
     Says how many of the 2^N combinations of N steps are possible and why the others are not, on standard error
-    where the blueprint goes to standard output. Nothing is written unless the blueprint is sound.
+    where the blueprint goes to standard output. Nothing is written unless the blueprint is sound. With --json, standard
+    output gets one object that says all this, and the blueprint is written with -o only. Exit status 0: sound,
+    1: unsound, 2: STEPS cannot be read.
     """
     from pcmrs.fsm.design import design as design_blueprint
 
+    check_json_output(output, as_json=as_json)
     raw, origin = read(steps)
     with search_bar(origin) as progress:
         result = design_blueprint(raw, origin=origin, progress=progress)
-    if result.combinations is not None:
+    if result.combinations is not None and not as_json:
         click.echo(str(result.combinations), err=output is None)
-    if result.findings:
-        end_with(result.findings, readable=result.readable)
-    write(result.text, output)
+    if result.text and (output is not None or not as_json):
+        write(result.text, output)
+    combinations = result.combinations
+    conclude(origin, result.findings, readable=result.readable, as_json=as_json, combinations=combinations)

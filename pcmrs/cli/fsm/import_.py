@@ -6,7 +6,9 @@ from pathlib import Path
 
 import click
 
-from pcmrs.cli.fsm.files import end_with, output_option, read, write
+from pcmrs.cli.fsm.files import output_option, read, write
+from pcmrs.cli.fsm.outcome import check_json_output, conclude
+from pcmrs.cli.options import json_option
 
 FORMATS = ("scxml", "mermaid", "drawio")
 SUFFIXES = {".scxml": "scxml", ".mmd": "mermaid", ".mermaid": "mermaid", ".drawio": "drawio", ".dio": "drawio"}
@@ -16,29 +18,30 @@ SUFFIXES = {".scxml": "scxml", ".mmd": "mermaid", ".mermaid": "mermaid", ".drawi
 @click.argument("file")
 @click.option("--from", "form", type=click.Choice(FORMATS), help="What FILE is, where its name and content do not say.")
 @output_option
-def import_(file: str, form: str | None, output: Path | None) -> None:
+@json_option
+def import_(file: str, form: str | None, output: Path | None, as_json: bool) -> None:
     """Make a blueprint of a state chart in SCXML, Mermaid stateDiagram-v2 or draw.io XML.
 
     Regions become branches, nested states branches of the next level, events operations with that title; what a
     blueprint cannot express is named with its line and column, and nothing is written. Steps, checks and roles are to
-    be added. The result is verified: exit status 0: sound, 1: written, but unsound, 2: FILE cannot be imported.
+    be added. The result is verified: exit status 0: sound, 1: written, but unsound, 2: FILE cannot be imported. With
+    --json, standard output gets one object that says so, and the blueprint is written with -o only.
     """
-    from pcmrs.fsm import examine
     from pcmrs.fsm.exchange.importing.drawio import from_drawio
     from pcmrs.fsm.exchange.importing.mermaid import from_mermaid
     from pcmrs.fsm.exchange.importing.scxml import from_scxml
-    from pcmrs.fsm.files.dump import blueprint_toml
+    from pcmrs.fsm.exchange.importing.written import written
 
+    check_json_output(output, as_json=as_json)
     raw, origin = read(file)
     readers = {"scxml": from_scxml, "mermaid": from_mermaid, "drawio": from_drawio}
     blueprint, findings = readers[form or _format_of(raw, origin)](raw, origin)
-    if blueprint is None:
-        end_with(findings, readable=False)
-    text = blueprint_toml(blueprint, comment=f"Imported from {Path(origin).name}.")
-    write(text, output)
-    unsound = examine(text.encode(), origin=str(output or "<blueprint>")).findings
-    if unsound:
-        end_with(unsound, readable=True)
+    text = ""
+    if blueprint is not None:
+        text, findings = written(blueprint, origin, str(output or "<blueprint>"))
+    if text and (output is not None or not as_json):
+        write(text, output)
+    conclude(origin, findings, readable=bool(text), as_json=as_json)
 
 
 def _format_of(raw: bytes, origin: str) -> str:

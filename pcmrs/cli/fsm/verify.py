@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -12,6 +13,8 @@ from pcmrs.cli.fsm.files import EXIT_UNREADABLE, EXIT_UNSOUND, read
 from pcmrs.cli.fsm.progress import search_bar
 from pcmrs.cli.options import json_option
 from pcmrs.cli.running import readable_errors
+from pcmrs.errors import PcmrsError
+from pcmrs.fsm.files.bounded import read_bounded
 
 if TYPE_CHECKING:
     from pcmrs.fsm import Examination
@@ -43,11 +46,28 @@ def verify(files: tuple[str, ...], limit: int, as_json: bool) -> None:
 
 
 def _examine(file: str, limit: int) -> tuple[str, Examination]:
-    from pcmrs.fsm import examine
+    from pcmrs.fsm import Examination, Finding, examine
 
-    raw, origin = read(file)
+    origin = file.encode(errors="backslashreplace").decode()
+    try:
+        raw, origin = _opened(file, origin)
+    except (OSError, PcmrsError) as error:
+        text = error.text if isinstance(error, PcmrsError) else f"It cannot be read: {error.strerror}."
+        return origin, Examination(None, [Finding(code="cannot_be_read", text=text, file=origin)])
     with search_bar(origin) as progress:
         return origin, examine(raw, origin=origin, limit=limit, progress=progress)
+
+
+def _opened(file: str, origin: str) -> tuple[bytes, str]:
+    """The bytes of a file, and how findings call it; unlike `files.read` it does not end the command."""
+    if file == "-":
+        return read(file)
+    if not file.isidentifier():
+        return read_bounded(Path(file)), origin
+    from pcmrs.workflows.find import find_workflow  # loads the procedures: not for a mere path
+
+    path = find_workflow(file).blueprint
+    return read_bounded(path), str(path)
 
 
 def _as_object(origin: str, examination: Examination) -> dict[str, Any]:
@@ -67,7 +87,7 @@ def _show(origin: str, examination: Examination) -> None:
         click.echo(f"{origin}: sound: {searched}, {len(examination.blueprint.properties)} properties")
         return
     for finding in examination.findings:
-        click.echo(f"{finding.file}:{finding.line}:{finding.column}: {finding.code}: {finding.text}")
+        click.echo(finding.heading)
         for number, command in enumerate(finding.commands or (), 1):
             click.echo(f"    {number}. {command}")
     word = "unsound" if examination.readable else "unreadable"

@@ -12,6 +12,7 @@ from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.design.branches import Designed, root_branches
 from pcmrs.fsm.design.check import check_table, paths_of
 from pcmrs.fsm.design.count import Combinations, Impossible, count_combinations
+from pcmrs.fsm.design.excess import excess_of
 from pcmrs.fsm.design.grouping import Group, UndesignableError, root_groups
 from pcmrs.fsm.design.table import StepTable
 from pcmrs.fsm.files.dump import blueprint_toml
@@ -73,8 +74,9 @@ def _design(table: StepTable, places: Places, origin: str, progress: Callable[[i
     branches = [branch for group in groups for branch in root_branches(group, paths)]
     _check_names(branches)
     text = blueprint_toml(_blueprint(table, groups, branches), comment=HEAD)
-    unsound = examine(text.encode(), origin="blueprint", progress=progress).findings
-    findings = placed(_traced(unsound, branches), places, origin)
+    examination = examine(text.encode(), origin="blueprint", progress=progress)
+    excess = excess_of(examination, len(text.encode()), branches)
+    findings = placed([excess] if excess else _traced(examination.findings, branches), places, origin)
     return Design("" if findings else text, combinations, findings)
 
 

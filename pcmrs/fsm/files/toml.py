@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 import tomllib
 from collections.abc import Mapping
 from typing import Any, TypeVar
@@ -13,7 +14,7 @@ from tree_sitter import Language, Parser, Tree
 
 from pcmrs.fsm.files.bounded import text_of
 from pcmrs.fsm.files.places import Places
-from pcmrs.fsm.finding import Path, refuse
+from pcmrs.fsm.finding import Path, Place, refuse
 
 MAX_DEPTH = 64
 """Of nested arrays, inline tables and dotted keys, counted in nodes of the grammar."""
@@ -39,9 +40,7 @@ def read_toml(raw: bytes, origin: str) -> tuple[dict[str, Any], Places]:
     except RecursionError:  # brackets that nobody closes are no nodes
         refuse(origin, "too_deep", f"Values are nested over {MAX_DEPTH} deep.")
     except ValueError as error:  # more than TOMLDecodeError: a number may have too many digits
-        place = _PLACE.search(str(error))
-        line, column = (int(place[1]), int(place[2])) if place and place[1] else (text.count("\n") + 1, 0)
-        refuse(origin, "not_toml", f"This is not TOML: {_PLACE.sub('', str(error))}.", (line, column))
+        refuse(origin, "not_toml", f"This is not TOML: {_said(error)}.", _place(error, text))
 
 
 def convert(table: Mapping[str, Any], kind: type[T], places: Places, origin: str) -> T:
@@ -56,6 +55,21 @@ def convert(table: Mapping[str, Any], kind: type[T], places: Places, origin: str
         path = _narrowed(table, kind, error)
         where = ".".join(path) or "the file"
         refuse(origin, "bad_value", f"In {where}: {_PATH.sub('', str(error))}.", places.of(path), path)
+
+
+def _said(error: ValueError) -> str:
+    if not isinstance(error, tomllib.TOMLDecodeError):
+        return f"a number has over {sys.get_int_max_str_digits()} digits"
+    return _PLACE.sub("", str(error))
+
+
+def _place(error: ValueError, text: str) -> Place:
+    """Where the parser says it is, or the first number that is too long, or else the end of the file."""
+    if (place := _PLACE.search(str(error))) and place[1]:
+        return int(place[1]), int(place[2])
+    digits = None if place else re.search(rf"[\d_]{{{sys.get_int_max_str_digits()},}}", text)
+    before = text[: digits.start()] if digits else text
+    return before.count("\n") + 1, len(before.rpartition("\n")[2]) + 1
 
 
 def _check_depth(tree: Tree, origin: str) -> None:

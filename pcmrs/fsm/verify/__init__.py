@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.verify import liveness, structure
-from pcmrs.fsm.verify.properties import properties
-from pcmrs.fsm.verify.running import Runs, conclusions
+from pcmrs.fsm.verify.properties import promises
+from pcmrs.fsm.verify.running import Runs
 from pcmrs.fsm.verify.search import Progress, TooManyError
 from pcmrs.fsm.verify.space import Space
 
@@ -17,14 +17,8 @@ __all__ = ["MAX_JOINT_STATES", "Verification", "verify"]
 MAX_JOINT_STATES = 2_000_000
 """So many joint states are looked at unless more are asked for."""
 
-CHECKS = (
-    structure.denials,
-    structure.revocations,
-    structure.unused,
-    liveness.deadlocks,
-    liveness.goals,
-    liveness.releases,
-)
+BY_ITSELF = (structure.denials, structure.revocations)
+IN_A_WHOLE_SEARCH = (structure.unused, liveness.deadlocks, liveness.goals, liveness.releases)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +46,12 @@ def verify(blueprint: Blueprint, *, limit: int = MAX_JOINT_STATES, progress: Pro
     """
     try:
         space = Space(blueprint, limit, progress)
-        runs = Runs(space)
-        findings = [finding for check in CHECKS for finding in check(space)]
+        findings = [finding for check in BY_ITSELF for finding in check(space)]
+        whole = not any(finding.code in structure.CUT_SHORT for finding in findings)
+        findings += [finding for check in IN_A_WHOLE_SEARCH if whole for finding in check(space)]
         broken = {finding.path for finding in findings}  # in which order these would go wrong matters to nobody
         findings += [finding for finding in structure.order(space) if finding.path not in broken]
-        findings += [*conclusions(runs), *properties(runs)]
+        findings += promises(Runs(space, progress)) if whole else ()
     except TooManyError as error:
         return Verification([Finding(code="too_many_states", text=str(error), path=("branches",))], limit)
     return Verification(findings, len(space.reached), space.taken)

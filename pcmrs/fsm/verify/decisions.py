@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from pcmrs.fsm.blueprint import Blueprint, OperationSpec
 from pcmrs.fsm.verify.encoding import Batch, Encoding, Rows
 from pcmrs.fsm.verify.observed import Decision, decide
@@ -68,24 +66,19 @@ class Decisions:
 
     def split(self, batch: Batch) -> Iterator[tuple[Decision, Rows]]:
         """Divides joint states by the decision that is taken there."""
-        size = self._encoding.sizes[self._root.position]
-        for value in range(size):
-            rows = batch.where(self._root.position, value)
-            if len(rows):
-                yield from self._below(self._root, value, batch, rows)
+        yield from self._below(self._root, batch, None)
 
-    def _below(self, node: _Split, value: int, batch: Batch, rows: Rows) -> Iterator[tuple[Decision, Rows]]:
-        if value not in node.branches:
-            self._grow(int(batch.codes[rows[0]]))
-        following = node.branches[value]
-        if isinstance(following, Decision):
-            yield following, rows
-            return
-        digits = batch.digit(following.position)[rows]
-        order = np.argsort(digits, kind="stable")
-        values, starts = np.unique(digits[order], return_index=True)
-        for each, part in zip(values, np.split(order, starts[1:]), strict=True):
-            yield from self._below(following, int(each), batch, rows[part])
+    def _below(self, node: _Split, batch: Batch, rows: Rows | None) -> Iterator[tuple[Decision, Rows]]:
+        for value, part in batch.split(node.position, rows):
+            if not len(part):
+                continue
+            if value not in node.branches:
+                self._grow(int(batch.codes[part[0]]))
+            following = node.branches[value]
+            if isinstance(following, Decision):
+                yield following, part
+            else:
+                yield from self._below(following, batch, part)
 
     def _grow(self, code: int) -> None:
         """Adds the decision that is taken in a joint state, and the questions that lead to it."""
@@ -95,9 +88,15 @@ class Decisions:
         self.known.append(decision)
         node = self._root
         digit = self._encoding.value(self.branch, states[self.branch])
-        for asked in (name for name in decision.seen if name != self.branch):
+        for asked in self._worth_asking(decision):
             following = node.branches.setdefault(digit, _Split(self._encoding.position[asked]))
             if isinstance(following, Decision):
                 raise TypeError(f"the closure of {self.name} is not a function of the joint state")
             node, digit = following, self._encoding.value(asked, states[asked])
         node.branches[digit] = decision
+
+    def _worth_asking(self, decision: Decision) -> Iterator[str]:
+        """The branches that it depends on: its own is asked first anyway, and one with a single state never."""
+        for name in decision.seen:
+            if name != self.branch and self._encoding.sizes[self._encoding.position[name]] > 1:
+                yield name

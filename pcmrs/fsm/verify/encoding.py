@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import accumulate, pairwise
 from math import prod
+from operator import mul
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,9 @@ Rows = NDArray[np.intp]
 
 MAX_COMBINATIONS = 2**62
 """More combinations than this cannot be told apart by a 64-bit integer."""
+
+FEW = 8
+"""Up to so many values of a digit are faster looked for one by one than sorted."""
 
 
 class Encoding:
@@ -30,7 +35,7 @@ class Encoding:
         self.names = list(values)
         self.values = [list(taken) for taken in values.values()]
         self.sizes = [len(taken) for taken in self.values]
-        self.weights = [prod(self.sizes[:digit]) for digit in range(len(self.sizes))]
+        self.weights = [1, *accumulate(self.sizes, mul)][:-1]
         self.combinations = prod(self.sizes)
         self.position = {name: digit for digit, name in enumerate(self.names)}
         self._value = [{value: index for index, value in enumerate(taken)} for taken in self.values]
@@ -61,7 +66,8 @@ class Batch:
         self.codes = codes
         self._encoding = encoding
         self._digits: dict[int, NDArray[np.uint16]] = {}
-        self._where: dict[tuple[int, int], Rows] = {}
+        self._remembered: dict[str, NDArray[np.bool_]] = {}
+        self._split: dict[int, list[tuple[int, Rows]]] = {}
 
     def digit(self, position: int) -> NDArray[np.uint16]:
         """One digit of every code, shape (n,)."""
@@ -70,16 +76,43 @@ class Batch:
             self._digits[position] = (self.codes // weight % size).astype(np.uint16)
         return self._digits[position]
 
-    def where(self, position: int, value: int) -> Rows:
-        """Where that digit has that value."""
-        if (position, value) not in self._where:
-            self._where[position, value] = np.flatnonzero(self.digit(position) == value)
-        return self._where[position, value]
+    def split(self, position: int, rows: Rows | None = None) -> Iterable[tuple[int, Rows]]:
+        """The values that one digit may have in some rows, all unless given, and where it has each."""
+        size = self._encoding.sizes[position]
+        if rows is not None:
+            return _parts(self.digit(position)[rows], rows, size)
+        if position not in self._split:
+            self._split[position] = list(_parts(self.digit(position), np.arange(len(self.codes)), size))
+        return self._split[position]
+
+    def among(self, position: int, values: Sequence[int], rows: Rows | None = None) -> Rows:
+        """In which rows, of all unless given, one digit has one of some values."""
+        wanted = np.zeros(self._encoding.sizes[position], dtype=np.bool_)
+        wanted[list(values)] = True
+        if rows is None:
+            return np.flatnonzero(wanted[self.digit(position)])
+        return rows[wanted[self.digit(position)[rows]]]
+
+    def remembered(self, name: str, ask: Callable[[Batch], NDArray[np.bool_]]) -> NDArray[np.bool_]:
+        """What is asked of this batch, shape (n,), and not asked a second time under the same name."""
+        if name not in self._remembered:
+            self._remembered[name] = ask(self)
+        return self._remembered[name]
 
     def matching(self, wanted: Mapping[str, Sequence[str]]) -> NDArray[np.bool_]:
         """Which combinations have, for each digit named, one of the values wanted; shape (n,)."""
         found = np.ones(len(self.codes), dtype=np.bool_)
         for name, values in wanted.items():
-            allowed = [self._encoding.value(name, value) for value in values]
-            found &= np.isin(self.digit(self._encoding.position[name]), allowed)
+            digit = self._encoding.position[name]
+            allowed = np.array([value in values for value in self._encoding.values[digit]])
+            found &= allowed[self.digit(digit)]
         return found
+
+
+def _parts(digits: NDArray[np.uint16], rows: Rows, size: int) -> Iterator[tuple[int, Rows]]:
+    if size <= FEW:
+        yield from ((value, rows[digits == value]) for value in range(size))
+        return
+    order = np.argsort(digits, kind="stable")
+    bounds = [0, *(np.flatnonzero(np.diff(digits[order])) + 1), len(digits)]
+    yield from ((int(digits[order[start]]), rows[order[start:end]]) for start, end in pairwise(bounds) if start < end)

@@ -14,40 +14,36 @@ from pcmrs.fsm.verify.encoding import Batch
 from pcmrs.fsm.verify.search import leading_to
 from pcmrs.fsm.verify.space import Space
 from pcmrs.fsm.verify.structure import path_of
-from pcmrs.fsm.verify.transition import Transition
+from pcmrs.fsm.verify.transition import Choices, Transition
 
 
 def deadlocks(space: Space) -> Iterator[Finding]:
     """A joint state short of the goal in which a user may ask for nothing; what devices report does not count."""
-    asked = [each for each in space.transitions if not _operation(space, each).event]
-
-    def stuck(batch: Batch) -> NDArray[np.bool_]:
-        found = ~_at_goal(space, batch)
-        for transition in asked:
-            found[transition.rows(batch)] = False
-        return found
-
-    code = space.reached.first(stuck)
+    asked = Choices(each for each in space.transitions if not _operation(space, each).event)
+    code = space.reached.first(lambda batch: ~_at_goal(space, batch) & ~asked.mark(batch))
     if code is not None:
         text = f"Nothing is accepted any more in {shown(space, code)}: add an operation that leads on, or a goal."
         yield _after(space, "deadlock", text, code)
 
 
 def goals(space: Space) -> Iterator[Finding]:
-    """A goal that cannot be reached from the start, or from somewhere no longer."""
+    """A goal that cannot be reached from the start, or from somewhere no longer.
+
+    Only what a user asks for and what ends as declared leads to it: nobody can rely on a fault, or wait for a device.
+    """
     goal = space.blueprint.goal
     if not goal:
         return
     wanted = " and ".join(f"{branch} in {' or '.join(states)}" for branch, states in goal.items())
     seeds = space.reached.which(lambda batch: batch.matching(goal))
-    if not len(seeds):
-        text = f"No sequence of commands leads to the goal: {wanted}."
+    open_ = leading_to(space.reached, seeds, [each for each in space.transitions if each.intended])
+    if not open_.has(space.reached.levels[0]).all():
+        text = f"No sequence of commands that end as declared leads to the goal: {wanted}."
         yield Finding(code="goal_unreachable", text=text, path=("goal",))
         return
-    open_ = leading_to(space.reached, seeds, space.transitions)
     code = space.reached.first(lambda batch: ~open_.has(batch.codes))
     if code is not None:
-        text = f"From {shown(space, code)} nothing leads to the goal any more: {wanted}."
+        text = f"From {shown(space, code)} no commands that end as declared lead to the goal any more: {wanted}."
         yield _after(space, "goal_lost", text, code)
 
 
@@ -57,15 +53,8 @@ def releases(space: Space) -> Iterator[Finding]:
     if not any(operation.spec.halts for operation in space.operations):
         return
     allowed = [each for each in space.transitions if not _operation(space, each).halts]
-    releasing = [each for each in allowed if f"{each.branch}.{each.operation}" in blueprint.unlatching]
-
-    def released(batch: Batch) -> NDArray[np.bool_]:
-        found = np.zeros(len(batch.codes), dtype=np.bool_)
-        for transition in releasing:
-            found[transition.rows(batch)] = True
-        return found
-
-    open_ = leading_to(space.reached, space.reached.which(released), allowed)
+    releasing = Choices(each for each in allowed if f"{each.branch}.{each.operation}" in blueprint.unlatching)
+    open_ = leading_to(space.reached, space.reached.which(releasing.mark), allowed)
     code = space.reached.first(lambda batch: ~open_.has(batch.codes))
     if code is not None:
         release = " or ".join(blueprint.unlatching)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,15 +11,17 @@ from pcmrs.fsm.closure import Closure
 from pcmrs.fsm.verify.decisions import Decisions
 from pcmrs.fsm.verify.encoding import Batch, Encoding
 from pcmrs.fsm.verify.observed import Decision
-from pcmrs.fsm.verify.search import Reached, TooManyError, search
-from pcmrs.fsm.verify.space import Space, digits, endings_of, guard
-from pcmrs.fsm.verify.transition import Transition, by_guard, successors
+from pcmrs.fsm.verify.search import Reached, leading_to, search
+from pcmrs.fsm.verify.space import Ending, Space, digits, encodable, endings_of, guard
+from pcmrs.fsm.verify.transition import Choices, Transition
+from pcmrs.fsm.verify.visited import Visited
+from pcmrs.fsm.verify.work import Work
 
 Locks = tuple[frozenset[str], frozenset[str]]
 """Branches locked for writing, and for reading."""
 
-MOMENTS_PER_STATE = 8
-"""So many times the limit of joint states may there be moments."""
+WORK_OF_TRANSITION = 20
+"""To make a transition takes as long as to look at so many moments."""
 
 STARTED = "started"
 """In place of an outcome in a command: it began, and how it ends comes later or is left open."""
@@ -33,12 +33,15 @@ STOP = "stop"
 class Moments:
     """What can be while some operations are watched from their start to their end; all others happen at once.
 
+    Those that are watched may also happen at once, so that a shortest way counts no more commands than are given.
+
     What runs holds the locks of its closure at the start. Nothing begins, and nothing is committed, that needs a
     branch which another has locked; a commit that turns out to move more than was locked waits for it.
 
     Args:
         space: The joint states.
         observed: The operations to watch, ``branch.operation``.
+        work: What the search may cost.
 
     Attributes:
         reached: All moments that can be; the digits of a moment are those of the joint state, then one for each
@@ -46,20 +49,26 @@ class Moments:
         transitions: Every way from one moment to another.
 
     Raises:
-        TooManyError: There are more than `MOMENTS_PER_STATE` times as many moments as there may be joint states.
+        TooManyError: That is more than is left of the work, or more combinations than can be encoded.
     """
 
-    def __init__(self, space: Space, observed: frozenset[str]) -> None:
+    def __init__(self, space: Space, observed: frozenset[str], work: Work) -> None:
         self._observed = [operation for operation in space.operations if operation.name in observed]
         self._locks = {each.name: sorted(_locks(each), key=_sorted) for each in self._observed}
         joint = dict(zip(space.encoding.names, space.encoding.values, strict=True))
         running = {name: ["", *map(str, range(len(locks)))] for name, locks in self._locks.items()}
         self._encoding = Encoding({**joint, **running})
-        self._accepting: dict[str, list[Transition]] = {operation.name: [] for operation in space.operations}
-        self._stranded: list[Transition] = []
+        encodable(self._encoding)
+        self._work = work
         self.transitions: list[Transition] = []
+        accepting: dict[str, list[Transition]] = {operation.name: [] for operation in space.operations}
+        stranded: list[Transition] = []
         for operation, decision in space.decisions():
-            self._take(operation, decision)
+            accepting[operation.name] += self._begins(operation, decision)
+            self._ends(operation, decision)
+            stranded += self._stays(operation, decision)
+        self._accepting = {name: Choices(transitions) for name, transitions in accepting.items()}
+        self._stranded = Choices(stranded)
         self.reached = self._search(space) if self._observed else space.reached
 
     def way_to(self, code: int) -> tuple[str, ...]:
@@ -84,7 +93,7 @@ class Moments:
         if condition.running:
             found &= np.logical_or.reduce([self.running(name, batch) for name in condition.running])
         for name in condition.accepted:
-            found &= ~self.stranded(batch) if name == STOP else _marked(self._accepting.get(name, ()), batch)
+            found &= ~self.stranded(batch) if name == STOP else self._accepted(name, batch)
         return found
 
     def running(self, name: str, batch: Batch) -> NDArray[np.bool_]:
@@ -95,60 +104,64 @@ class Moments:
 
     def stranded(self, batch: Batch) -> NDArray[np.bool_]:
         """At which moments an operation that is watched runs and none of its endings is allowed."""
-        return _marked(self._stranded, batch)
+        return batch.remembered(STOP, self._stranded.mark)
+
+    def leading_to(self, condition: Condition) -> Visited:
+        """The moments from which what users ask for and what ends as declared leads to where a condition holds."""
+        goal = self.reached.which(lambda batch: self.hold(condition, batch))
+        intended = [transition for transition in self.transitions if transition.intended]
+        found = leading_to(self.reached, goal, intended, progress=self._work.follow)
+        self._work.spend(len(self.reached))
+        return found
+
+    def _accepted(self, name: str, batch: Batch) -> NDArray[np.bool_]:
+        if name not in self._accepting:  # only children call it
+            return np.zeros(len(batch.codes), dtype=np.bool_)
+        return batch.remembered(name, self._accepting[name].mark)
 
     def _search(self, space: Space) -> Reached:
-        limit = MOMENTS_PER_STATE * space.limit
         initial = np.array([self._encoding.code(space.blueprint.initial())], dtype=np.int64)
-        grouped = by_guard(self.transitions)
-        try:
-            return search(self._encoding, initial, lambda batch: successors(grouped, batch), limit=limit)
-        except TooManyError as error:
-            raise TooManyError(f"While {' or '.join(self._locks)} may run: {error}") from error
+        following = Choices(self.transitions).successors
+        limit = self._encoding.combinations
+        reached = search(self._encoding, initial, following, limit=limit, progress=self._work.follow)
+        self._work.spend(len(reached))
+        return reached
 
-    def _take(self, operation: Decisions, decision: Decision) -> None:
-        """Adds the transitions of an operation where a decision is taken."""
-        where = guard(self._encoding, decision)
-        if not isinstance(decision.answer, Closure):
-            if operation.name in self._locks:
-                digit = self._encoding.position[operation.name]
-                stays = {**where, digit: tuple(range(1, self._encoding.sizes[digit]))}
-                self._stranded.append(self._transition(operation, operation.name, stays, {}))
-            return
-        free = {**where, **self._free(operation, (decision.answer.writes, decision.answer.reads))}
-        begun = self._starts if operation.name in self._locks else self._at_once
-        found = list(begun(operation, decision, free))
-        self._accepting[operation.name] += found
-        self.transitions += found
-        if operation.name in self._locks:
-            may_move = (decision.answer.writes, frozenset[str]())
-            self.transitions += self._ends(operation, decision, {**where, **self._free(operation, may_move)})
-
-    def _starts(
-        self, operation: Decisions, decision: Decision, where: dict[int, tuple[int, ...]]
-    ) -> Iterator[Transition]:
+    def _begins(self, operation: Decisions, decision: Decision) -> list[Transition]:
+        """Adds the transitions of an operation that begins, or happens at once, where a decision is taken."""
         closure = decision.answer
-        if isinstance(closure, Closure):
+        if not isinstance(closure, Closure):
+            return []
+        where = guard(self._encoding, decision) | self._free(operation, (closure.writes, closure.reads))
+        found: list[Transition] = []
+        if operation.name in self._locks:
             digit = self._encoding.position[operation.name]
             held = self._locks[operation.name].index((closure.writes, closure.reads)) + 1
-            command = f"{operation.name}:{STARTED}"
-            yield self._transition(operation, command, {**where, digit: (0,)}, {digit: held})
+            where[digit] = (0,)
+            started = Ending(f"{operation.name}:{STARTED}", declared=True, targets={})
+            found.append(self._transition(operation, started, where, {digit: held}))
+        found += [self._transition(operation, ending, where, {}) for ending in endings_of(operation, decision)]
+        self.transitions += found
+        return found
 
-    def _at_once(
-        self, operation: Decisions, decision: Decision, where: dict[int, tuple[int, ...]]
-    ) -> Iterator[Transition]:
-        for command, change in endings_of(operation, decision).items():
-            targets = {} if change is None else digits(self._encoding, change.targets)
-            yield self._transition(operation, command, where, targets)
-
-    def _ends(
-        self, operation: Decisions, decision: Decision, where: dict[int, tuple[int, ...]]
-    ) -> Iterator[Transition]:
+    def _ends(self, operation: Decisions, decision: Decision) -> None:
+        """Adds the transitions of an operation that is watched and ends where a decision is taken."""
+        if operation.name not in self._locks or not isinstance(decision.answer, Closure):
+            return
+        where = guard(self._encoding, decision) | self._free(operation, (decision.answer.writes, frozenset()))
         digit = self._encoding.position[operation.name]
-        for command, change in endings_of(operation, decision).items():
-            targets = {} if change is None else digits(self._encoding, change.targets)
+        for ending in endings_of(operation, decision):
             for held in range(1, self._encoding.sizes[digit]):
-                yield self._transition(operation, command, {**where, digit: (held,)}, {**targets, digit: 0})
+                found = self._transition(operation, ending, {**where, digit: (held,)}, {digit: 0})
+                self.transitions.append(found)
+
+    def _stays(self, operation: Decisions, decision: Decision) -> list[Transition]:
+        """Where an operation that is watched runs, and a decision is taken that denies it."""
+        if operation.name not in self._locks or isinstance(decision.answer, Closure):
+            return []
+        digit = self._encoding.position[operation.name]
+        where = {**guard(self._encoding, decision), digit: tuple(range(1, self._encoding.sizes[digit]))}
+        return [self._transition(operation, Ending(operation.name, declared=False, targets={}), where, {})]
 
     def _free(self, operation: Decisions, locks: Locks) -> dict[int, tuple[int, ...]]:
         """What the other operations that are watched may be at when this one needs these locks."""
@@ -160,16 +173,13 @@ class Moments:
         return free
 
     def _transition(
-        self, operation: Decisions, command: str, where: dict[int, tuple[int, ...]], targets: dict[int, int]
+        self, operation: Decisions, ending: Ending, where: dict[int, tuple[int, ...]], running: dict[int, int]
     ) -> Transition:
-        return Transition.of(self._encoding, command, (operation.branch, operation.operation), where, targets)
-
-
-def _marked(transitions: Iterable[Transition], batch: Batch) -> NDArray[np.bool_]:
-    found = np.zeros(len(batch.codes), dtype=np.bool_)
-    for transition in transitions:
-        found[transition.rows(batch)] = True
-    return found
+        self._work.spend(WORK_OF_TRANSITION)
+        intended = ending.declared and (not operation.spec.event or 0 in running.values())  # once it runs it will end
+        targets = digits(self._encoding, ending.targets) | running
+        asked = (operation.branch, operation.operation)
+        return Transition.of(self._encoding, ending.command, asked, intended, where, targets)
 
 
 def _locks(operation: Decisions) -> set[Locks]:

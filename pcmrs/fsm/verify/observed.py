@@ -15,7 +15,7 @@ class Decision:
     """What an operation may do wherever the branches it depends on are as they were here.
 
     Attributes:
-        seen: The branches it depends on and their states, in the order in which they were looked at.
+        seen: The branches it depends on and their states, its own first, then in the order of looking at them.
         answer: The closure, or why it is denied. Of the joint states in it only the branches touched count.
         ordered: Another order of the branches in the file would give something else.
     """
@@ -34,8 +34,8 @@ def decide(orders: Sequence[Blueprint], states: Mapping[str, str], branch: str, 
         branch: The branch asked.
         operation: Any of its operations.
     """
-    seen: dict[str, str] = {}
-    watched = {name: _Watched(state, name, seen) for name, state in states.items()}
+    seen = {branch: states[branch]}
+    watched = {name: state if name == branch else _Watched(state, name, seen) for name, state in states.items()}
     found = [answer(each, watched, branch, operation) for each in orders]
     touched = {name for each in found for name in _touched(each)}
     seen |= {name: states[name] for name in states if name in touched and name not in seen}

@@ -1,9 +1,10 @@
-"""The promises of a blueprint: always, never, reachable, leads to."""
+"""The promises of a blueprint: always, never, reachable, leads to; and that what runs can be concluded."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,55 +12,110 @@ from pcmrs.fsm.blueprint import Condition, PropertySpec
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.verify.encoding import Batch
 from pcmrs.fsm.verify.moments import STOP, Moments
-from pcmrs.fsm.verify.running import Runs
-from pcmrs.fsm.verify.search import leading_to
+from pcmrs.fsm.verify.running import Runs, stranded
+from pcmrs.fsm.verify.visited import Visited
+
+Wanted = Callable[[Batch], NDArray[np.bool_]]
+"""At which moments of a batch something is so; shape (n,)."""
+
+Specs = dict[int, PropertySpec]
+"""Properties by their place in the file."""
+
+PROPERTIES_PER_MOMENT = 50
+"""To look at a moment for so many properties takes as long as to find it."""
 
 
-def properties(runs: Runs) -> Iterator[Finding]:
-    """Every property that does not hold, with a shortest sequence of commands where one shows it."""
-    for index, spec in enumerate(runs.space.blueprint.properties):
-        found = next(filter(None, (_violation(spec, runs.moments(each)) for each in _observations(runs, spec))), None)
-        if found is not None:
-            text, commands = found
-            said = f"{spec.id} does not hold: {text}" + (f" It promises: {spec.text}" if spec.text else "")
-            yield Finding(code="property_violated", text=said, path=("properties", str(index)), commands=commands)
+def promises(runs: Runs) -> Iterator[Finding]:
+    """Operations that cannot be concluded, and every property that does not hold or speaks of nothing.
+
+    All that watch the same operations are looked at together; the fewest operations come first.
+    """
+    specs = dict(enumerate(runs.space.blueprint.properties))
+    watching = {index: _observations(runs, spec) for index, spec in specs.items()}
+    alone = {frozenset({name}): name for name in runs.strandable}
+    found: dict[int, Finding] = {}
+    for observed in sorted({*alone, *(each for sets in watching.values() for each in sets)}, key=_by_size):
+        together = {i: specs[i] for i, sets in watching.items() if observed in sets and i not in found}
+        if not together and observed not in alone:
+            continue
+        moments = runs.moments(observed)
+        if observed in alone:
+            yield from stranded(moments, alone[observed])
+        runs.work.spend(len(moments.reached) * len(together) // PROPERTIES_PER_MOMENT)
+        found |= _broken(moments, together, {i for i in together if watching[i][0] == observed})
+    yield from (found[index] for index in sorted(found))
 
 
-def _observations(runs: Runs, spec: PropertySpec) -> Iterator[frozenset[str]]:
+def _by_size(observed: frozenset[str]) -> tuple[int, list[str]]:
+    return len(observed), sorted(observed)
+
+
+def _observations(runs: Runs, spec: PropertySpec) -> list[frozenset[str]]:
     """Sets of operations to watch, one after the other.
 
     Those that the property speaks of; for Stop, together with each of which it is not plain that it can be concluded.
     """
     conditions = [spec.when, *filter(None, (spec.always, spec.never, spec.reachable, spec.leads_to))]
     mentioned = frozenset(name for condition in conditions for name in condition.running)
-    yield mentioned
-    if any(STOP in condition.accepted for condition in conditions):
-        yield from (mentioned | {name} for name in runs.strandable)
+    if spec.reachable is None and any(STOP in condition.accepted for condition in conditions):
+        return [mentioned, *(mentioned | {name} for name in runs.strandable if name not in mentioned)]
+    return [mentioned]
 
 
-def _violation(spec: PropertySpec, moments: Moments) -> tuple[str, tuple[str, ...] | None] | None:
-    """What is wrong and how to get there, if the property does not hold."""
-    if spec.reachable is not None:
-        wanted = _both(moments, spec.when, spec.reachable)
-        return None if moments.reached.first(wanted) is not None else ("nothing leads to what it names.", None)
-    code = moments.reached.first(_against(spec, moments))
-    if code is None:
-        return None
-    what = "nothing leads from there to what it names" if spec.leads_to is not None else "there it is broken"
-    return f"{moments.shown(code)}: {what}.", moments.way_to(code)
+def _broken(moments: Moments, specs: Specs, new: set[int]) -> dict[int, Finding]:
+    """The properties that do not hold at these moments; of those that are new, also the vacuous."""
+    occurring = {i: _both(moments, specs[i].when, specs[i].reachable or Condition()) for i in new}
+    occurs = moments.reached.firsts(occurring)
+    found = {i: _vacuous(i, specs[i]) for i in new - occurs.keys()}
+    for part in _by_goal({i: spec for i, spec in specs.items() if i not in found and spec.reachable is None}):
+        goal = next(iter(part.values())).leads_to
+        open_ = None if goal is None else moments.leading_to(goal)
+        against = {
+            i: _against(moments, spec) if open_ is None else _closed(moments, spec, open_) for i, spec in part.items()
+        }
+        for i, code in moments.reached.firsts(against).items():
+            found[i] = _violated(i, specs[i], moments, code)
+    return found
 
 
-def _against(spec: PropertySpec, moments: Moments) -> Callable[[Batch], NDArray[np.bool_]]:
-    """Which moments contradict the property."""
+def _by_goal(specs: Specs) -> list[Specs]:
+    """Those that lead to the same, together: one way back serves them all."""
+    groups: dict[bytes, Specs] = {}
+    for index, spec in specs.items():
+        groups.setdefault(msgspec.json.encode(spec.leads_to), {})[index] = spec
+    return list(groups.values())
+
+
+def _against(moments: Moments, spec: PropertySpec) -> Wanted:
+    """Which moments contradict a property that speaks of each alone."""
     if spec.never is not None:
         return _both(moments, spec.when, spec.never)
-    if spec.leads_to is not None:
-        goal = moments.reached.which(_both(moments, spec.leads_to))
-        open_ = leading_to(moments.reached, goal, moments.transitions)
-        return lambda batch: moments.hold(spec.when, batch) & ~open_.has(batch.codes)
     always = spec.always or Condition()
     return lambda batch: moments.hold(spec.when, batch) & ~moments.hold(always, batch)
 
 
-def _both(moments: Moments, *conditions: Condition) -> Callable[[Batch], NDArray[np.bool_]]:
+def _closed(moments: Moments, spec: PropertySpec, open_: Visited) -> Wanted:
+    """Which moments contradict a property that says where they lead to; `open_` are those that do."""
+    return lambda batch: moments.hold(spec.when, batch) & ~open_.has(batch.codes)
+
+
+def _both(moments: Moments, *conditions: Condition) -> Wanted:
     return lambda batch: np.logical_and.reduce([moments.hold(condition, batch) for condition in conditions])
+
+
+def _violated(index: int, spec: PropertySpec, moments: Moments, code: int) -> Finding:
+    what = "nothing leads from there to what it names" if spec.leads_to is not None else "there it is broken"
+    text = f"{spec.id} does not hold: {moments.shown(code)}: {what}."
+    return _finding("property_violated", index, spec, text, moments.way_to(code))
+
+
+def _vacuous(index: int, spec: PropertySpec) -> Finding:
+    if spec.reachable is not None:
+        return _finding("property_violated", index, spec, f"{spec.id} does not hold: nothing leads to what it names.")
+    text = f"{spec.id} promises nothing: what its `when` says is so at no moment that can be reached."
+    return _finding("vacuous_property", index, spec, text)
+
+
+def _finding(code: str, index: int, spec: PropertySpec, text: str, commands: tuple[str, ...] | None = None) -> Finding:
+    said = text + (f" It promises: {spec.text}" if spec.text else "")
+    return Finding(code=code, text=said, path=("properties", str(index)), commands=commands)

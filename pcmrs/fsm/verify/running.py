@@ -10,8 +10,10 @@ from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.verify.decisions import Decisions
 from pcmrs.fsm.verify.moments import Moments
 from pcmrs.fsm.verify.observed import Decision
+from pcmrs.fsm.verify.search import Progress
 from pcmrs.fsm.verify.space import Space
 from pcmrs.fsm.verify.structure import path_of
+from pcmrs.fsm.verify.work import Work
 
 
 class Runs:
@@ -23,17 +25,19 @@ class Runs:
 
     Args:
         space: The joint states.
+        progress: Told now and then how many moments have been looked at, and how many are known.
+
+    Attributes:
+        work: What the searches may still cost.
     """
 
-    def __init__(self, space: Space) -> None:
+    def __init__(self, space: Space, progress: Progress | None = None) -> None:
         self.space = space
-        self._moments: dict[frozenset[str], Moments] = {}
+        self.work = Work(space.limit, progress, len(space.reached))
 
     def moments(self, observed: frozenset[str]) -> Moments:
         """What can be while these operations are watched. Raises `TooManyError`."""
-        if observed not in self._moments:
-            self._moments[observed] = Moments(self.space, observed)
-        return self._moments[observed]
+        return Moments(self.space, observed, self.work)
 
     @cached_property
     def strandable(self) -> list[str]:
@@ -42,14 +46,12 @@ class Runs:
         return [operation.name for operation in lasting if _may_be_denied_at_its_end(operation)]
 
 
-def conclusions(runs: Runs) -> Iterator[Finding]:
-    """Operations that can be found, when they end, where none of their endings is allowed."""
-    for name in runs.strandable:
-        moments = runs.moments(frozenset({name}))
-        code = moments.reached.first(moments.stranded)
-        if code is not None:
-            text = f"{name} cannot be concluded in {moments.shown(code)}: it is denied there, whatever its ending."
-            yield Finding(code="cannot_conclude", text=text, path=path_of(name), commands=moments.way_to(code))
+def stranded(moments: Moments, name: str) -> Iterator[Finding]:
+    """The one operation watched can be found, when it ends, where none of its endings is allowed."""
+    code = moments.reached.first(moments.stranded)
+    if code is not None:
+        text = f"{name} cannot be concluded in {moments.shown(code)}: it is denied there, whatever its ending."
+        yield Finding(code="cannot_conclude", text=text, path=path_of(name), commands=moments.way_to(code))
 
 
 def _may_be_denied_at_its_end(operation: Decisions) -> bool:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcmrs.fsm.verify.encoding import Batch, Codes, Encoding
-from pcmrs.fsm.verify.transition import Transition, by_guard, successors
+from pcmrs.fsm.verify.transition import Choices, Transition
 from pcmrs.fsm.verify.visited import Visited, visited
 
 BATCH = 2**17
@@ -16,6 +17,9 @@ BATCH = 2**17
 
 Progress = Callable[[int, int], None]
 """Called with how many joint states have been looked at, and how many are known."""
+
+
+Key = TypeVar("Key", bound=Hashable)
 
 
 class TooManyError(Exception):
@@ -45,11 +49,19 @@ class Reached:
 
     def first(self, wanted: Callable[[Batch], NDArray[np.bool_]]) -> int | None:
         """One of the nearest that is wanted, if any is."""
+        return self.firsts({None: wanted}).get(None)
+
+    def firsts(self, wanted: Mapping[Key, Callable[[Batch], NDArray[np.bool_]]]) -> dict[Key, int]:
+        """One of the nearest of each kind that is wanted, found in one pass; of some kinds there may be none."""
+        found: dict[Key, int] = {}
         for batch in self.batches():
-            found = batch.codes[wanted(batch)]
-            if len(found):
-                return int(found[0])
-        return None
+            for key in wanted.keys() - found.keys():
+                codes = batch.codes[wanted[key](batch)]
+                if len(codes):
+                    found[key] = int(codes[0])
+            if len(found) == len(wanted):
+                break
+        return found
 
     def which(self, wanted: Callable[[Batch], NDArray[np.bool_]]) -> Codes:
         """All that are wanted."""
@@ -57,7 +69,7 @@ class Reached:
 
     def way_to(self, code: int, transitions: Iterable[Transition]) -> tuple[str, ...]:
         """The commands of a shortest way from the initial code."""
-        back = [transition.backward() for transition in transitions if transition.shift]
+        back = Choices(transition.backward() for transition in transitions if transition.shift)
         length = next(n for n, level in enumerate(self.levels) if _contains(level, code))
         commands: list[str] = []
         for level in reversed(self.levels[:length]):
@@ -108,14 +120,15 @@ def search(
     return Reached(encoding, levels[:-1], known)
 
 
-def leading_to(reached: Reached, goal: Codes, transitions: Iterable[Transition]) -> Visited:
+def leading_to(
+    reached: Reached, goal: Codes, transitions: Iterable[Transition], *, progress: Progress | None = None
+) -> Visited:
     """All that is reached and from which one of `goal` can be reached."""
-    back = by_guard(transition.backward() for transition in transitions if transition.shift)
-
-    def before(batch: Batch) -> Iterator[Codes]:
-        return successors(back, batch)
-
-    return search(reached.encoding, goal, before, limit=len(reached), within=reached.visited).visited
+    back = Choices(transition.backward() for transition in transitions if transition.shift)
+    limit = len(reached)
+    return search(
+        reached.encoding, goal, back.successors, limit=limit, progress=progress, within=reached.visited
+    ).visited
 
 
 def _batches(encoding: Encoding, codes: Codes) -> Iterator[Batch]:
@@ -128,8 +141,9 @@ def _contains(level: Codes, code: int) -> bool:
     return place < len(level) and int(level[place]) == code
 
 
-def _predecessors(encoding: Encoding, code: int, back: Iterable[Transition], level: Codes) -> Iterator[tuple[str, int]]:
+def _predecessors(encoding: Encoding, code: int, back: Choices, level: Codes) -> Iterator[tuple[str, int]]:
     batch = Batch(encoding, np.array([code], dtype=np.int64))
-    for transition in back:
-        if len(transition.rows(batch)) and _contains(level, code + transition.shift):
-            yield transition.command, code + transition.shift
+    for transitions, _ in back.enabled(batch):
+        for transition in transitions:
+            if _contains(level, code + transition.shift):
+                yield transition.command, code + transition.shift

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 
 from pcmrs.fsm.behaviour import endings
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint
-from pcmrs.fsm.closure import Change, Closure
+from pcmrs.fsm.closure import Closure
 from pcmrs.fsm.verify.decisions import Decisions
 from pcmrs.fsm.verify.encoding import MAX_COMBINATIONS, Batch, Codes, Encoding, Rows
 from pcmrs.fsm.verify.observed import Decision
@@ -45,9 +46,7 @@ class Space:
         self.blueprint = blueprint
         self.limit = limit
         self.encoding = Encoding({name: list(branch.states) for name, branch in blueprint.branches.items()})
-        if self.encoding.combinations > MAX_COMBINATIONS:
-            text = f"The states of the branches have {self.encoding.combinations:.1e} combinations, "
-            raise TooManyError(f"{text}more than can be told apart: make it fewer branches or states.")
+        encodable(self.encoding)
         other = msgspec.structs.replace(blueprint, branches=dict(reversed(blueprint.branches.items())))
         self.operations = [
             Decisions(blueprint, other, self.encoding, name, operation, self._count)
@@ -87,8 +86,8 @@ class Space:
     def _count(self) -> None:
         self._left -= 1
         if self._left < 0:
-            text = "The operations depend on too many combinations of the states of other branches: "
-            raise TooManyError(f"{text}let commands touch fewer branches at once.")
+            text = "The operations depend on too many combinations of the states of their own and other branches: "
+            raise TooManyError(f"{text}make it fewer states, or let commands touch fewer branches.")
 
     def _following(self, batch: Batch) -> Iterator[Codes]:
         for operation in self.operations:
@@ -104,27 +103,45 @@ class Space:
                 yield batch.codes[rows] + transition.shift
 
     def _transitions_of(self, operation: Decisions, decision: Decision) -> Iterator[Transition]:
-        for command, change in endings_of(operation, decision).items():
-            targets = {} if change is None else change.targets
-            yield Transition.of(
-                self.encoding,
-                command,
-                (operation.branch, operation.operation),
-                guard(self.encoding, decision),
-                digits(self.encoding, targets),
-            )
+        where, asked = guard(self.encoding, decision), (operation.branch, operation.operation)
+        for ending in endings_of(operation, decision):
+            intended = ending.declared and not operation.spec.event
+            targets = digits(self.encoding, ending.targets)
+            yield Transition.of(self.encoding, ending.command, asked, intended, where, targets)
 
 
 def _size(blueprint: Blueprint) -> int:
     return sum(1 + len(branch.revocations) for branch in blueprint.branches.values())
 
 
-def endings_of(operation: Decisions, decision: Decision) -> dict[str, Change | None]:
-    """Every way the operation may end where the decision is taken, as commands are written; none where denied."""
-    if not isinstance(decision.answer, Closure):
-        return {}
-    found = endings(operation.spec, decision.answer)
-    return {operation.name + (f":{name}" if name != START_OUTCOME else ""): change for name, change in found.items()}
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """One way in which an operation may end.
+
+    Attributes:
+        command: How it is written, ``branch.operation`` or ``branch.operation:outcome``.
+        declared: It ends as the blueprint wants it, not in a failure or in doubt.
+        targets: The branches that it changes, and to what.
+    """
+
+    command: str
+    declared: bool
+    targets: dict[str, str]
+
+
+def endings_of(operation: Decisions, decision: Decision) -> Iterator[Ending]:
+    """Every way the operation may end where the decision is taken; none where it is denied."""
+    if isinstance(decision.answer, Closure):
+        for name, change in endings(operation.spec, decision.answer).items():
+            command = operation.name + (f":{name}" if name != START_OUTCOME else "")
+            yield Ending(command, name in decision.answer.outcomes, {} if change is None else change.targets)
+
+
+def encodable(encoding: Encoding) -> None:
+    """Raises `TooManyError` where there are more combinations than can be told apart."""
+    if encoding.combinations > MAX_COMBINATIONS:
+        text = "The states of the branches and what runs in them have more than 2^62 combinations: "
+        raise TooManyError(f"{text}make it fewer branches or states, or properties that watch fewer operations.")
 
 
 def guard(encoding: Encoding, decision: Decision) -> dict[int, tuple[int, ...]]:
@@ -133,5 +150,6 @@ def guard(encoding: Encoding, decision: Decision) -> dict[int, tuple[int, ...]]:
 
 
 def digits(encoding: Encoding, states: dict[str, str]) -> dict[int, int]:
-    """States of branches as digits."""
-    return {encoding.position[branch]: encoding.value(branch, state) for branch, state in states.items()}
+    """States of branches as digits; one that has a single state says nothing."""
+    found = {encoding.position[branch]: encoding.value(branch, state) for branch, state in states.items()}
+    return {digit: value for digit, value in found.items() if encoding.sizes[digit] > 1}

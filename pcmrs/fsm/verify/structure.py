@@ -19,6 +19,9 @@ UNSOUND = {
 }
 """Denials that no joint state may give a reason for, and the findings they are."""
 
+CUT_SHORT = {code for code, _ in UNSOUND.values()}
+"""Where one of these is found, operations that should go on do not, and what cannot be reached says nothing."""
+
 
 def denials(space: Space) -> Iterator[Finding]:
     """Operations that trigger an endless cascade, or that can begin but not end."""

@@ -9,6 +9,7 @@ from pcmrs.fsm.behaviour import answer, endings
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, OperationSpec
 from pcmrs.fsm.closure import Change, Closure
 from pcmrs.fsm.exchange.exporting.coupling import Joint
+from pcmrs.fsm.exchange.exporting.events import event_names
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,12 +24,13 @@ class Command:
 
 def commands(blueprint: Blueprint) -> Iterator[Command]:
     """All commands that somebody may give: an operation that signals for a child is none."""
+    events = event_names(blueprint)
     for branch, spec in blueprint.branches.items():
         for name, operation in spec.operations.items():
             possible = [] if operation.iio else _endings(operation)
             for ending in possible:
-                event = f"{branch}.{name}" if possible == [START_OUTCOME] else f"{branch}.{name}.{ending}"
-                yield Command(branch, name, ending, event)
+                event = events[branch, name]
+                yield Command(branch, name, ending, event if possible == [START_OUTCOME] else f"{event}.{ending}")
 
 
 def _endings(operation: OperationSpec) -> list[str]:

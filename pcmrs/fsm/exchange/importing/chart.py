@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 
 from pcmrs.fsm.finding import Place
 
+Condition = tuple[tuple[str, ...], ...]
+"""Ids of states in groups, of each of which at least one must be active."""
+
 
 @dataclass(slots=True, eq=False)
 class Edge:
@@ -18,6 +21,7 @@ class Edge:
         targets: Ids of the states it goes to.
         place: Where the file says so.
         internal: It does not leave its source when its targets are inside.
+        condition: Where it can be taken: of each group of states one must be active.
     """
 
     source: Node
@@ -25,6 +29,7 @@ class Edge:
     targets: list[str]
     place: Place
     internal: bool = False
+    condition: Condition = ()
 
 
 @dataclass(slots=True, eq=False)
@@ -92,10 +97,10 @@ class Node:
         self.children.append(child)
         return child
 
-    def first_edge(self, event: str) -> Edge | None:
-        """Its first transition, not of the states around it, that the event triggers."""
+    def edges_on(self, event: str) -> list[Edge]:
+        """Its transitions, not of the states around it, that the event triggers where their conditions hold."""
         matching = set(descriptors(event))
-        return next((edge for edge in self.edges if matching.intersection(edge.events)), None)
+        return [edge for edge in self.edges if matching.intersection(edge.events)]
 
 
 def descriptors(event: str) -> list[str]:

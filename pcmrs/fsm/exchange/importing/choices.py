@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from pcmrs.fsm.exchange.importing.chart import Edge, Node
@@ -28,8 +28,12 @@ class Choice:
     edges: tuple[Edge, ...]
 
 
-def choices(region: Region, event: str) -> list[Choice]:
-    """Every situation of a region and the regions inside in which the event finds different transitions.
+First = Callable[[Node], Edge | None]
+"""The first transition of a state, not of those around it, that an event triggers."""
+
+
+def choices(region: Region, first: First) -> list[Choice]:
+    """Every situation of a region and the regions inside in which an event finds different transitions.
 
     Inner transitions come before those of the states around them, the first in the file before the next.
 
@@ -39,18 +43,18 @@ def choices(region: Region, event: str) -> list[Choice]:
     found = [
         Choice({region: state} | choice.where, choice.edges)
         for state in region.states
-        for choice in _of_state(region, state, event)
+        for choice in _of_state(region, state, first)
     ]
     if len(found) > MAX_SITUATIONS:
         raise TooManyError
     is_state = region.label is region.home or region.label in region.states
-    own = None if is_state else region.label.first_edge(event)
+    own = None if is_state else first(region.label)
     return [Choice(c.where, c.edges or ((own,) if own else ())) for c in found]
 
 
-def _of_state(region: Region, state: Node, event: str) -> Iterator[Choice]:
-    own = state.first_edge(event)
-    inner = [_quiet_or(choices(within, event)) for within in region.inside(state)]
+def _of_state(region: Region, state: Node, first: First) -> Iterator[Choice]:
+    own = first(state)
+    inner = [_quiet_or(choices(within, first)) for within in region.inside(state)]
     for number, combination in enumerate(itertools.product(*inner)):
         if number > MAX_SITUATIONS:
             raise TooManyError

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 
-from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, ParentSpec, RevocationSpec
-from pcmrs.fsm.exchange.importing.chart import Node
-from pcmrs.fsm.exchange.importing.choices import TooManyError, choices
+from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, ParentSpec, Requirement, RevocationSpec
+from pcmrs.fsm.exchange.importing.chart import Edge, Node, descriptors
+from pcmrs.fsm.exchange.importing.choices import TooManyError
+from pcmrs.fsm.exchange.importing.conditions import Conditions
 from pcmrs.fsm.exchange.importing.moves import Group, Move, Mover, grouped
 from pcmrs.fsm.exchange.importing.naming import Names, plain
 from pcmrs.fsm.exchange.importing.reading import Findings
@@ -18,6 +20,9 @@ MAX_WORK = 1_000_000
 
 MAX_REACTIONS = 20_000
 """Situations in which some event has an effect, of all events together."""
+
+REINIT = "reinit"
+"""Name of the re-initiation operation (RIO) of a branch."""
 
 ROOT_NAME = "main"
 """Name of the workflow and of its outermost branch where the file has none."""
@@ -54,10 +59,18 @@ class _Converter:
         self._roots = regions_of(root, nodes)
         self._regions = [region for outermost in self._roots for region in outermost.walk()]
         self._mover = Mover(self._regions, nodes, findings)
+        self._conditions = Conditions(self._regions, nodes)
+        self._edges: dict[str, list[Edge]] = defaultdict(list)
+        for edge in (edge for node in root.walk() for edge in node.edges):
+            for event in edge.events:
+                self._edges[event].append(edge)
         self._names: dict[Node, str] = {}
         self._reactions = 0
+        self._counts: Counter[tuple[Region, str]] = Counter()
         self._operations: dict[Region, dict[str, OperationSpec]] = {region: {} for region in self._regions}
-        self._operation_names = {r: Names(f"operations of {r.label.called}", findings) for r in self._regions}
+        self._operation_names = {
+            r: Names(f"operations of {r.label.called or ROOT_NAME}", findings) for r in self._regions
+        }
 
     def blueprint(self, events: dict[str, Place]) -> Blueprint:
         self._name_all()
@@ -78,9 +91,10 @@ class _Converter:
 
     def _add_event(self, event: str, place: Place) -> None:
         moves: list[Move] = []
+        edges = [edge for each in descriptors(event) for edge in self._edges[each]]
         for region in self._roots:
             try:
-                found = [choice for choice in choices(region, event) if choice.edges]
+                found = [each for each in self._conditions.choices(region, event, edges) if each.edges]
             except TooManyError:
                 self._findings.say("too_large", f"The event {event} has too many situations.", place)
                 continue
@@ -95,12 +109,13 @@ class _Converter:
 
     def _add_operation(self, event: str, group: Group, place: Place) -> None:
         region = group.region
-        base, taken = plain(event, prefix=region.label.called), self._operations[region]
-        count = 1 + sum(operation.title == event for operation in taken.values())
+        base = plain(event, prefix=region.label.called)
+        self._counts[region, event] += 1
+        count = self._counts[region, event]
         name = base if count == 1 else f"{base}_{count}"
         to = {self._names[source]: self._names[target] for source, target in group.targets.items()}
         every = len(to) == len(region.states)
-        taken[self._operation_names[region].take(name, event, place)] = OperationSpec(
+        self._operations[region][self._operation_names[region].take(name, event, place)] = OperationSpec(
             title=event,
             from_=["*"] if every else list(to),
             to=dict(to) if len(set(to.values())) > 1 else next(iter(to.values())),
@@ -119,8 +134,10 @@ class _Converter:
             return BranchSpec(title=region.label.title, states=states, operations=operations)
         start, home = next(iter(states)), self._names[region.home]
         around = {outer.name: [self._names[state]] for outer, state in region.chain()}
-        name = self._operation_names[region].take("reinit", "reinit", region.label.place)
-        operations[name] = OperationSpec(from_=["*"], to=start, rio=True, requires=around)
+        title = self._reinit_event(region, operations.get(REINIT), around)
+        if not title:
+            self._operation_names[region].take(REINIT, REINIT, region.label.place)
+        operations[REINIT] = OperationSpec(title=title, from_=["*"], to=start, rio=True, requires=around)
         anywhere = [self._names[state] for state in region.outer.states]
         compatible = {state: anywhere if state == start else [home] for state in states}
         return BranchSpec(
@@ -132,6 +149,13 @@ class _Converter:
             emits=dict.fromkeys(states, f"{region.name}_changed"),
             revocations=self._revocations(region, region.outer),
         )
+
+    def _reinit_event(self, region: Region, found: OperationSpec | None, around: Requirement) -> str:
+        """The event that re-initiates a region already, as one in an export does; empty where there is none."""
+        if found is None or found.sets or not found.requires.items() <= around.items():
+            return ""
+        start, *others = (self._names[state] for state in region.states)
+        return found.title if found.to == start and found.from_ in (["*"], others) else ""
 
     def _signals(self, region: Region, states: list[str]) -> Iterator[tuple[str, OperationSpec]]:
         """Rule 2: what each branch inside calls when it changes; nothing follows from it."""

@@ -49,6 +49,8 @@ def _check(root: Node, findings: Findings) -> None:
         for edge in node.edges:
             if missing := [target for target in edge.targets if target not in nodes]:
                 findings.say("unknown_state", f"There is no state {missing[0][:70]!r} to go to.", edge.place)
+            elif missing := [name for group in edge.condition for name in group if name not in nodes]:
+                findings.say("unknown_state", f"There is no state {missing[0][:70]!r} to be in.", edge.place)
             elif len(edge.targets) > 1 and not _together(edge.targets, nodes):
                 text = f"The targets {' and '.join(edge.targets)} can never be active together."
                 findings.say("not_supported", text, edge.place)

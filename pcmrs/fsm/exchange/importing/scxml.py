@@ -1,6 +1,7 @@
 """Reads SCXML: flat, nested and parallel states, finals, initials and transitions on events.
 
-What else SCXML has, conditions and executable content above all, is named in a finding: a blueprint holds no code.
+Conditions may name active states. What else SCXML has, executable content above all, is named in a finding: a
+blueprint holds no code.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.exchange import SCXML_NAMESPACE
 from pcmrs.fsm.exchange.importing.chart import Edge, Node
+from pcmrs.fsm.exchange.importing.conditions import read_condition
 from pcmrs.fsm.exchange.importing.imported import imported
 from pcmrs.fsm.exchange.importing.markup import Element, read_xml
 from pcmrs.fsm.exchange.importing.reading import Findings
@@ -77,8 +79,9 @@ class _Reader:
 
     def _read_transition(self, element: Element, node: Node) -> None:
         given = element.attributes
-        if "cond" in given:
-            self._refuse("A transition's cond is not supported: a blueprint says `requires`", element.place)
+        condition = read_condition(given["cond"]) if "cond" in given else ()
+        if condition is None:
+            self._refuse("This cond is not supported: only In('state'), with && and ||, says `requires`", element.place)
         events = [event.removesuffix("*").rstrip(".") for event in given.get("event", "").split()]
         if not events:
             self._refuse("A transition without event is not supported", element.place)
@@ -88,7 +91,7 @@ class _Reader:
         self._refuse_contents(element)
         targets = given.get("target", "").split()
         internal = given.get("type") == "internal"
-        node.edges.append(Edge(node, events, targets, element.place, internal=internal))
+        node.edges.append(Edge(node, events, targets, element.place, internal, condition or ()))
 
     def _refuse_contents(self, element: Element) -> None:
         for child in element.children:
