@@ -59,6 +59,11 @@ def summary(findings: Iterable[Finding]) -> str:
     return "\n".join(str(finding) for finding in findings)
 
 
+def unread(origin: str, text: str) -> Finding:
+    """What is to be said of a file that is not there or cannot be opened."""
+    return Finding(code="cannot_be_read", text=text, file=origin)
+
+
 def refuse(origin: str, code: str, text: str, place: Place = (1, 1), path: Path = ()) -> NoReturn:
     """Raises the `BlueprintError` that ends the reading of a file, with its one finding."""
     line, column = place

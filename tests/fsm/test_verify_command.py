@@ -76,7 +76,7 @@ def test_what_cannot_be_read_is_a_finding_and_the_others_are_looked_at(tmp_path:
     assert [each["sound"] for each in found] == [False, False, False, True]
     assert [[finding["code"] for finding in each["findings"]] for each in found] == [["cannot_be_read"]] * 3 + [[]]
     assert found[0]["findings"][0]["file"] == str(missing)
-    assert "none.toml: cannot_be_read: It cannot be read: No such file" in run(*files).stdout
+    assert "none.toml cannot be read: No such file" in run(*files).stdout
 
 
 def test_a_text_of_the_file_can_neither_forge_a_line_nor_reach_the_terminal() -> None:

@@ -194,5 +194,5 @@ def _from(blueprint: Blueprint, start: States) -> list[States]:
             for change in closure.outcomes.values() if isinstance(closure, Closure) else ():
                 if joint_of(blueprint, change.states) not in known:
                     known.add(joint_of(blueprint, change.states))
-                    waiting.append(change.states)
+                    waiting.append(dict(change.states))
     return waiting

@@ -8,7 +8,7 @@ from typing import NoReturn
 
 import click
 
-from pcmrs.errors import PcmrsError
+from pcmrs.errors import ConfigurationError
 from pcmrs.fsm import Blueprint, examine
 from pcmrs.fsm.files.bounded import MAX_BYTES, read_bounded
 from pcmrs.fsm.finding import Finding, summary
@@ -22,20 +22,35 @@ output_option = click.option(
 )
 
 
-def read(file: str) -> tuple[bytes, str]:
+def fetch(file: str) -> tuple[bytes, str]:
     """The bytes of a file, and how findings call it; of a huge one no more than shows that it is too large.
 
     Args:
         file: The name of an installed workflow, a path with a folder or suffix, or ``-`` for standard input.
+
+    Raises:
+        ConfigurationError: It cannot be read, or there is no workflow of that name.
     """
-    if file == "-":
-        return sys.stdin.buffer.read(MAX_BYTES + 1), "<stdin>"
     try:
+        if file == "-":
+            return _standard_input(), "<stdin>"
         path = _installed(file) if file.isidentifier() else Path(file)
-        return read_bounded(path), str(path)
-    except OSError as error:
-        refuse(f"{file} cannot be read: {error.strerror}.")
-    except PcmrsError as error:
+        return read_bounded(path), printable(str(path))
+    except (OSError, ValueError) as error:  # a ValueError where it cannot be a path
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise ConfigurationError(f"{printable(file)} cannot be read: {reason}.", file=file) from None
+
+
+def printable(text: str) -> str:
+    """A file's name as it can be printed: names may hold bytes that are no text."""
+    return text.encode(errors="backslashreplace").decode()
+
+
+def read(file: str) -> tuple[bytes, str]:
+    """The same, for commands on one file: they end where it cannot be read."""
+    try:
+        return fetch(file)
+    except ConfigurationError as error:
         refuse(error.text)
 
 
@@ -43,7 +58,7 @@ def sound(file: str, *, otherwise: int = EXIT_UNSOUND) -> Blueprint:
     """The sound workflow in a file; otherwise the findings are printed and the command ends.
 
     Args:
-        file: See `read`.
+        file: See `fetch`.
         otherwise: Exit status for one that is readable, but unsound.
     """
     raw, origin = read(file)
@@ -75,6 +90,12 @@ def write(text: str | bytes, output: Path | None) -> None:
         output.write_bytes(text.encode() if isinstance(text, str) else text)
     except OSError as error:
         refuse(f"{output} cannot be written: {error.strerror}.")
+
+
+def _standard_input() -> bytes:
+    if sys.stdin is None:  # as the shell's <&- leaves it
+        raise ValueError("standard input is closed")
+    return sys.stdin.buffer.read(MAX_BYTES + 1)
 
 
 def _installed(name: str) -> Path:

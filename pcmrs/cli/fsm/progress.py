@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 LONG = 20_000
@@ -21,7 +22,7 @@ def search_bar(origin: str) -> Iterator[Callable[[int, int], None]]:
     """
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     bar = Progress(*columns, console=Console(stderr=True), transient=True)
-    task = bar.add_task(f"joint states of {origin}", total=None)
+    task = bar.add_task(f"joint states of {escape(origin)}", total=None)
     with ExitStack() as shown:
 
         def show(looked_at: int, known: int) -> None:

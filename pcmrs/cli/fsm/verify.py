@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
 
-from pcmrs.cli.fsm.files import EXIT_UNREADABLE, EXIT_UNSOUND, read
+from pcmrs.cli.fsm.files import EXIT_UNREADABLE, EXIT_UNSOUND, fetch, printable
 from pcmrs.cli.fsm.progress import search_bar
 from pcmrs.cli.options import json_option
 from pcmrs.cli.running import readable_errors
-from pcmrs.errors import PcmrsError
-from pcmrs.fsm.files.bounded import read_bounded
+from pcmrs.errors import ConfigurationError
+from pcmrs.fsm.finding import unread
 
 if TYPE_CHECKING:
     from pcmrs.fsm import Examination
@@ -46,28 +45,15 @@ def verify(files: tuple[str, ...], limit: int, as_json: bool) -> None:
 
 
 def _examine(file: str, limit: int) -> tuple[str, Examination]:
-    from pcmrs.fsm import Examination, Finding, examine
+    from pcmrs.fsm import Examination, examine
 
-    origin = file.encode(errors="backslashreplace").decode()
     try:
-        raw, origin = _opened(file, origin)
-    except (OSError, PcmrsError) as error:
-        text = error.text if isinstance(error, PcmrsError) else f"It cannot be read: {error.strerror}."
-        return origin, Examination(None, [Finding(code="cannot_be_read", text=text, file=origin)])
+        raw, origin = fetch(file)
+    except ConfigurationError as error:
+        origin = printable(file)
+        return origin, Examination(None, [unread(origin, error.text)])
     with search_bar(origin) as progress:
         return origin, examine(raw, origin=origin, limit=limit, progress=progress)
-
-
-def _opened(file: str, origin: str) -> tuple[bytes, str]:
-    """The bytes of a file, and how findings call it; unlike `files.read` it does not end the command."""
-    if file == "-":
-        return read(file)
-    if not file.isidentifier():
-        return read_bounded(Path(file)), origin
-    from pcmrs.workflows.find import find_workflow  # loads the procedures: not for a mere path
-
-    path = find_workflow(file).blueprint
-    return read_bounded(path), str(path)
 
 
 def _as_object(origin: str, examination: Examination) -> dict[str, Any]:

@@ -52,7 +52,7 @@ def releases(space: Space) -> Iterator[Finding]:
     blueprint = space.blueprint
     if not any(operation.spec.halts for operation in space.operations):
         return
-    allowed = [each for each in space.transitions if not _operation(space, each).halts]
+    allowed = [each for each in space.transitions if each.intended and not _operation(space, each).halts]
     releasing = Choices(each for each in allowed if f"{each.branch}.{each.operation}" in blueprint.unlatching)
     open_ = leading_to(space.reached, space.reached.which(releasing.mark), allowed)
     code = space.reached.first(lambda batch: ~open_.has(batch.codes))
