@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,13 @@ from hypothesis import strategies as st
 import pcmrs
 from pcmrs.cli.fsm.design import design as command
 from pcmrs.fsm import Blueprint, Closure, Engine, examine, load_blueprint, parse_blueprint
+from pcmrs.fsm.blueprint import BranchSpec, SequenceSpec
 from pcmrs.fsm.codes import DESIGN
 from pcmrs.fsm.design import Design, design
+from pcmrs.fsm.design.branches import Designed
+from pcmrs.fsm.design.excess import excess_of
+from pcmrs.fsm.files.load import Examination
+from pcmrs.fsm.finding import Finding
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 WORKFLOWS = Path(pcmrs.__file__).parent / "workflows"
@@ -302,3 +308,65 @@ def test_the_command_ends_with_findings(raw: bytes, status: int, tmp_path: Path)
     assert result.exit_code == status
     assert result.stderr.startswith("<stdin>:")
     assert not output.exists()
+
+
+def test_the_command_says_in_json_what_came_of_it(tmp_path: Path) -> None:
+    output = tmp_path / "blueprint.toml"
+    result = CliRunner().invoke(command, ["-", "--json", "-o", str(output)], input=RATMS_STEPS)
+    said = json.loads(result.stdout)
+    assert (result.exit_code, said["file"], said["readable"], said["sound"], said["findings"]) == (
+        0, "<stdin>", True, True, [],
+    )  # fmt: skip
+    assert (said["combinations"]["steps"], said["combinations"]["possible"]) == (4, 8)
+    assert said["combinations"]["impossible"][1] == {"step": "registered", "missing": "landmarks_digitized", "count": 4}
+    assert load_blueprint(output).id == "ratms_steps"
+    refused = CliRunner().invoke(command, ["-", "--json"], input=table(step("a", "b")))
+    said = json.loads(refused.stdout)
+    assert (refused.exit_code, said["readable"], said["sound"], said["combinations"]) == (1, True, False, None)
+    assert [finding["code"] for finding in said["findings"]] == ["step_unknown"]
+
+
+def refined(number: int, points: int) -> list[dict[str, Any]]:
+    """Steps of points each."""
+    return [step(f"s{i}", steps=["s"], refined_by={"branch": f"b{i}", "points": points + i % 2}) for i in range(number)]
+
+
+@pytest.mark.parametrize(
+    ("raw", "said", "where"),
+    [
+        (
+            table(*refined(11, 990)),
+            "10895 items; the limit is 10000. Most is from b1, with 991 points.",
+            b"points = 991",
+        ),
+        (
+            table(step("root"), *(step(f"s{i}", "root") for i in range(10))),
+            "Most is from root, with 1025 states.",
+            b"[[steps]]",
+        ),
+    ],
+)
+def test_a_blueprint_too_large_is_said_of_the_step_that_makes_it_so(raw: bytes, said: str, where: bytes) -> None:
+    result = design(raw)
+    assert [finding.code for finding in result.findings] == ["step_count"]
+    assert raw.splitlines()[result.findings[0].line - 1] == where
+    assert said in result.findings[0].text
+    assert result.combinations is not None
+
+
+def test_too_many_joint_states_are_said_of_the_points_that_make_them() -> None:
+    path = ("steps", "0")
+    branches = [Designed("b", BranchSpec(sequence=SequenceSpec(count=9)), path), Designed("a", BranchSpec(), path)]
+    examination = Examination(
+        Blueprint(id="x", version="1", branches={}), [Finding(code="too_many_states", text="Much.")]
+    )
+    excess = excess_of(examination, 1, branches)
+    assert excess == Finding(
+        code="step_count", text="Much. Most is from b, with 9 points.", path=(*path, "refined_by", "points")
+    )
+
+
+def test_a_number_of_too_many_digits_has_its_place() -> None:
+    (finding,) = design(b'id = "x"\nversion = ' + b"1" * 5000 + b"\n").findings
+    assert (finding.code, finding.line, finding.column) == ("not_toml", 2, 11)
+    assert finding.text == "This is not TOML: a number has over 4300 digits."

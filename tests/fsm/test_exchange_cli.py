@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from random import Random
 
@@ -106,3 +107,29 @@ def test_the_format_is_found_by_the_suffix_or_the_content(tmp_path: Path, suffix
     first, _, rest = result.stdout.partition("\n")
     assert first == f"# Imported from chart.{suffix}."
     assert rest == run("import", "-", "--from", "scxml", given=as_scxml(chart)).stdout.partition("\n")[2]
+
+
+def test_import_says_in_json_what_came_of_it(tmp_path: Path) -> None:
+    written = tmp_path / "ring.toml"
+    result = run("import", "-", "--json", given=RING)
+    assert result.exit_code == 0
+    assert json.loads(result.stdout) == {"file": "<stdin>", "readable": True, "sound": True, "findings": []}
+    unsound = run(
+        "import", "-", "--json", "-o", str(written), given=RING.replace("</scxml>", '<state id="c"/></scxml>')
+    )
+    said = json.loads(unsound.stdout)
+    assert (unsound.exit_code, said["readable"], said["sound"]) == (1, True, False)
+    assert {finding["file"] for finding in said["findings"]} == {str(written)}
+    unreadable = run("import", "-", "--json", given="<svg/>")
+    said = json.loads(unreadable.stdout)
+    assert (unreadable.exit_code, said["readable"], said["findings"][0]["code"]) == (2, False, "not_scxml")
+    assert run("import", "-", "--json", "-o", "-", given=RING).exit_code == 2
+
+
+def test_a_blueprint_that_could_not_be_read_again_is_not_written(tmp_path: Path) -> None:
+    written = tmp_path / "many.toml"
+    events = " ".join(f"e{number}" for number in range(5_000))
+    result = run("import", "-", "-o", str(written), given=RING.replace('"go"', f'"{events}"', 1))
+    assert result.exit_code == 2
+    assert result.stderr.startswith("<stdin>:1:1: too_large: The blueprint of this chart would have ")
+    assert not written.exists()

@@ -6,6 +6,7 @@ import re
 from random import Random
 
 import pytest
+from msgspec.structs import replace
 from random_charts import EVENTS, as_scxml, random_chart
 from scxml_peer import Peer
 
@@ -244,3 +245,63 @@ def test_an_export_is_read_under_its_own_names() -> None:
     assert again is not None
     assert (again.id, list(again.branches), list(again.branches["solo"].states)) == ("solo", ["solo"], ["a", "b"])
     assert again.branches["solo"].operations["go"].from_ == ["a"]
+
+
+def test_the_export_of_an_import_has_the_events_of_the_chart() -> None:
+    """Those of operations that are named otherwise, or would be taken for each other, are ``branch.operation``."""
+    lamp = """<state id="Off"><transition event="Power.On" target="On"/></state>
+        <state id="On"><transition event="cut" target="Off"/>
+          <state id="cold"><transition event="warm-up" target="hot"/></state>
+          <state id="hot"><transition event="cut" target="cold"/></state>
+        </state>"""
+    events = set(re.findall(r'event="([^"]*)"', scxml(importable(lamp, name="lamp"))))
+    assert events == {"Power.On", "cut", "warm-up", "on.reinit"}
+    events = set(re.findall(r'event="([^"]*)"', scxml(importable(lamp.replace("warm-up", "cut.not"), name="lamp"))))
+    assert events == {"lamp.power_on", "lamp.cut", "on.cut_not", "on.cut", "on.reinit"}
+
+
+def test_titles_that_do_not_exclude_each_other_are_no_events() -> None:
+    blueprint = importable('<state id="a"><transition event="go" target="b"/></state><state id="b"/>', name="m")
+    branch = blueprint.branches["m"]
+    doubled = branch.operations | {"go_2": branch.operations["go"]}
+    other = branch.operations | {"leave": branch.operations["go"]}
+    for operations in (doubled, other):
+        spec = replace(branch, operations=operations)
+        assert 'event="m.go"' in scxml(replace(blueprint, branches={"m": spec}))
+
+
+DOORS = """<parallel id="all">
+  <state id="door"><state id="shut"><transition event="open" cond="COND" target="ajar"/></state>
+    <state id="ajar"/></state>
+  <state id="lamp"><state id="off"><transition event="switch" target="on"/></state>
+    <state id="on"><transition event="switch" target="dim"/></state><state id="dim"/></state>
+</parallel>"""
+
+
+@pytest.mark.parametrize(
+    ("condition", "states"),
+    [
+        ("In('on')", ["on"]),
+        ("In(&quot;on&quot;) &amp;&amp; In('shut')", ["on"]),
+        ("In('off') || In('dim')", ["off", "dim"]),
+        ("(In('off') || In('dim')) &amp;&amp; (In('dim') || In('on')) &amp;&amp; In('lamp')", ["dim"]),
+    ],
+)
+def test_conditions_on_active_states_are_requirements(condition: str, states: list[str]) -> None:
+    blueprint = importable(DOORS.replace("COND", condition))
+    assert blueprint.branches["door"].operations["open"].requires == {"lamp": states}
+
+
+@pytest.mark.parametrize(
+    ("condition", "code"),
+    [
+        ("", "not_supported"),
+        ("!In('on')", "not_supported"),
+        ("In('on') || In('off') &amp;&amp; In('shut')", "not_supported"),
+        ("In('on') &amp;&amp; x &gt; 1", "not_supported"),
+        ("In('nowhere')", "unknown_state"),
+    ],
+)
+def test_other_conditions_are_refused(condition: str, code: str) -> None:
+    _, findings = from_scxml(f"<scxml>{DOORS.replace('COND', condition)}</scxml>".encode())
+    assert [(finding.code, finding.line) for finding in findings] == [(code, 2)]

@@ -106,8 +106,10 @@ def test_spin_says_the_same(name: str, tmp_path: Path) -> None:
     model = promela(blueprint)
     pan = Pan(model, tmp_path)
     assert pan.joint_states() == verification.joint_states
-    assert pan.holds("deadlock") == ("deadlock" not in found)
     assert pan.holds("children_fit")
+    if found & {"endless_cascade", "no_outcome"}:
+        return  # of a workflow so broken the verifier says nothing else
+    assert pan.holds("deadlock") == ("deadlock" not in found)
     for number, spec in enumerate(blueprint.properties):
         if f"never property_{number} " in model:
             kept = str(number) not in broken

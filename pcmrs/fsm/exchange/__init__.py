@@ -1,3 +1,21 @@
 """Workflows for other tools and from them: SCXML, Promela, Mermaid, draw.io, tables, JSON Schema."""
 
+from __future__ import annotations
+
+import re
+
 SCXML_NAMESPACE = "http://www.w3.org/2005/07/scxml"
+HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
+STRANGE = re.compile(r"[^a-z0-9_]")
+
+
+def plain(raw: str, prefix: str = "") -> str:
+    """`raw` in the letters a name may have; ``prefix.`` or ``prefix_IS_`` at its beginning is left out."""
+    inner = raw.removeprefix(f"{prefix}.").removeprefix(f"{prefix}_IS_")
+    return STRANGE.sub("_", HUMP.sub("_", inner).lower())
+
+
+def descriptors(event: str) -> list[str]:
+    """What may be written to react to an event: itself, and its beginnings up to a dot."""
+    tokens = event.split(".")
+    return [".".join(tokens[:length]) for length in range(len(tokens), 0, -1)]

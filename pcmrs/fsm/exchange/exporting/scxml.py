@@ -2,8 +2,9 @@
 
 One parallel region per branch, a branch that refines one state of its parent inside that state. States are
 ``branch.state``. Events are ``branch.operation``, or ``branch.operation.outcome`` where it can end in several ways;
-``done`` is the outcome of an operation that declares none; in an imported workflow they are called as they were. A transition without target is an operation that is
-accepted and keeps the state. Checks, steps and roles are not part of the chart.
+``done`` is the outcome of an operation that declares none. In an imported workflow events are called as they were. A
+transition without target is an operation that is accepted and keeps the state. Checks, steps and roles are not part
+of the chart.
 """
 
 from __future__ import annotations

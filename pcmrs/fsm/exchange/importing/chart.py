@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from pcmrs.fsm.exchange import descriptors
 from pcmrs.fsm.finding import Place
 
 Condition = tuple[tuple[str, ...], ...]
@@ -101,9 +102,3 @@ class Node:
         """Its transitions, not of the states around it, that the event triggers where their conditions hold."""
         matching = set(descriptors(event))
         return [edge for edge in self.edges if matching.intersection(edge.events)]
-
-
-def descriptors(event: str) -> list[str]:
-    """What may be written to react to an event: itself, and its beginnings up to a dot."""
-    tokens = event.split(".")
-    return [".".join(tokens[:length]) for length in range(len(tokens), 0, -1)]

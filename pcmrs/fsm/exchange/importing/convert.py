@@ -6,11 +6,12 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, ParentSpec, Requirement, RevocationSpec
-from pcmrs.fsm.exchange.importing.chart import Edge, Node, descriptors
+from pcmrs.fsm.exchange import descriptors, plain
+from pcmrs.fsm.exchange.importing.chart import Edge, Node
 from pcmrs.fsm.exchange.importing.choices import TooManyError
 from pcmrs.fsm.exchange.importing.conditions import Conditions
 from pcmrs.fsm.exchange.importing.moves import Group, Move, Mover, grouped
-from pcmrs.fsm.exchange.importing.naming import Names, plain
+from pcmrs.fsm.exchange.importing.naming import Names
 from pcmrs.fsm.exchange.importing.reading import Findings
 from pcmrs.fsm.exchange.importing.regions import Region, regions_of
 from pcmrs.fsm.finding import Place

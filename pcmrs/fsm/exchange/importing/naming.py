@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import keyword
-import re
 
 from pcmrs.fsm.classes import RESERVED
+from pcmrs.fsm.exchange import plain
 from pcmrs.fsm.exchange.importing.reading import Findings
 from pcmrs.fsm.finding import Place
 from pcmrs.fsm.rules.names import ENDINGS, NAME, STATE_NAME
-
-HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
-STRANGE = re.compile(r"[^a-z0-9_]")
 
 
 class Names:
@@ -46,9 +43,3 @@ class Names:
             self._findings.say("name_collision", text, place)
         self._taken.setdefault(name, raw)
         return name
-
-
-def plain(raw: str, prefix: str = "") -> str:
-    """`raw` in the letters a name may have; ``prefix.`` or ``prefix_IS_`` at its beginning is left out."""
-    inner = raw.removeprefix(f"{prefix}.").removeprefix(f"{prefix}_IS_")
-    return STRANGE.sub("_", HUMP.sub("_", inner).lower())

@@ -19,12 +19,14 @@ class Findings(list[Finding]):
     def __init__(self, origin: str) -> None:
         super().__init__()
         self.origin = origin
+        self._said: set[Finding] = set()
 
     def say(self, code: str, text: str, place: Place) -> None:
         """Adds a finding; the same one again only once."""
         line, column = place
         finding = Finding(code=code, text=text, file=self.origin, line=line, column=column)
-        if finding not in self:
+        if finding not in self._said:
+            self._said.add(finding)
             self.append(finding)
 
 

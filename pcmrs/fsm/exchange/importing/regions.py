@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from pcmrs.fsm.exchange.importing.chart import Edge, Node, descriptors
+from pcmrs.fsm.exchange import descriptors
+from pcmrs.fsm.exchange.importing.chart import Edge, Node
 
 
 @dataclass(slots=True, eq=False)
