@@ -285,6 +285,10 @@ def test_the_hash_is_of_what_a_blueprint_says_not_of_how_it_is_written() -> None
     rewritten = "# reviewed\n" + SOUND.replace("\n\n", "\n\n\n").replace('"idle"', "'idle'")
     changed = SOUND.replace('"idle"', '"idling"')
     original = parse_blueprint(SOUND.encode()).hash
+    top, sub = SOUND.index("[branches.top]"), SOUND.index("[branches.sub]")
+    assert parse_blueprint((SOUND[:top] + SOUND[sub:] + SOUND[top:sub]).encode()).hash == original
+    other_start = SOUND.replace('safe = "clear", near = "close"', 'near = "close", safe = "clear"')
+    assert parse_blueprint(other_start.encode()).hash != original
     assert parse_blueprint(rewritten.encode()).hash == original
     assert parse_blueprint(changed.encode()).hash != original
 

@@ -125,6 +125,11 @@ def _read(raw: bytes, origin: str) -> tuple[Blueprint, Places]:
 
 
 def content_hash(blueprint: Blueprint) -> str:
-    """SHA-256 of what a blueprint says, hexadecimal: neither comments and layout nor its migrations matter."""
-    content = msgspec.json.encode(msgspec.structs.replace(blueprint, hash="", migrations=[]))
+    """SHA-256 of what a blueprint says, hexadecimal.
+
+    Comments, layout and its migrations do not matter, nor does the order of what has none: only states have one.
+    """
+    order = sorted((name, list(branch.states)) for name, branch in blueprint.branches.items())
+    bare = msgspec.structs.replace(blueprint, hash="", migrations=[])
+    content = msgspec.json.encode([order, bare], order="deterministic")
     return hashlib.sha256(content).hexdigest()
