@@ -115,6 +115,16 @@ def nested(level: int) -> BranchSpec:
     return BranchSpec(level=level, states={"a": ""}, parent=parent, emits=emits, operations={"called": called})
 
 
+@pytest.fixture
+def _font() -> None:
+    """A picture's texts need a font of the system, which a bare one has not."""
+    try:
+        png(svg(Blueprint(id="x", version="1", branches={"b": BranchSpec(states={"a": ""})})))
+    except ConfigurationError as error:
+        pytest.skip(f"{error.text}")
+
+
+@pytest.mark.usefixtures("_font")
 def test_png_is_the_same_picture() -> None:
     drawn = svg(Blueprint(id="x", version="1", branches={"b": BranchSpec(states={"a": "where it starts"})}))
     picture = png(drawn)
@@ -124,6 +134,7 @@ def test_png_is_the_same_picture() -> None:
     assert picture == png(drawn)
 
 
+@pytest.mark.usefixtures("_font")
 def test_png_shows_texts() -> None:
     drawn = svg(Blueprint(id="x", version="1", branches={"b": BranchSpec(states={"a": "where it starts"})}))
     assert png(drawn) != png(re.sub(r"<text.*?</text>", "", drawn, flags=re.DOTALL))
@@ -148,6 +159,7 @@ def test_the_command_writes_each_text_to_standard_output(form: str, begins: str)
     assert done.stdout.startswith(begins)
 
 
+@pytest.mark.usefixtures("_font")
 def test_the_command_writes_a_picture_to_a_file(tmp_path: Path) -> None:
     written = tmp_path / "chart.png"
     assert CliRunner().invoke(render, [RATMS, "--format", "png", "-o", str(written)]).exit_code == 0
