@@ -40,13 +40,6 @@ def line_of(states: Mapping[str, str]) -> str:
     return " ".join(f"{branch}={state}" for branch, state in states.items())
 
 
-def answer(blueprint: Blueprint, states: Mapping[str, str], branch: str, operation: str) -> Ruling:
-    """The closure of an operation asked for in a joint state, or why it is denied."""
-    if blueprint.branches[branch].valid_in(operation, states[branch]):
-        return close(blueprint, states, branch, operation)
-    return Denial("invalid_in_state", f"{branch} in {states[branch]} does not allow {operation}.")
-
-
 def endings(spec: OperationSpec, closure: Closure) -> dict[str, Change | None]:
     """Every way an allowed operation can end, and what that changes; only steps can fail or leave doubt."""
     doubtful = {"failed": closure.failure, "unknown": closure.unknown} if spec.steps else {}
@@ -65,7 +58,7 @@ def behaviour(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> dict[Joint
     for joint in waiting:
         states = branch_states(blueprint, joint)
         for branch, operation, spec in operations(blueprint):
-            said = found[joint][f"{branch}.{operation}"] = answer(blueprint, states, branch, operation)
+            said = found[joint][f"{branch}.{operation}"] = close(blueprint, states, branch, operation)
             if spec.iio or isinstance(said, Denial):
                 continue
             for change in endings(spec, said).values():

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.classes import states_of
-from pcmrs.fsm.closure import Denial
+from pcmrs.fsm.closure import Answer, Denial
 from pcmrs.fsm.state import State
 
 
@@ -34,6 +34,10 @@ class StateSet:
     def active(self, branch: str) -> State:
         """The active state object of a branch."""
         return self._active[branch]
+
+    def ask(self, branch: str, state: str, operation: str) -> Answer:
+        """What a state object, active or not, says to an operation."""
+        return self.objects[branch][state].ask(operation)
 
     def joint(self) -> dict[str, str]:
         """The joint state: branch to the name of its active state."""

@@ -85,16 +85,21 @@ class _DeniedError(Exception):
         self.denial = denial
 
 
-Ask = Callable[[str, str, str], OperationSpec | None]
-"""What a state says to an operation: (branch, state, operation) → how to perform it; None where it is not valid."""
+Answer = OperationSpec | Denial
+"""What a state says to an operation: how to perform it, or why not."""
+
+Ask = Callable[[str, str, str], Answer]
+"""Asks a state for an operation: (branch, state, operation) → its answer."""
 
 
 def as_declared(blueprint: Blueprint) -> Ask:
     """Answers as the blueprint declares them."""
 
-    def ask(branch: str, state: str, operation: str) -> OperationSpec | None:
+    def ask(branch: str, state: str, operation: str) -> Answer:
         spec = blueprint.branches[branch]
-        return spec.operations[operation] if spec.valid_in(operation, state) else None
+        if spec.valid_in(operation, state):
+            return spec.operations[operation]
+        return Denial("invalid_in_state", f"{branch} in {state} does not allow {operation}.")
 
     return ask
 
@@ -102,22 +107,22 @@ def as_declared(blueprint: Blueprint) -> Ask:
 def close(
     blueprint: Blueprint, states: Mapping[str, str], branch: str, operation: str, ask: Ask | None = None
 ) -> Closure | Denial:
-    """Works out the closure of an operation that is valid in its branch's own state.
+    """Works out the closure of an operation that is asked for.
 
     Args:
         blueprint: The workflow.
         states: The present joint state: branch to state.
         branch: The branch asked.
-        operation: An operation that the branch's active state allows.
+        operation: Any of its operations.
         ask: Who says what is valid and how it is performed: a daemon's state objects; by default the blueprint.
 
     Returns:
-        The closure, or why some part of it is not allowed.
+        The closure, or why the branch's state or some other part of it does not allow it.
     """
     ask = ask or as_declared(blueprint)
     spec = ask(branch, states[branch], operation)
-    if spec is None:
-        return Denial("invalid_in_state", f"{branch} {states[branch]} does not allow {operation}.")
+    if isinstance(spec, Denial):
+        return spec
 
     def change(target: Target) -> Change:
         cascade = _Cascade(blueprint, dict(states), ask)
@@ -211,7 +216,7 @@ class _Cascade:
         parent, operation = spec.parent.branch, spec.emits[target]
         state = self.states[parent]
         called = self.ask(parent, state, operation)
-        if called is None:
+        if isinstance(called, Denial):
             text = f"{branch} going to {target} would call {parent}.{operation}, which {parent} {state} does not allow."
             fields = {"branch": parent, "state": state, "operation": operation}
             raise _DeniedError(Denial("parent_refuses", text, fields))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from pcmrs.fsm.behaviour import endings
 from pcmrs.fsm.blueprint import Blueprint, OperationSpec
 from pcmrs.fsm.branch import StateSet
 from pcmrs.fsm.closure import Change, Closure, Denial, close
@@ -43,10 +44,6 @@ class Engine:
             KeyError: There is no such branch or operation.
         """
         return self._ask(self._here, branch, operation)
-
-    def ask_in(self, states: Mapping[str, str], branch: str, operation: str) -> Closure | Denial:
-        """The same for any joint state."""
-        return self._ask(self._situation(states), branch, operation)
 
     def allowed(self, branch: str, states: Mapping[str, str] | None = None) -> list[str]:
         """Operations of a branch that users may ask for and would not be denied, in the blueprint's order.
@@ -94,29 +91,17 @@ class Engine:
         self._here = self._situation(self._states.joint())
 
     def _ending(self, closure: Closure, spec: OperationSpec, outcome: str | None) -> Change:
-        if outcome in ("failed", "unknown") and spec.steps:
-            change = closure.failure if outcome == "failed" else closure.unknown
-            return change or Change(self.joint(), ())
         if outcome is None and len(closure.outcomes) == 1:
             return next(iter(closure.outcomes.values()))
-        return closure.outcomes[outcome or ""]
+        return endings(spec, closure)[outcome or ""] or Change(self.joint(), ())
 
     def _ask(self, situation: _Situation, branch: str, operation: str) -> Closure | Denial:
-        """Asks the state object of the branch, then works out the closure of what it allows."""
+        """What the state objects make of it, in a cascade as well: what is generated decides."""
         try:
             return situation.answers[branch, operation]
         except KeyError:
-            states = situation.states
-            answer = self._states.objects[branch][states[branch]].ask(operation)
-            found = (
-                answer if isinstance(answer, Denial) else close(self.blueprint, states, branch, operation, self._say)
-            )
+            found = close(self.blueprint, situation.states, branch, operation, self._states.ask)
             return situation.answers.setdefault((branch, operation), found)
-
-    def _say(self, branch: str, state: str, operation: str) -> OperationSpec | None:
-        """What a state object says: so that what decides is what is generated, also in a cascade."""
-        answer = self._states.objects[branch][state].ask(operation)
-        return None if isinstance(answer, Denial) else answer
 
     def _situation(self, states: Mapping[str, str]) -> _Situation:
         key = tuple(states[branch] for branch in self.blueprint.branches)

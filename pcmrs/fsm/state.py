@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import ClassVar
 
-from pcmrs.fsm.blueprint import OperationSpec
-from pcmrs.fsm.closure import Denial
+from pcmrs.fsm.closure import Answer, Denial
 
-Answer = OperationSpec | Denial
-"""What a state says to an operation: how to perform it, or why not."""
+__all__ = ["Answer", "State"]
 
 
 class State:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from pcmrs.fsm.behaviour import Ruling, answer, endings
+from pcmrs.fsm.behaviour import Ruling, endings
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint
-from pcmrs.fsm.closure import Closure
+from pcmrs.fsm.closure import Closure, close
 
 
 @dataclass
@@ -22,7 +22,7 @@ class Replay:
 
     def ask(self, name: str) -> Ruling:
         branch, _, operation = name.partition(".")
-        return answer(self.blueprint, self.states, branch, operation)
+        return close(self.blueprint, self.states, branch, operation)
 
     def follow(self, command: str) -> None:
         name, _, outcome = command.partition(":")

@@ -57,7 +57,8 @@ def accepted(engine: Engine, branches: list[str]) -> dict[tuple[str, ...], dict[
         here = found.setdefault(tuple(joint[branch] for branch in branches), {})
         for branch, spec in engine.blueprint.branches.items():
             for operation in (name for name, each in spec.operations.items() if not each.iio):
-                answer = engine.ask_in(joint, branch, operation)
+                engine.place(joint)
+                answer = engine.ask(branch, operation)
                 if isinstance(answer, Closure):
                     waiting += [dict(change.states) for change in answer.outcomes.values()]
                     ends = {tuple(change.states[each] for each in branches) for change in answer.outcomes.values()}

@@ -34,7 +34,8 @@ def endings(engine: Engine) -> Iterator[tuple[Joint, str, str, dict[str, Joint] 
         joint = waiting.pop()
         for branch, spec in engine.blueprint.branches.items():
             for operation in (name for name, each in spec.operations.items() if not each.iio):
-                answer = engine.ask_in(joint, branch, operation)
+                engine.place(joint)
+                answer = engine.ask(branch, operation)
                 if not isinstance(answer, Closure):
                     yield joint, branch, operation, None
                     continue

@@ -11,9 +11,9 @@ from random_blueprints import blueprints
 from replay import replayed
 from test_verify_search import levels
 
-from pcmrs.fsm.behaviour import Ruling, answer, branch_states, joint_of
+from pcmrs.fsm.behaviour import Ruling, branch_states, joint_of
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, Condition, OperationSpec, PropertySpec
-from pcmrs.fsm.closure import Closure
+from pcmrs.fsm.closure import Closure, close
 from pcmrs.fsm.codes import VERIFICATION
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.rules import check_rules
@@ -46,7 +46,7 @@ def cut_short(blueprint: Blueprint) -> bool:
 def answers(blueprint: Blueprint, states: States, *, events: bool = True) -> list[Ruling]:
     """What is answered to everything that may be asked for from outside."""
     return [
-        answer(blueprint, states, name, operation)
+        close(blueprint, states, name, operation)
         for name, branch in blueprint.branches.items()
         for operation, spec in branch.operations.items()
         if not spec.iio and (events or not spec.event)
@@ -181,7 +181,7 @@ def test_what_is_never_used_is_found(blueprint: Blueprint) -> None:
         for name, branch in blueprint.branches.items()
         for operation, spec in branch.operations.items()
         if not spec.iio
-        and not any(isinstance(answer(blueprint, states, name, operation), Closure) for states in everywhere)
+        and not any(isinstance(close(blueprint, states, name, operation), Closure) for states in everywhere)
     }
     assert {finding.path for finding in found(blueprint, "never_accepted")} == unaccepted
 

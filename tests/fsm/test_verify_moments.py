@@ -12,9 +12,9 @@ from large_blueprints import free
 from random_blueprints import blueprints
 from ratms_mutants import ratms
 
-from pcmrs.fsm.behaviour import answer, branch_states, endings, joint_of
+from pcmrs.fsm.behaviour import branch_states, endings, joint_of
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, Condition, OperationSpec, PropertySpec
-from pcmrs.fsm.closure import Closure
+from pcmrs.fsm.closure import Closure, close
 from pcmrs.fsm.verify import verify, work
 from pcmrs.fsm.verify.properties import promises
 from pcmrs.fsm.verify.running import Runs
@@ -33,7 +33,7 @@ def after(blueprint: Blueprint, observed: frozenset[str], moment: Moment) -> Ite
     states, held = branch_states(blueprint, joint), dict(running)
     for branch, spec in blueprint.branches.items():
         for operation, declared in spec.operations.items():
-            name, closure = f"{branch}.{operation}", answer(blueprint, states, branch, operation)
+            name, closure = f"{branch}.{operation}", close(blueprint, states, branch, operation)
             if declared.iio or not isinstance(closure, Closure):
                 continue
             others = [locks for other, locks in held.items() if other != name]
@@ -73,7 +73,7 @@ def stranded(blueprint: Blueprint, moment: Moment) -> bool:
     joint, running = moment
     asked = (name.split(".") for name, _ in running)
     states = branch_states(blueprint, joint)
-    return any(not isinstance(answer(blueprint, states, *name), Closure) for name in asked)
+    return any(not isinstance(close(blueprint, states, name[0], name[1]), Closure) for name in asked)
 
 
 @settings(max_examples=40)

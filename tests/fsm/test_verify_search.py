@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from large_blueprints import free
 from random_blueprints import blueprints
 
-from pcmrs.fsm.behaviour import answer, branch_states, endings, joint_of
+from pcmrs.fsm.behaviour import branch_states, endings, joint_of
 from pcmrs.fsm.blueprint import Blueprint, RevocationSpec
-from pcmrs.fsm.closure import Closure
+from pcmrs.fsm.closure import Closure, close
 from pcmrs.fsm.verify import space, verify
 from pcmrs.fsm.verify.encoding import Encoding
 from pcmrs.fsm.verify.search import leading_to
@@ -28,7 +28,7 @@ def successors(blueprint: Blueprint, joint: Joint) -> dict[Joint, int]:
     states = branch_states(blueprint, joint)
     for branch, spec in blueprint.branches.items():
         for operation, declared in spec.operations.items():
-            closure = answer(blueprint, states, branch, operation)
+            closure = close(blueprint, states, branch, operation)
             if isinstance(closure, Closure) and not declared.iio:
                 for change in endings(declared, closure).values():
                     after = joint if change is None else joint_of(blueprint, change.states)

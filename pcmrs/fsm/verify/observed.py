@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pcmrs.fsm.behaviour import Ruling, answer
+from pcmrs.fsm.behaviour import Ruling
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.closure import Change, Closure
+from pcmrs.fsm.closure import Change, Closure, close
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,10 +36,10 @@ def decide(orders: Sequence[Blueprint], states: Mapping[str, str], branch: str, 
     """
     seen = {branch: states[branch]}
     watched = {name: state if name == branch else _Watched(state, name, seen) for name, state in states.items()}
-    found = [answer(each, watched, branch, operation) for each in orders]
+    found = [close(each, watched, branch, operation) for each in orders]
     touched = {name for each in found for name in _touched(each)}
     seen |= {name: states[name] for name in states if name in touched and name not in seen}
-    plain = answer(orders[0], states, branch, operation)
+    plain = close(orders[0], states, branch, operation)
     return Decision(seen, plain, any(_result(each) != _result(found[0]) for each in found[1:]))
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from pcmrs.fsm.behaviour import answer, endings
+from pcmrs.fsm.behaviour import endings
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, OperationSpec
-from pcmrs.fsm.closure import Change, Closure
+from pcmrs.fsm.closure import Change, Closure, close
 from pcmrs.fsm.exchange.exporting.coupling import Joint
 from pcmrs.fsm.exchange.exporting.events import event_names
 
@@ -41,7 +41,7 @@ def _endings(operation: OperationSpec) -> list[str]:
 
 def change_of(blueprint: Blueprint, states: Joint, command: Command) -> Change | None:
     """What a command changes in a joint state; None where it is rejected."""
-    said = answer(blueprint, states, command.branch, command.operation)
+    said = close(blueprint, states, command.branch, command.operation)
     if not isinstance(said, Closure):
         return None
     operation = blueprint.branches[command.branch].operations[command.operation]
