@@ -110,17 +110,23 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
             return self.outcomes
         return {START_OUTCOME: OutcomeSpec(to=self.to or "")}
 
+    @property
+    def doubtful(self) -> dict[str, OutcomeSpec]:
+        """Where it leads when it does not end as declared, by ``failed`` and ``unknown``, as far as it says so."""
+        doubtful = {"failed": self.on_failure, "unknown": self.on_unknown}
+        return {name: OutcomeSpec(to=target) for name, target in doubtful.items() if target is not None}
+
     def targets(self) -> set[str]:
         """Every state it can lead to, by success, failure or doubt."""
-        return _states_in([ending.to for ending in self.endings.values()]) | self.doubtful_targets()
+        return _states_in([*self.endings.values(), *self.doubtful.values()])
 
     def doubtful_targets(self) -> set[str]:
         """Every state that failure or doubt can lead to."""
-        return _states_in([target for target in (self.on_failure, self.on_unknown) if target is not None])
+        return _states_in([*self.doubtful.values()])
 
 
-def _states_in(targets: list[Target]) -> set[str]:
-    named = ([target] if isinstance(target, str) else target.values() for target in targets)
+def _states_in(endings: list[OutcomeSpec]) -> set[str]:
+    named = ([ending.to] if isinstance(ending.to, str) else ending.to.values() for ending in endings)
     return {state for states in named for state in states}
 
 
@@ -284,6 +290,11 @@ class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dic
     def initial(self) -> dict[str, str]:
         """The joint state at start: every branch in its starting state."""
         return {name: branch.start for name, branch in self.branches.items()}
+
+    @cached_property
+    def roots(self) -> list[str]:
+        """The branches that refine no other."""
+        return [name for name, branch in self.branches.items() if branch.parent is None]
 
     @cached_property
     def children(self) -> dict[str, dict[str, ParentSpec]]:

@@ -29,9 +29,8 @@ def dot(blueprint: Blueprint, current: Mapping[str, str] | None = None) -> str:
         ConfigurationError: `current` names an unknown branch or state, or there are too many levels.
     """
     highlighted = check_current(blueprint, current)
-    roots = [name for name, branch in blueprint.branches.items() if branch.parent is None]
     lines = [_HEADER.format(id=_quoted(blueprint.id), title=_quoted(blueprint.title or blueprint.id))]
-    for name in roots:
+    for name in blueprint.roots:
         lines += (f"  {line}" for line in _cluster(blueprint, name, highlighted))
     for link in links(blueprint):
         lines += (f"  {line}" for line in _link(blueprint, link))

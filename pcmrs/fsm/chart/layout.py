@@ -41,7 +41,7 @@ def layout(blueprint: Blueprint) -> Layout:
     joined = links(blueprint)
     x = MARGIN
     roots = []
-    for name in (name for name, branch in blueprint.branches.items() if branch.parent is None):
+    for name in blueprint.roots:
         roots.append(panel(blueprint, joined, name, x, HEADING + MARGIN))
         x += roots[-1].width + MARGIN
     panels = {inner.name: inner for root in roots for inner in root.everything()}

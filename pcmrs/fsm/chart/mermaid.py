@@ -29,8 +29,7 @@ def mermaid(blueprint: Blueprint, current: Mapping[str, str] | None = None) -> s
         ConfigurationError: `current` names an unknown branch or state, or there are too many levels.
     """
     highlighted = check_current(blueprint, current)
-    roots = [name for name, branch in blueprint.branches.items() if branch.parent is None]
-    regions = _regions(list(_composite(blueprint, name)) for name in roots)
+    regions = _regions(list(_composite(blueprint, name)) for name in blueprint.roots)
     lines = [f'state "{_escaped(blueprint.title or blueprint.id)}" as WORKFLOW {{', *_indented(regions), "}"]
     lines += ["classDef current fill:#ffe08a,stroke:#1a1a1a,stroke-width:3px"]
     lines += [f"class {_id(Place(name, state))} current" for name, state in highlighted.items()]

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from pcmrs.fsm.behaviour import endings
-from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, OperationSpec
+from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint
 from pcmrs.fsm.closure import Change, Closure, close
 from pcmrs.fsm.exchange.exporting.coupling import Joint
 from pcmrs.fsm.exchange.exporting.events import event_names
@@ -27,16 +27,10 @@ def commands(blueprint: Blueprint) -> Iterator[Command]:
     events = event_names(blueprint)
     for branch, spec in blueprint.branches.items():
         for name, operation in spec.operations.items():
-            possible = [] if operation.iio else _endings(operation)
+            possible = [] if operation.iio else [*operation.endings, *operation.doubtful]
             for ending in possible:
                 event = events[branch, name]
                 yield Command(branch, name, ending, event if possible == [START_OUTCOME] else f"{event}.{ending}")
-
-
-def _endings(operation: OperationSpec) -> list[str]:
-    failed = ["failed"] if operation.steps and operation.on_failure is not None else []
-    unknown = ["unknown"] if operation.steps and operation.on_unknown is not None else []
-    return [*operation.endings, *failed, *unknown]
 
 
 def change_of(blueprint: Blueprint, states: Joint, command: Command) -> Change | None:

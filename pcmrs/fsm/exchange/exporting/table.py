@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, Requirement, Target
+from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, BranchSpec, OperationSpec, Requirement, Target
 
 COLUMNS = ("branch", "operation", "from → to", "requires", "checks", "steps", "asked by", "calls")
 
@@ -19,31 +19,22 @@ def table(blueprint: Blueprint) -> str:
 
 def _branch(name: str, branch: BranchSpec) -> Iterator[tuple[str, ...]]:
     for key, operation in branch.operations.items():
-        for number, (ending, to, requires) in enumerate(_endings(operation)):
-            shown = f"{key}: {ending}" if ending else key
+        for number, (ending, spec) in enumerate({**operation.endings, **operation.doubtful}.items()):
+            shown = key if ending == START_OUTCOME else f"{key}: {ending}"
             first = number == 0
             yield (
                 f"{name} ({branch.level})" if first else "",
                 f"{shown}{_marks(operation)}" if first else f"… {ending}",
-                f"{_sources(operation)} → {_target(to)}",
-                _requirement({**operation.requires, **requires}),
+                f"{_sources(operation)} → {_target(spec.to)}",
+                _requirement({**operation.requires, **spec.requires}),
                 ", ".join(operation.checks) if first else "",
                 ", ".join(operation.steps) if first else "",
                 _asked_by(operation) if first else "",
-                ", ".join(_calls(branch, operation, to)),
+                ", ".join(_calls(branch, operation, spec.to)),
             )
     for rule in branch.revocations:
         moved = f"{', '.join(rule.from_)} → {rule.to}"
         yield (name, "revoked", moved, "", "", "", f"a change of {', '.join(rule.by)}", "")
-
-
-def _endings(operation: OperationSpec) -> Iterator[tuple[str, Target, Requirement]]:
-    for name, ending in operation.endings.items():
-        yield name if operation.outcomes else "", ending.to, ending.requires
-    if operation.on_failure is not None:
-        yield "failed", operation.on_failure, {}
-    if operation.on_unknown is not None:
-        yield "unknown", operation.on_unknown, {}
 
 
 def _marks(operation: OperationSpec) -> str:
