@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 
 from pcmrs.fsm import Blueprint
+from pcmrs.fsm.behaviour import behaviour, endings
+from pcmrs.fsm.closure import Denial
 from pcmrs.fsm.exchange.exporting.schema import schema
 from pcmrs.fsm.exchange.exporting.table import COLUMNS, table
 from pcmrs.fsm.files.load import read_blueprint
@@ -98,3 +100,33 @@ def test_the_schema_explains_every_key_that_the_code_explains() -> None:
     operation = json.loads(schema())["$defs"]["OperationSpec"]["properties"]
     assert operation["from"]["description"] == 'States it is valid in; `["*"]` for all.'
     assert not [key for key, value in operation.items() if not value.get("description")]
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
+def test_calls_are_the_operations_that_the_workflow_calls_of_a_parent(path: Path) -> None:
+    """Oracle: the closures of every operation in every joint state, cascades of the parent's own left out."""
+    blueprint = workflow(path)
+    called: dict[str, set[str]] = {}
+    for rulings in behaviour(blueprint).values():
+        for name, said in rulings.items():
+            branch, operation = name.split(".")
+            parent = blueprint.branches[branch].parent
+            if parent is None or isinstance(said, Denial):
+                continue
+            changes = endings(blueprint.branches[branch].operations[operation], said).values()
+            effects = [effect for change in changes if change is not None for effect in change.effects]
+            called.setdefault(name, set()).update(
+                f"{parent.branch}.{effect.operation}"
+                for effect in effects
+                if effect.kind == "signal" and effect.branch == parent.branch
+            )
+    listed: dict[str, set[str]] = {}
+    branch = operation = ""
+    for row in rows(table(blueprint)):
+        if row["operation"] != "revoked":
+            branch = row["branch"].split(" ")[0] or branch
+            operation = row["operation"].split(" ")[0].removesuffix(":") if row["branch"] else operation
+            calls = {call for call in row["calls"].split(", ") if call and ":=" not in call}
+            listed.setdefault(f"{branch}.{operation}", set()).update(calls)
+    assert called
+    assert {name: calls for name, calls in listed.items() if name in called} == called

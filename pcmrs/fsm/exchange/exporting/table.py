@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, BranchSpec, OperationSpec, Requirement, Target
+from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, BranchSpec, OperationSpec, Requirement, Target, target_from
 
 COLUMNS = ("branch", "operation", "from → to", "requires", "checks", "steps", "asked by", "calls")
 
@@ -30,7 +30,7 @@ def _branch(name: str, branch: BranchSpec) -> Iterator[tuple[str, ...]]:
                 ", ".join(operation.checks) if first else "",
                 ", ".join(operation.steps) if first else "",
                 _asked_by(operation) if first else "",
-                ", ".join(_calls(branch, operation, spec.to)),
+                ", ".join(_calls(branch, key, operation, spec.to)),
             )
     for rule in branch.revocations:
         moved = f"{', '.join(rule.from_)} → {rule.to}"
@@ -49,12 +49,12 @@ def _asked_by(operation: OperationSpec) -> str:
     return "a device" if operation.event else ", ".join(operation.roles) or "anyone"
 
 
-def _calls(branch: BranchSpec, operation: OperationSpec, to: Target) -> Iterator[str]:
+def _calls(branch: BranchSpec, key: str, operation: OperationSpec, to: Target) -> Iterator[str]:
     """What follows in other branches: states that are set, and the parent's operations (Rule 2)."""
     yield from (f"{child} := {state}" for child, state in operation.sets.items())
-    targets = {to} if isinstance(to, str) else set(to.values())
-    keeps = operation.from_ == list(targets) and not operation.signals
-    if branch.parent is not None and not keeps:
+    ways = [(state, target_from(to, state)) for state in branch.states if branch.valid_in(key, state)]
+    targets = {target for source, target in ways if target != source or operation.signals}
+    if branch.parent is not None:
         emitted = dict.fromkeys(branch.emits[state] for state in branch.states if state in targets)
         yield from (f"{branch.parent.branch}.{called}" for called in emitted)
 
