@@ -1,0 +1,1 @@
+"""What recorded placements and pose logs say about accuracy."""

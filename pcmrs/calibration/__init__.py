@@ -1,0 +1,1 @@
+"""Calibration files: versioned, dated and hashed."""

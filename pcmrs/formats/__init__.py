@@ -1,0 +1,1 @@
+"""Files of other software: read here, and turned into RAS and m."""
