@@ -80,6 +80,12 @@ class CommandRefusedError(PcmrsError):
     code = "command_refused"
 
 
+class FileFormatError(PcmrsError):
+    """A file of other software cannot be read, or does not hold what its kind promises; file and key are named."""
+
+    code = "bad_file"
+
+
 class JournalError(PcmrsError):
     """The journal cannot be written or read; nothing may be acknowledged any more."""
 
@@ -108,6 +114,18 @@ class DegeneratePointsError(GeometryError):
     """Points that do not fix a rigid transform: too few, coincident or on one line."""
 
     code = "degenerate_points"
+
+
+class DegenerateMotionError(GeometryError):
+    """Poses that do not fix a calibration: too few, or turned about one axis only."""
+
+    code = "degenerate_motion"
+
+
+class MirroredPointsError(GeometryError):
+    """Paired points of which one set is the mirror image of the other: no rotation maps them."""
+
+    code = "mirrored"
 
 
 class UnreachableError(GeometryError):

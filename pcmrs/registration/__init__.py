@@ -1,5 +1,21 @@
-"""Registration of one frame to another from measured points."""
+"""Registration of one frame to another from measured points, how accurate it is, and whether it may be used."""
 
+from pcmrs.registration.accuracy import predict_tre
+from pcmrs.registration.gates import Gate, RegistrationLimits
+from pcmrs.registration.noise import NoiseEstimate, spread_of
 from pcmrs.registration.points import PointRegistration, register_points
+from pcmrs.registration.rigid import register_batch
+from pcmrs.registration.verdict import RegistrationVerdict, judge
 
-__all__ = ["PointRegistration", "register_points"]
+__all__ = [
+    "Gate",
+    "NoiseEstimate",
+    "PointRegistration",
+    "RegistrationLimits",
+    "RegistrationVerdict",
+    "judge",
+    "predict_tre",
+    "register_batch",
+    "register_points",
+    "spread_of",
+]

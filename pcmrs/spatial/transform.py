@@ -108,7 +108,9 @@ class Transform:
 
     def __matmul__(self, other: Transform | npt.ArrayLike) -> Transform | Floats:
         if isinstance(other, Transform):
-            return _trusted(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
+            return trusted_transform(
+                self.rotation @ other.rotation, self.rotation @ other.translation + self.translation
+            )
         points = np.asarray(other, dtype=float)
         if points.ndim not in (1, 2) or points.shape[-1] != 3:
             raise GeometryError(f"Points have shape (3,) or (N, 3), not {points.shape}.", shape=points.shape)
@@ -117,7 +119,7 @@ class Transform:
 
     def inverse(self) -> Transform:
         """``b_from_a`` of ``a_from_b``."""
-        return _trusted(self.rotation.T, -self.rotation.T @ self.translation)
+        return trusted_transform(self.rotation.T, -self.rotation.T @ self.translation)
 
     @property
     def matrix(self) -> Floats:
@@ -173,8 +175,8 @@ def mean_transform(transforms: Sequence[Transform]) -> Transform:
     return Transform(rotations.mean().as_matrix(), translations.mean(axis=0))
 
 
-def _trusted(rotation: Floats, translation: Floats) -> Transform:
-    """A transform from parts known to be valid: composition is on every control path."""
+def trusted_transform(rotation: Floats, translation: Floats) -> Transform:
+    """A transform from parts known to be valid, which become its own: composition is on every control path."""
     transform = object.__new__(Transform)
     _fill(transform, rotation, translation)
     return transform

@@ -1,0 +1,74 @@
+"""How far a registration will be off at a target: first-order propagation of the points' noise.
+
+For equal isotropic noise and no weights this is the formula of J. M. Fitzpatrick, J. B. West, C. R. Maurer, Predicting
+Error in Rigid-Body Point-Based Registration, IEEE TMI 17 (1998); written as a propagation of covariances it holds for
+weights and anisotropic noise alike (see A. Danilchenko, J. M. Fitzpatrick, General Approach to First-Order Error
+Prediction in Rigid Point Registration, IEEE TMI 30 (2011)).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pcmrs.errors import GeometryError
+from pcmrs.registration.anisotropic import inverse_of
+from pcmrs.registration.points import checked_covariances, register_points
+from pcmrs.registration.rigid import motion_jacobians
+from pcmrs.spatial import Floats
+
+
+def predict_tre(
+    fiducials: npt.ArrayLike,
+    targets: npt.ArrayLike,
+    noise: float | npt.ArrayLike,
+    *,
+    weights: npt.ArrayLike | None = None,
+) -> Floats:
+    """The rms target registration error that noise of the fiducials causes, m, (M,).
+
+    The fit is the one of `register_points`: with `weights` where they are given, however the noise is; otherwise plain
+    for equal noise, and by likelihood for covariances. All points and covariances are in one frame.
+
+    Args:
+        fiducials: Where the registered points are, m, (N, 3).
+        targets: m, (M, 3) or (3,).
+        noise: Standard deviation per axis, m, or covariances of each fiducial, m^2, (N, 3, 3).
+        weights: That the fit uses, (N,).
+
+    Raises:
+        GeometryError: Shapes, weights or noise are wrong.
+        DegeneratePointsError: The fiducials fix no rotation.
+    """
+    fiducials = np.asarray(fiducials, dtype=float)
+    register_points(fiducials, fiducials, weights=weights)  # refuses what no registration could use
+    covariances, precisions = _noise(noise, weights, len(fiducials))
+    targets = np.atleast_2d(np.asarray(targets, dtype=float))
+    if targets.shape[1:] != (3,) or not np.isfinite(targets).all():
+        raise GeometryError(f"The targets have shape {targets.shape}; give finite points (M, 3).", shape=targets.shape)
+    centre = fiducials.mean(axis=0)
+    motion = _motion_covariance(fiducials - centre, covariances, precisions)
+    jacobians = motion_jacobians(targets - centre)
+    tre: Floats = np.sqrt(np.einsum("mij,jk,mik->m", jacobians, motion, jacobians))
+    return tre
+
+
+def _noise(noise: float | npt.ArrayLike, weights: npt.ArrayLike | None, count: int) -> tuple[Floats, Floats]:
+    """Covariances of the points, and the matrices that weigh their squared differences in the fit, (N, 3, 3) each."""
+    equal = np.ndim(noise) == 0
+    covariances = checked_covariances(np.square(noise) * np.tile(np.eye(3), (count, 1, 1)) if equal else noise, count)
+    if weights is not None:
+        return covariances, np.asarray(weights, dtype=float)[:, None, None] * np.eye(3)
+    return covariances, inverse_of(covariances)
+
+
+def _motion_covariance(points: Floats, covariances: Floats, precisions: Floats) -> Floats:
+    """Covariance of the fitted motion's ``(rotation vector, translation)``, (6, 6).
+
+    The least-squares motion is ``A^-1 sum(J_i^T W_i e_i)`` with ``A = sum(J_i^T W_i J_i)`` of errors e_i.
+    """
+    jacobians = motion_jacobians(points)
+    weighted = jacobians.swapaxes(1, 2) @ precisions
+    gains = np.linalg.solve((weighted @ jacobians).sum(axis=0), weighted)
+    covariance: Floats = (gains @ covariances @ gains.swapaxes(1, 2)).sum(axis=0)
+    return covariance

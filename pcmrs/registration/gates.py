@@ -1,0 +1,158 @@
+"""The gates of a registration: each says what was found, the limit, the reason and the remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pcmrs.errors import ConfigurationError, MirroredPointsError
+from pcmrs.registration.diagnosis import cycles
+from pcmrs.registration.outliers import MIN_POINTS, OutlierTest
+from pcmrs.registration.points import MIRROR_RATIO, PointRegistration
+
+UNIT_RATIO = 10.0
+"""No digitization of the planned landmarks is so many times larger or smaller than they are."""
+
+
+@dataclass(frozen=True)
+class RegistrationLimits:
+    """What a registration must keep.
+
+    Attributes:
+        residual: Mean distance of the landmarks, m.
+        sigma: Noise of a landmark that is expected, standard deviation per axis, m.
+        tre: Predicted rms error at the target, m.
+        false_alarm: Share of good sets in which the mean-shift test may suspect a landmark.
+
+    Raises:
+        ConfigurationError: A length is not positive, or the share is not between 0 and 1.
+    """
+
+    residual: float
+    sigma: float
+    tre: float
+    false_alarm: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name in ("residual", "sigma", "tre"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                text = f"The registration limit {name} is {getattr(self, name):g} m; give a positive length."
+                raise ConfigurationError(text, limit=name, value=getattr(self, name))
+        if not 0.0 < self.false_alarm < 1.0:
+            text = f"The false-alarm rate is {self.false_alarm:g}; give a share between 0 and 1."
+            raise ConfigurationError(text, limit="false_alarm", value=self.false_alarm)
+
+
+@dataclass(frozen=True)
+class Gate:
+    """One question that a registration must pass.
+
+    Attributes:
+        name: Also the code of the refusal: ``wrong_unit``, ``mirrored``, ``swapped_landmarks``, ``landmark_outlier``,
+            ``residual_too_large`` or ``tre_too_large``.
+        accepted: Whether it passes.
+        value: What was found: a ratio, a number of landmarks, a test statistic, or a length in m.
+        limit: The largest value that passes, in the same unit.
+        text: What, value, limit, why, and what to do.
+    """
+
+    name: str
+    accepted: bool
+    value: float
+    limit: float
+    text: str
+
+
+def unit_gate(ratio: float) -> Gate:
+    """Are both sets in one unit? A ratio of 1000 is mm for m."""
+    accepted = 1.0 / UNIT_RATIO < ratio < UNIT_RATIO
+    text = (
+        f"The digitized landmarks are {ratio:.4g} times as far apart as the planned ones; more than {UNIT_RATIO:g} "
+        "times, either way, is another unit."
+    )
+    if not accepted:
+        which = "digitized" if ratio > 1.0 else "planned"
+        thousand = 300.0 < max(ratio, 1.0 / max(ratio, 1e-9)) < 3000.0
+        text += f" The {which} ones look like mm for m: give" if thousand else " Give"
+        text += " both in m."
+    return Gate("wrong_unit", accepted, ratio, UNIT_RATIO, text)
+
+
+def refused_side_gate(error: MirroredPointsError) -> Gate:
+    """A mirror image fits far better."""
+    return Gate("mirrored", False, error.fields["ratio"], MIRROR_RATIO, error.text)
+
+
+def side_gate(registration: PointRegistration) -> Gate:
+    """No mirror image fits far better: `register_points` would have refused."""
+    text = (
+        f"The best rotation leaves {registration.mirror_ratio:.2f} times as much as the best mirror image; more than "
+        f"{MIRROR_RATIO:g} times is a flipped image, or left and right exchanged."
+    )
+    return Gate("mirrored", True, registration.mirror_ratio, MIRROR_RATIO, text)
+
+
+def order_gate(permutation: tuple[int, ...] | None, residual: float, names: Sequence[str]) -> Gate:
+    """Were the landmarks touched in the planned order?"""
+    if permutation is None:
+        text = "Noise explains the landmarks in the planned order, or no exchange among them explains them better."
+        return Gate("swapped_landmarks", True, 0.0, 0.0, text)
+    rings = [[names[index] for index in ring] for ring in cycles(permutation)]
+    exchanged = "; ".join(f"{', '.join(ring[:-1])} and {ring[-1]}" for ring in rings)
+    text = (
+        f"Landmarks were touched in another order than planned: {exchanged} are exchanged. As given, the mean residual "
+        f"is {residual * 1e3:.2f} mm, more than noise; exchanged back, noise explains all of it. Digitize them again "
+        "in the planned order."
+    )
+    return Gate("swapped_landmarks", False, float(sum(map(len, rings))), 0.0, text)
+
+
+def outlier_gate(test: OutlierTest | None, sigma: float, false_alarm: float, names: Sequence[str]) -> Gate:
+    """Is one landmark off by more than noise of `sigma` (m per axis) explains?"""
+    if test is None:
+        text = (
+            f"Not tested: with fewer than {MIN_POINTS} landmarks, leaving any one out explains everything. Plan one "
+            "more to have a wrong one named."
+        )
+        return Gate("landmark_outlier", True, 0.0, 0.0, text)
+    worst = int(np.argmax(test.statistics))
+    value = float(test.statistics[worst])
+    text = (
+        f"Without {names[worst]}, the sum of squared residuals over the variance falls by {value:.1f}; the limit is "
+        f"{test.limit:.1f} (mean-shift test, chi-squared with 3 degrees of freedom, {false_alarm:.2g} false "
+        f"alarms, noise {sigma * 1e3:.2f} mm per axis)."
+    )
+    if test.suspect is not None:
+        text += f" Digitize {names[worst]} again."
+    if test.rivals:
+        rivals = ", ".join(names[index] for index in test.rivals)
+        text += f" If that does not help: an error of {rivals} alone would explain the residuals about as well."
+    return Gate("landmark_outlier", test.suspect is None, value, test.limit, text)
+
+
+def residual_gate(registration: PointRegistration, limits: RegistrationLimits, names: Sequence[str]) -> Gate:
+    """Do the landmarks fit?"""
+    accepted = registration.residual <= limits.residual
+    text = (
+        f"The registration residual is {registration.residual * 1e3:.2f} mm (mean distance of the landmarks), the "
+        f"limit is {limits.residual * 1e3:.2f} mm."
+    )
+    if not accepted:
+        worst = names[int(np.argmax(registration.distances))]
+        text += f" The largest deviation is at {worst}. Digitize all landmarks again."
+    return Gate("residual_too_large", accepted, registration.residual, limits.residual, text)
+
+
+def tre_gate(tre: float, limits: RegistrationLimits, *, at_centroid: bool) -> Gate:
+    """Is the target near enough to the landmarks, for their noise?"""
+    accepted = tre <= limits.tre
+    where = "the centroid of the landmarks, since no target is known yet" if at_centroid else "the target"
+    text = (
+        f"The predicted target registration error is {tre * 1e3:.2f} mm rms at {where}; the limit is "
+        f"{limits.tre * 1e3:.2f} mm (Fitzpatrick, West, Maurer 1998; the residual says nothing of it)."
+    )
+    if not accepted:
+        text += " Plan more landmarks, or some farther apart and around the target."
+    return Gate("tre_too_large", accepted, tre, limits.tre, text)

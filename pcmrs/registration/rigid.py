@@ -1,0 +1,124 @@
+"""The rigid transform between paired points in closed form: one set, or many at once.
+
+K. S. Arun, T. S. Huang, S. D. Blostein, Least-Squares Fitting of Two 3-D Point Sets, IEEE PAMI 9 (1987); the
+reflection is handled after S. Umeyama, Least-Squares Estimation of Transformation Parameters Between Two Point
+Patterns, IEEE PAMI 13 (1991). Nothing is checked here: `register_points` does, and these are what its time goes into.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dgesdd
+
+from pcmrs.spatial import Floats
+
+
+class RigidFit(NamedTuple):
+    """``fixed_from_moving`` in parts, and what it was made from.
+
+    Attributes:
+        rotation: (3, 3).
+        translation: m, (3,).
+        smallest: The smallest singular value of the cross-covariance, m^2, negative where a reflection fits better:
+            its sum of squares is that of the rotation plus four times this.
+        fixed: The fixed points about their centroid, m, (N, 3).
+        moving: The moving points about theirs, m, (N, 3).
+    """
+
+    rotation: Floats
+    translation: Floats
+    smallest: float
+    fixed: Floats
+    moving: Floats
+
+    def squares(self) -> Floats:
+        """Squared distance that the fit leaves between each pair, m^2, (N,)."""
+        left = self.moving.dot(self.rotation.T) - self.fixed
+        squares: Floats = np.add.reduce(left * left, 1)
+        return squares
+
+
+def fit_rigid(fixed: Floats, moving: Floats, weights: Floats | None = None) -> RigidFit:
+    """The rotation and translation that map `moving` onto `fixed` with the least weighted sum of squares.
+
+    Args:
+        fixed: m, (N, 3).
+        moving: m, (N, 3).
+        weights: Not negative, (N,).
+    """
+    shares = _equal_shares(len(fixed)) if weights is None else weights / weights.sum()
+    fixed_centroid, moving_centroid = shares.dot(fixed), shares.dot(moving)
+    fixed, moving = fixed - fixed_centroid, moving - moving_centroid
+    # `dot`, and LAPACK without numpy's wrapper: for so small matrices, calling takes longer than computing.
+    covariance = fixed.T.dot(moving if weights is None else moving * weights[:, None])
+    u, singular, vt, _ = dgesdd(covariance)
+    smallest = float(singular[2])
+    if (_determinant(u) < 0.0) != (_determinant(vt) < 0.0):
+        # The sign goes to the smallest singular value: there a flip costs least, and nothing when points are coplanar.
+        u[:, 2] *= -1.0
+        smallest = -smallest
+    rotation = u.dot(vt)
+    return RigidFit(rotation, fixed_centroid - rotation.dot(moving_centroid), smallest, fixed, moving)
+
+
+@lru_cache
+def _equal_shares(count: int) -> Floats:
+    """Weights of a mean; kept, since summing up takes three times as long as a product with them."""
+    shares = np.full(count, 1.0 / count)
+    shares.flags.writeable = False
+    return shares
+
+
+def register_batch(fixed: Floats, moving: Floats) -> tuple[Floats, Floats]:
+    """The same fit for many sets at once, as Monte Carlo and leave-one-out need it.
+
+    Args:
+        fixed: m, (B, N, 3).
+        moving: m, (N, 3) for all of them, or (B, N, 3).
+
+    Returns:
+        Rotations (B, 3, 3) and translations (B, 3), m, of ``fixed_from_moving``.
+    """
+    fixed_centroids, moving_centroids = fixed.mean(axis=-2), moving.mean(axis=-2)
+    centred = moving - moving_centroids[..., None, :]
+    u, _, vt = np.linalg.svd(fixed.swapaxes(-1, -2) @ centred)
+    flipped = np.linalg.det(u) * np.linalg.det(vt) < 0.0
+    u[flipped, :, 2] *= -1.0
+    rotations: Floats = u @ vt
+    translations: Floats = fixed_centroids - (rotations @ moving_centroids[..., None])[..., 0]
+    return rotations, translations
+
+
+def sums_of_squares(fixed: Floats, moving: Floats) -> Floats:
+    """The least sum of squared distances of each set that a rigid transform leaves, m^2, (B,).
+
+    Args:
+        fixed: m, (B, N, 3).
+        moving: m, (N, 3) for all of them, or (B, N, 3).
+    """
+    rotations, translations = register_batch(fixed, moving)
+    left = moving @ rotations.swapaxes(-1, -2) + translations[:, None] - fixed
+    squares: Floats = np.einsum("bni,bni->b", left, left)
+    return squares
+
+
+def cross_matrices(vectors: Floats) -> Floats:
+    """``[v]x`` of each vector (N, 3), so that ``[v]x w = v x w``, (N, 3, 3)."""
+    matrices = np.zeros((len(vectors), 3, 3))
+    x, y, z = vectors.T
+    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
+    matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
+    return matrices
+
+
+def motion_jacobians(points: Floats) -> Floats:
+    """How points move with a small motion ``(rotation vector, translation)`` of their frame, (N, 3, 6)."""
+    return np.concatenate((-cross_matrices(points), np.tile(np.eye(3), (len(points), 1, 1))), axis=2)
+
+
+def _determinant(matrix: Floats) -> float:
+    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    return float(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))

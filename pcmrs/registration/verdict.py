@@ -1,0 +1,129 @@
+"""The verdict on a registration: whether it may be used, and every gate that says why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pcmrs.errors import GeometryError, MirroredPointsError
+from pcmrs.registration.accuracy import predict_tre
+from pcmrs.registration.diagnosis import explaining_order, unit_ratio
+from pcmrs.registration.gates import (
+    Gate,
+    RegistrationLimits,
+    order_gate,
+    outlier_gate,
+    refused_side_gate,
+    residual_gate,
+    side_gate,
+    tre_gate,
+    unit_gate,
+)
+from pcmrs.registration.outliers import MIN_POINTS, mean_shift_test
+from pcmrs.registration.points import PointRegistration, checked_covariances, checked_pairs, register_points
+from pcmrs.spatial import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class RegistrationVerdict:
+    """Whether a registration may be used, and why not.
+
+    Attributes:
+        registration: The transform ``body_ref_from_image`` and its residuals; None where none makes sense.
+        gates: In the order asked; a wrong unit, side or order ends the questions: it explains all that would follow.
+        tre: Predicted rms error at the target, m.
+        suspect: Index of the one landmark to digitize again.
+        permutation: For each digitized landmark the planned one it belongs to, where they were exchanged.
+    """
+
+    registration: PointRegistration | None
+    gates: tuple[Gate, ...]
+    tre: float | None = None
+    suspect: int | None = None
+    permutation: tuple[int, ...] | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Every gate passes."""
+        return self.refusal is None
+
+    @property
+    def refusal(self) -> Gate | None:
+        """The first gate that does not pass."""
+        return next((gate for gate in self.gates if not gate.accepted), None)
+
+
+def judge(
+    planned: npt.ArrayLike,
+    digitized: npt.ArrayLike,
+    limits: RegistrationLimits,
+    *,
+    names: Sequence[str],
+    target: npt.ArrayLike | None,
+    covariances: npt.ArrayLike | None = None,
+) -> RegistrationVerdict:
+    """Registers, and says whether the result may be used.
+
+    Args:
+        planned: Landmarks in the image, m, (N, 3).
+        digitized: The same landmarks in body_ref, in the same order, m, (N, 3).
+        limits: What must be kept.
+        names: Of the landmarks, (N,).
+        target: Where the error matters, in the image, m, (3,); None for the centroid of the landmarks.
+        covariances: Of the digitized landmarks' noise in body_ref, m^2, (N, 3, 3), where it is known better than as
+            ``limits.sigma`` in every axis.
+
+    Raises:
+        GeometryError: Shapes are wrong or a number is not finite.
+        DegeneratePointsError: The landmarks fix no rotation.
+    """
+    digitized, planned = checked_pairs(digitized, planned)
+    _check_names(names, len(planned))
+    noise = limits.sigma if covariances is None else checked_covariances(covariances, len(planned))
+    sigma = _sigma(noise)
+    unit = unit_gate(unit_ratio(planned, digitized))
+    if not unit.accepted:
+        return RegistrationVerdict(None, (unit,))
+    try:
+        registration = register_points(digitized, planned, covariances=covariances)
+    except MirroredPointsError as error:
+        return RegistrationVerdict(None, (unit, refused_side_gate(error)))
+    permutation = explaining_order(planned, digitized, sigma, limits.false_alarm)
+    order = order_gate(permutation, registration.residual, names)
+    if permutation is not None:
+        return RegistrationVerdict(registration, (unit, side_gate(registration), order), permutation=permutation)
+    testable = len(planned) >= MIN_POINTS
+    outlier = mean_shift_test(digitized, planned, noise, limits.false_alarm) if testable else None
+    tre = _tre(registration, planned, target, noise)
+    gates = (
+        unit,
+        side_gate(registration),
+        order,
+        outlier_gate(outlier, sigma, limits.false_alarm, names),
+        residual_gate(registration, limits, names),
+        tre_gate(tre, limits, at_centroid=target is None),
+    )
+    return RegistrationVerdict(registration, gates, tre, suspect=outlier.suspect if outlier else None)
+
+
+def _check_names(names: Sequence[str], count: int) -> None:
+    if len(names) != count:
+        text = f"There are {len(names)} names of {count} landmarks; give one of each."
+        raise GeometryError(text, names=len(names), landmarks=count)
+
+
+def _sigma(noise: float | Floats) -> float:
+    """Standard deviation per axis, m, that an equal isotropic noise of the same size has."""
+    return noise if isinstance(noise, float) else float(np.sqrt(np.mean(np.diagonal(noise, axis1=1, axis2=2))))
+
+
+def _tre(
+    registration: PointRegistration, planned: Floats, target: npt.ArrayLike | None, noise: float | Floats
+) -> float:
+    """In body_ref, as the covariances are."""
+    body_ref_from_image = registration.fixed_from_moving
+    at = body_ref_from_image @ (planned.mean(axis=0) if target is None else np.asarray(target, dtype=float))
+    return float(predict_tre(body_ref_from_image @ planned, at, noise)[0])
