@@ -1,7 +1,7 @@
 """The plans that a planner would have made for the phantoms: their landmarks, and twelve poses of the tool each.
 
-``python -m sim.plan [FOLDER]`` writes ``ratms_plan.json`` and ``femoroplasty_plan.json``, by default to ``examples``;
-the same numbers every time.
+``python -m sim.plan [FOLDER]`` writes ``ratms_plan.json`` and ``femoroplasty_plan.json``, and the phantoms' surfaces
+``head_phantom.ply`` and ``femur_phantom.ply`` in m, by default to ``examples``; the same numbers every time.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from pcmrs.spatial import Floats, Transform
-from sim import femur, head
+from sim import femur, head, surfaces
 from sim.phantom import Phantom
 
 SITES_DEG = (
@@ -110,11 +110,22 @@ def make_plans() -> dict[str, dict[str, Any]]:
     }
 
 
+def make_surfaces() -> dict[str, bytes]:
+    """The surface of each phantom as a PLY file."""
+    comment = "PCMRS {} phantom: image frame, RAS, m; made of formulas, of nobody"
+    return {
+        "head": surfaces.ply(*surfaces.head_surface(), comment.format("head")),
+        "femur": surfaces.ply(*surfaces.femur_surface(), comment.format("femur")),
+    }
+
+
 def main(folder: Path) -> None:
-    """Writes all plans to `folder`."""
+    """Writes all plans and surfaces to `folder`."""
     for workflow, plan in make_plans().items():
         text = msgspec.json.format(msgspec.json.encode(plan), indent=2) + b"\n"
         (folder / f"{workflow}_plan.json").write_bytes(text)
+    for phantom, mesh in make_surfaces().items():
+        (folder / f"{phantom}_phantom.ply").write_bytes(mesh)
 
 
 if __name__ == "__main__":

@@ -75,3 +75,5 @@ def config_options(function: F) -> F:
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")
+
+plot_option = click.option("--plot", type=click.Path(path_type=Path), metavar="FILE.png", help="Also draw a picture.")

@@ -7,8 +7,8 @@ import math
 from collections.abc import Awaitable, Callable, Sequence
 
 import msgspec
-import numpy as np
 
+from pcmrs.analysis.summary import Summary, summarize
 from pcmrs.errors import CommandRefusedError, ConfigurationError
 from pcmrs.experiment.private import Bench, private_bench
 from pcmrs.experiment.published import Reported, published
@@ -47,22 +47,15 @@ class Trial(msgspec.Struct, frozen=True):
     measured: PoseMessage
 
 
-class Spread(msgspec.Struct, frozen=True):
-    """Mean and standard deviation (n - 1)."""
-
-    mean: float
-    sd: float
-
-
 class PlacementSummary(msgspec.Struct, frozen=True):
     """All trials, beside what the paper has."""
 
     trials: int
-    translation_error_mm: Spread
-    rotation_error_deg: Spread
-    true_translation_error_mm: Spread
-    true_rotation_error_deg: Spread
-    target_registration_error_mm: Spread
+    translation_error_mm: Summary
+    rotation_error_deg: Summary
+    true_translation_error_mm: Summary
+    true_rotation_error_deg: Summary
+    target_registration_error_mm: Summary
     published_translation_error_mm: Reported
     published_rotation_error_deg: Reported
 
@@ -142,7 +135,7 @@ async def run_placements(setup: Setup, trials: int) -> PlacementReport:
         residual_mm=residual_mm,
         trials=done,
         treatment=treatment,
-        summary=_summary(setup.workflow, done),
+        summary=summary_of(setup.workflow, done),
     )
 
 
@@ -194,19 +187,20 @@ def _registered(bench: Bench) -> Registered:
     return msgspec.convert(kept[-1], Registered)
 
 
-def _summary(workflow: str, trials: Sequence[Trial]) -> PlacementSummary:
-    def spread(field: str) -> Spread:
-        values = np.array([getattr(trial, field) for trial in trials])
-        return Spread(float(values.mean()), float(values.std(ddof=1)))
+def summary_of(workflow: str, trials: Sequence[Trial]) -> PlacementSummary:
+    """Of one or more trials of a workflow."""
+
+    def over_all(field: str) -> Summary:
+        return summarize([getattr(trial, field) for trial in trials])
 
     paper = published(workflow)
     return PlacementSummary(
         trials=len(trials),
-        translation_error_mm=spread("translation_error_mm"),
-        rotation_error_deg=spread("rotation_error_deg"),
-        true_translation_error_mm=spread("true_translation_error_mm"),
-        true_rotation_error_deg=spread("true_rotation_error_deg"),
-        target_registration_error_mm=spread("target_registration_error_mm"),
+        translation_error_mm=over_all("translation_error_mm"),
+        rotation_error_deg=over_all("rotation_error_deg"),
+        true_translation_error_mm=over_all("true_translation_error_mm"),
+        true_rotation_error_deg=over_all("true_rotation_error_deg"),
+        target_registration_error_mm=over_all("target_registration_error_mm"),
         published_translation_error_mm=paper.translation_error_mm,
         published_rotation_error_deg=paper.rotation_error_deg,
     )

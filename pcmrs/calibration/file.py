@@ -1,0 +1,142 @@
+"""Calibration files: TOML, versioned, with the hash of what they say."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import tomllib
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import tomli_w
+
+from pcmrs.errors import FileFormatError, GeometryError
+from pcmrs.formats.reading import read_text, refuse
+from pcmrs.messages import PoseMessage
+from pcmrs.spatial import Transform
+
+Kind = Literal["tool", "pointer"]
+ToolType = Literal["coil", "drill_guide"]
+
+TRANSFORM: dict[Kind, str] = {"tool": "flange_from_coil", "pointer": "pointer_from_tip"}
+"""What a calibration of a kind must hold; the frames are those of `pcmrs.spatial.Frame`."""
+
+HEADER = "# A calibration of PCMRS. The hash covers every value: what is changed by hand is refused; calibrate anew.\n"
+
+Label = Annotated[str, msgspec.Meta(max_length=200, pattern=r"\A[^\x00-\x1f\x7f]*\Z")]
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Count = Annotated[int, msgspec.Meta(ge=1)]
+
+
+class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What was found about one tool or pointer.
+
+    Attributes:
+        schema: Of the file.
+        type: Of a tool; empty for a pointer.
+        serial: Of the thing itself; empty where it has none.
+        version: Grows with every calibration of the same thing.
+        cell: ``site/cell`` that it was made in and may be used in; empty for any.
+        method: How it was found, for people.
+        date: When.
+        valid_days: So long it may be used.
+        error_mm: Root mean square residual of the poses it was found from.
+        error_deg: The same of their rotations; 0 for a pointer, which has a point only.
+        transforms: ``a_from_b`` by name; must hold that of `TRANSFORM`.
+        sha256: Hash of everything else, as the file has it; empty before it is written.
+
+    Raises:
+        ValueError: A transform is missing or no pose, a number is not finite, or the type does not fit the kind.
+    """
+
+    schema: Literal[1] = 1
+    kind: Kind
+    type: ToolType | Literal[""] = ""
+    name: Annotated[Label, msgspec.Meta(min_length=1)]
+    serial: Label = ""
+    version: Count = 1
+    cell: Label = ""
+    method: Label
+    date: Annotated[datetime, msgspec.Meta(tz=True)]
+    valid_days: Annotated[int, msgspec.Meta(ge=1, le=36500)]
+    error_mm: NotNegative
+    error_deg: NotNegative = 0.0
+    transforms: dict[str, PoseMessage]
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        if (self.kind == "tool") != bool(self.type):
+            raise ValueError(f"a {self.kind} of type {self.type!r}: a tool has a type, and nothing else")
+        if not (math.isfinite(self.error_mm) and math.isfinite(self.error_deg)):
+            raise ValueError("error_mm and error_deg must be finite")
+        if TRANSFORM[self.kind] not in self.transforms:
+            raise ValueError(f"a {self.kind} needs transforms.{TRANSFORM[self.kind]}")
+        for name, pose in self.transforms.items():
+            try:
+                Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
+            except GeometryError as error:
+                raise ValueError(f"transforms.{name}: {error.text}") from None
+
+    def transform(self) -> Transform:
+        """``flange_from_coil`` of a tool, ``pointer_from_tip`` of a pointer."""
+        pose = self.transforms[TRANSFORM[self.kind]]
+        return Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
+
+    def content_hash(self) -> str:
+        """SHA-256 of everything but `sha256`: of the values, not of how the file writes them."""
+        content = msgspec.structs.replace(self, sha256="")
+        return hashlib.sha256(msgspec.json.encode(content, order="sorted")).hexdigest()
+
+    def title(self) -> str:
+        """How texts call it."""
+        serial = f", serial {self.serial}" if self.serial else ""
+        return f"{self.name}{serial} (version {self.version} of {self.date:%Y-%m-%d})"
+
+
+def read_calibration(path: Path) -> Calibration:
+    """The calibration in a file, as it is: whether it may be used is for `check_valid`.
+
+    Raises:
+        FileFormatError: It cannot be read, or is no calibration; the text says which key is wrong.
+    """
+    try:
+        return msgspec.convert(tomllib.loads(read_text(path)), Calibration)
+    except tomllib.TOMLDecodeError as error:
+        refuse(path, f"is not TOML: {error}.")
+    except (msgspec.ValidationError, RecursionError) as error:
+        refuse(path, f"is no calibration: {error}.")
+
+
+def write_calibration(path: Path, calibration: Calibration) -> Calibration:
+    """Writes a calibration with its hash, whole or not at all.
+
+    Returns:
+        What was written.
+
+    Raises:
+        FileFormatError: The file cannot be written.
+    """
+    hashed = msgspec.structs.replace(calibration, sha256=calibration.content_hash())
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        beside.write_text(HEADER + tomli_w.dumps(msgspec.to_builtins(hashed, builtin_types=(datetime,))))
+        beside.replace(path)
+    except OSError as error:
+        raise FileFormatError(f"{path} cannot be written: {error.strerror}.", file=str(path)) from None
+    return hashed
+
+
+def next_version(path: Path, kind: Kind, name: str, serial: str) -> int:
+    """The version that a new calibration in this file has: 1, or one more than the present one of the same thing.
+
+    Raises:
+        FileFormatError: The file holds something else, which is not overwritten.
+    """
+    if not path.exists():
+        return 1
+    present = read_calibration(path)
+    if (present.kind, present.name, present.serial) != (kind, name, serial):
+        refuse(path, f"holds the calibration of another thing, {present.title()}: choose another file.")
+    return present.version + 1

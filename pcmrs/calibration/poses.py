@@ -1,0 +1,97 @@
+"""Files of poses to calibrate from: CSV with a header, or JSON with the same names.
+
+A pose ``a_from_b`` has the columns ``a_from_b_x_mm, …_y_mm, …_z_mm, …_qx, …_qy, …_qz, …_qw``; ``_m`` in place of
+``_mm`` for metres. A row is one moment.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pcmrs.errors import GeometryError
+from pcmrs.formats.reading import read_text, refuse
+from pcmrs.formats.units import METRES
+from pcmrs.spatial import Transform
+
+PIVOT = ("tracker_from_pointer",)
+HAND_EYE = ("base_from_flange", "tracker_from_coil")
+
+FARTHEST = 20.0
+"""No tracker sees so far, m: such a number was probably given in mm."""
+
+
+def read_poses(path: Path, names: Sequence[str]) -> list[list[Transform]]:
+    """The poses of a file.
+
+    Args:
+        path: JSON where it ends in ``.json``, otherwise CSV.
+        names: Poses that every row must have, such as `PIVOT`; other columns are passed over.
+
+    Returns:
+        For each name one pose per row.
+
+    Raises:
+        FileFormatError: The file cannot be read, a column or its unit is missing, or a row is no pose.
+    """
+    rows = _from_json(path) if path.suffix == ".json" else _from_csv(path)
+    if not rows:
+        refuse(path, f"holds no poses; the first line must be a header such as {header(names)}.")
+    return [[_pose(path, number, row, name) for number, row in enumerate(rows, start=1)] for name in names]
+
+
+def header(names: Sequence[str], unit: str = "m") -> str:
+    """The header of a CSV file with these poses."""
+    return ",".join(column for name in names for column in _columns(name, unit))
+
+
+def write_poses(path: Path, names: Sequence[str], poses: Sequence[Sequence[Transform]]) -> None:
+    """Writes a CSV file that `read_poses` reads, in m. Raises `OSError`."""
+    rows = [
+        ",".join(f"{value:.9g}" for pose in row for value in (*pose.translation, *pose.quat_xyzw))
+        for row in zip(*poses, strict=True)
+    ]
+    path.write_text("\n".join([header(names), *rows]) + "\n")
+
+
+def _columns(name: str, unit: str) -> list[str]:
+    return [*(f"{name}_{axis}_{unit}" for axis in "xyz"), *(f"{name}_q{axis}" for axis in "xyzw")]
+
+
+def _from_csv(path: Path) -> list[dict[str, Any]]:
+    try:
+        reader = csv.DictReader(read_text(path).splitlines(), skipinitialspace=True)
+        return list(reader)
+    except csv.Error as error:
+        refuse(path, f"is no CSV: {error}.")
+
+
+def _from_json(path: Path) -> list[dict[str, Any]]:
+    try:
+        rows = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        refuse(path, f"is not JSON: {error}.")
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        refuse(path, "is no JSON list of objects, one for each moment.")
+    return rows
+
+
+def _pose(path: Path, number: int, row: Mapping[str, Any], name: str) -> Transform:
+    """The pose `name` of a row. Raises `FileFormatError`."""
+    unit = next((unit for unit in ("m", "mm") if set(_columns(name, unit)) <= set(row)), None)
+    if unit is None:
+        refuse(
+            path, f"has no pose {name} in row {number}; its columns are {header([name])}, or _mm for _m.", row=number
+        )
+    try:
+        numbers = [float(row[column]) for column in _columns(name, unit)]
+        pose = Transform.from_quat_xyzw([value * METRES[unit] for value in numbers[:3]], numbers[3:])
+    except (TypeError, ValueError, GeometryError) as error:
+        refuse(path, f"holds no pose {name} in row {number}: {str(error).rstrip('.')}.", row=number)
+    if abs(pose.translation).max() > FARTHEST:
+        farthest = float(abs(pose.translation).max())
+        refuse(path, f"has {name} {farthest:g} m away in row {number}: is the file in mm?", row=number, value=farthest)
+    return pose

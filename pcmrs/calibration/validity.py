@@ -1,0 +1,88 @@
+"""Whether a calibration may be used here and now."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+from pcmrs.calibration.file import Calibration, ToolType
+from pcmrs.errors import RefusalError
+
+CLOCKS_DIFFER = timedelta(hours=1)
+"""A calibration from farther in the future was dated by a wrong clock, or is judged by one."""
+
+COMMAND = {"tool": "pcmrs calibrate hand-eye", "pointer": "pcmrs calibrate pivot"}
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What a calibration must be of.
+
+    Attributes:
+        cell: ``site/cell`` in which it is to be used.
+        tool_type: That the workflow works with; says nothing of a pointer.
+        serial: Of the tool or pointer that is mounted; empty where nobody said.
+    """
+
+    cell: str
+    tool_type: ToolType
+    serial: str = ""
+
+
+def check_valid(calibration: Calibration, expected: Expected, now: float) -> None:
+    """Refuses a calibration that must not be used. Pure.
+
+    Args:
+        calibration: As it was read.
+        expected: What it must be of.
+        now: Unix seconds.
+
+    Raises:
+        RefusalError: ``calibration_changed``, ``calibration_foreign``, ``calibration_in_future`` or
+            ``calibration_expired``.
+    """
+    _check_unchanged(calibration)
+    _check_own(calibration, expected)
+    _check_date(calibration, datetime.fromtimestamp(now, UTC))
+
+
+def _check_unchanged(calibration: Calibration) -> None:
+    if calibration.sha256 != calibration.content_hash():
+        text = (
+            f"The file of the {calibration.kind} {calibration.title()} was changed after it was written: its values "
+            f"do not give its hash. Bring back the original file, or calibrate anew ({COMMAND[calibration.kind]})."
+        )
+        raise RefusalError("calibration_changed", text, name=calibration.name, recorded=calibration.sha256)
+
+
+def _check_own(calibration: Calibration, expected: Expected) -> None:
+    wanted = {
+        "cell": (calibration.cell, expected.cell if calibration.cell else ""),
+        "type": (calibration.type, expected.tool_type if calibration.kind == "tool" else ""),
+        "serial": (calibration.serial, expected.serial or calibration.serial),
+    }
+    for field, (found, needed) in wanted.items():
+        if found != needed:
+            text = (
+                f"The {calibration.kind} {calibration.title()} is calibrated for {field} {found!r}, but {needed!r} is "
+                f"needed here: configure the right file in procedure.calibration.{calibration.kind}_file."
+            )
+            raise RefusalError("calibration_foreign", text, name=calibration.name, field=field, found=found)
+
+
+def _check_date(calibration: Calibration, now: datetime) -> None:
+    date, over = calibration.date.isoformat(), now - calibration.date - timedelta(days=calibration.valid_days)
+    if calibration.date > now + CLOCKS_DIFFER:
+        text = (
+            f"The {calibration.kind} {calibration.title()} is dated {date}, but it is {now.isoformat()} here: set the "
+            "clock, or calibrate anew."
+        )
+        raise RefusalError("calibration_in_future", text, name=calibration.name, date=date)
+    if over >= timedelta(0):
+        text = (
+            f"The calibration of the {calibration.kind} {calibration.title()} was valid for {calibration.valid_days} "
+            f"days and expired {over.days} days ago: calibrate anew ({COMMAND[calibration.kind]})."
+        )
+        raise RefusalError(
+            "calibration_expired", text, name=calibration.name, date=date, valid_days=calibration.valid_days
+        )

@@ -1,0 +1,22 @@
+"""`pcmrs calibrate`: the tip of the pointer, and the tool on the flange."""
+
+from __future__ import annotations
+
+import click
+
+from pcmrs.cli.lazy import LazyGroup
+
+COMMANDS = {
+    "pivot": "pcmrs.cli.calibrate.pivot:pivot",
+    "hand-eye": "pcmrs.cli.calibrate.hand_eye:hand_eye",
+}
+
+
+@click.group(cls=LazyGroup, commands=COMMANDS)
+def calibrate() -> None:
+    """Calibrate the pointer or the tool from poses in a file, or with --live on a running cell.
+
+    Prints the result, what every pose deviates from it, and which poses do not fit the others; -o writes a
+    calibration file for procedure.calibration. Exit status: 0 usable, 1 refused (the motion does not fix it, or an
+    error is over its limit), 2 unreadable, 3 no daemon.
+    """

@@ -1,0 +1,152 @@
+"""Gathering poses on a running cell, with a bar that shows the operator how far it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from pcmrs.calibration.gathering import Gathering
+from pcmrs.calibration.poses import write_poses
+from pcmrs.cli.calibrate.options import Live
+from pcmrs.cli.options import Address
+from pcmrs.clock import Clock, SystemClock
+from pcmrs.devices.poses import PoseFeed
+from pcmrs.errors import RefusalError
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.kinematics.urdf_arms import find_arm
+from pcmrs.messages import BodyPose, JointState
+from pcmrs.spatial import Transform, distance, mean_transform, rotation_angle
+
+MAX_AGE = 1.0
+"""An older pose is no pose of now, s."""
+SPREAD, PIVOT_STEP = math.radians(15.0), math.radians(2.0)
+POSTURE_STEP = math.radians(5.0)
+AT_REST = 1e-3
+"""Joint velocity below which an arm stands, rad/s."""
+REST = 0.5
+"""So long an arm must have stood, s: it swings for a while."""
+FRAMES = 20
+"""Tracker frames averaged per posture of the arm."""
+MOVED, MOVED_TURN = 0.002, math.radians(0.5)
+"""The reference may not move farther in the tracker, m and rad: it or the tracker was pushed."""
+
+
+async def pivot_poses(address: Address, live: Live) -> list[Transform]:
+    """``tracker_from_pointer`` while the operator pivots it. Raises `BusError`, `RefusalError`."""
+    clock = SystemClock()
+    feed, gathering = PoseFeed(clock, MAX_AGE), Gathering(live.count, SPREAD, PIVOT_STEP)
+
+    async def another() -> None:
+        with suppress(RefusalError):  # hidden for a moment
+            (frame,) = await feed.collect(["pointer"], 1, timeout=MAX_AGE)
+            if gathering.is_new(frame["pointer"]):
+                gathering.poses.append(frame["pointer"])
+
+    async with address.connect() as client:
+        client.listen("state/pose/pointer", BodyPose, feed.update)
+        await _gather(gathering, live, clock, another, "Keep the tip in place and tilt the pointer to all sides")
+    return gathering.poses
+
+
+async def hand_eye_poses(address: Address, live: Live, robot: str) -> tuple[list[Transform], list[Transform]]:
+    """``base_from_flange`` and ``tracker_from_coil`` wherever the arm rests. Raises `BusError`, `RefusalError`."""
+    clock = SystemClock()
+    arm, feed = RestingArm(ArmModel(find_arm(robot)), clock), PoseFeed(clock, MAX_AGE)
+    gathering, seen = Gathering(live.count, SPREAD, POSTURE_STEP), list[dict[str, Transform]]()
+
+    async def another() -> None:
+        flange, since = arm.flange(), arm.since
+        if flange is None or not gathering.is_new(flange):
+            await clock.sleep(0.05)
+            return
+        try:
+            frames = await feed.collect(["coil", "body_ref"], FRAMES, timeout=5.0)
+        except RefusalError:
+            return  # hidden: another posture will do
+        if arm.since == since:
+            means = {body: mean_transform([frame[body] for frame in frames]) for body in ("coil", "body_ref")}
+            seen.append(means)
+            gathering.poses.append(flange)
+            _check_still(seen[0]["body_ref"], means["body_ref"])
+
+    async with address.connect() as client:
+        client.listen("state/pose/*", BodyPose, feed.update)
+        client.listen("state/joints", JointState, arm.update)
+        await _gather(gathering, live, clock, another, "Bring the arm to another posture, and let it rest")
+    return gathering.poses, [means["coil"] for means in seen]
+
+
+class RestingArm:
+    """Where the flange is while the arm stands.
+
+    Attributes:
+        since: When the arm was last seen moving, s of the clock.
+    """
+
+    def __init__(self, arm: ArmModel, clock: Clock) -> None:
+        self.since = clock.monotonic()
+        self._arm = arm
+        self._clock = clock
+        self._positions: list[float] = []
+
+    def update(self, state: JointState) -> None:
+        """Takes a newly measured joint state."""
+        if state.moving or np.abs(state.velocities).max(initial=0.0) > AT_REST:
+            self.since = self._clock.monotonic()
+        self._positions = state.positions
+
+    def flange(self) -> Transform | None:
+        """``base_from_flange``; None while the arm is not heard, or has not stood for `REST`.
+
+        Raises:
+            RefusalError: ``other_robot``: the joints are not those of the model.
+        """
+        wanted = len(self._arm.lower)
+        if not self._positions or self._clock.monotonic() - self.since < REST:
+            return None
+        if len(self._positions) != wanted:
+            text = f"The robot reports {len(self._positions)} joints, the model has {wanted}: name it with --robot."
+            raise RefusalError("other_robot", text, joints=len(self._positions))
+        return self._arm.forward(self._positions)
+
+
+def keep_poses(live: Live, names: Sequence[str], poses: Sequence[Sequence[Transform]]) -> None:
+    """Keeps gathered poses where the operator wants them. Raises `OSError`."""
+    if live.keep is not None:
+        write_poses(live.keep, names, poses)
+
+
+def _check_still(first: Transform, now: Transform) -> None:
+    moved, turned = distance(first, now), rotation_angle(first, now)
+    if moved > MOVED or turned > MOVED_TURN:
+        text = (
+            f"The reference moved by {moved * 1000:.1f} mm and {math.degrees(turned):.2f}° in the tracker, the limits "
+            f"are {MOVED * 1000:g} mm and {math.degrees(MOVED_TURN):g}°: fix it and the tracker to the robot's base, "
+            "and begin anew."
+        )
+        raise RefusalError("reference_moved", text, moved=moved, turned=turned)
+
+
+async def _gather(
+    gathering: Gathering, live: Live, clock: Clock, another: Callable[[], Awaitable[None]], prompt: str
+) -> None:
+    """Asks for one pose after the other until there are enough.
+
+    Raises:
+        RefusalError: ``not_enough_poses`` within the time.
+    """
+    with Progress(TextColumn("{task.description}"), BarColumn(), console=Console(stderr=True)) as bar:
+        task = bar.add_task(prompt, total=1.0)
+        try:
+            async with clock.timeout(live.seconds):
+                while gathering.progress < 1.0:
+                    await another()
+                    bar.update(task, completed=gathering.progress, description=f"{prompt}: {gathering}")
+        except TimeoutError:
+            text = f"After {live.seconds:g} s there are {gathering}. {prompt}, and begin anew or give more --seconds."
+            raise RefusalError("not_enough_poses", text, poses=len(gathering.poses)) from None

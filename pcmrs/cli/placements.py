@@ -1,0 +1,115 @@
+"""`pcmrs placements`: the errors of recorded placements, and what a pose log says about its tracker."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+import msgspec
+from rich.console import Console, RenderableType
+
+from pcmrs.cli.options import json_option, plot_option
+from pcmrs.cli.running import readable_errors
+
+if TYPE_CHECKING:
+    # For annotations only: asking for help must not load the analysis.
+    from pcmrs.analysis.placements import Recorded
+
+STANDOFF_MM = 10.0
+"""The lab's placements are saved this far before the target."""
+
+NARROWEST = 120
+"""Columns of the tables."""
+
+
+@click.command()
+@click.argument("path", type=click.Path(path_type=Path))
+@click.option(
+    "--standoff-mm",
+    type=float,
+    help=f"How far along its z axis the tool was to stand before the target; {STANDOFF_MM:g} for saved placements, "
+    "as recorded for a journal where nothing is given.",
+)
+@plot_option
+@json_option
+@readable_errors
+def placements(path: Path, standoff_mm: float | None, plot: Path | None, as_json: bool) -> None:
+    """Print the errors of recorded placements: measured against planned pose.
+
+    PATH is a folder of saved placements (one YAML file per trial) or one such file, or the journal of a cell
+    (*.sqlite). A pose log (poses_*.csv) is recognized, too: jitter, frozen frames, dropouts, and whether its rows
+    agree.
+
+    Example: pcmrs placements trials/ --standoff-mm 10 --plot errors.png
+
+    Exit status 2 when something cannot be read.
+    """
+    if _is_pose_log(path):
+        if standoff_mm is not None:
+            raise click.UsageError(f"--standoff-mm is for placements; {path} is a pose log.")
+        _show_pose_log(path, plot, as_json=as_json)
+    else:
+        _show_placements(path, standoff_mm, plot, as_json=as_json)
+
+
+def _is_journal(path: Path) -> bool:
+    return _beginning(path).startswith(b"SQLite format 3\0")
+
+
+def _is_pose_log(path: Path) -> bool:
+    from pcmrs.formats.pose_log import ROWS
+
+    return _beginning(path).lstrip().startswith(tuple(f"{row},".encode() for row in ROWS))
+
+
+def _beginning(path: Path) -> bytes:
+    if not path.is_file():
+        return b""
+    with path.open("rb") as file:
+        return file.read(100)
+
+
+def _recorded(path: Path, standoff_mm: float | None) -> list[Recorded]:
+    from pcmrs.analysis.placements import Recorded
+    from pcmrs.cli.journalled import read_journalled
+    from pcmrs.formats.pose_file import read_placements
+
+    if _is_journal(path):
+        return read_journalled(path, standoff_mm)
+    standoff = (STANDOFF_MM if standoff_mm is None else standoff_mm) / 1000.0
+    return [Recorded(placement, standoff) for placement in read_placements(path)]
+
+
+def _show_placements(path: Path, standoff_mm: float | None, plot: Path | None, *, as_json: bool) -> None:
+    from pcmrs.analysis.placement_plot import placement_figure
+    from pcmrs.analysis.plots import save_png
+    from pcmrs.cli.recorded import placements_report
+    from pcmrs.cli.recorded_tables import placements_tables
+
+    recorded = _recorded(path, standoff_mm)
+    report = placements_report(path, recorded)
+    if plot is not None:
+        save_png(placement_figure(recorded, f"Placements in {path.resolve().name}"), plot)
+    _show(report, placements_tables(report), as_json=as_json)
+
+
+def _show_pose_log(path: Path, plot: Path | None, *, as_json: bool) -> None:
+    from pcmrs.analysis.plots import save_png
+    from pcmrs.analysis.pose_log_plot import pose_log_figure
+    from pcmrs.cli.recorded import pose_log_report
+    from pcmrs.cli.recorded_tables import pose_log_table
+    from pcmrs.formats.pose_log import read_pose_log
+
+    log = read_pose_log(path)
+    report = pose_log_report(path, log)
+    if plot is not None:
+        save_png(pose_log_figure(log), plot)
+    _show(report, pose_log_table(report), as_json=as_json)
+
+
+def _show(report: msgspec.Struct, table: RenderableType, *, as_json: bool) -> None:
+    if as_json:
+        click.echo(msgspec.json.encode(report).decode())
+    else:
+        Console(width=max(Console().width, NARROWEST)).print(table)

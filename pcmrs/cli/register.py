@@ -1,0 +1,194 @@
+"""`pcmrs register`: registers digitized landmarks to planned ones, and says whether the result may be used."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import msgspec
+
+from pcmrs.cli.options import json_option
+from pcmrs.cli.running import EXIT_REJECTED, readable_errors
+from pcmrs.errors import ConfigurationError, DegeneratePointsError
+
+if TYPE_CHECKING:
+    from pcmrs.formats.landmarks import Pairs
+    from pcmrs.registration import Gate, PointRegistration, RegistrationLimits, RegistrationVerdict
+
+
+@dataclass(frozen=True)
+class Defaults:
+    """Limits of a workflow, mm: what separates the paper's controls from its failures, and the noise behind them."""
+
+    limit_mm: float
+    tre_limit_mm: float
+    sigma_mm: float
+
+
+DEFAULTS = {"ratms": Defaults(4.0, 4.0, 1.86), "femoroplasty": Defaults(2.7, 3.0, 1.03)}
+FARTHEST_TARGET = 1.0  # m from the origin of the image: beyond it, somebody gave mm
+LENGTHS = ("residual_too_large", "tre_too_large")
+"""Gates whose value is a length."""
+
+
+class Point(click.ParamType[tuple[float, float, float]]):
+    """X,Y,Z in m."""
+
+    name = "X,Y,Z"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        try:
+            x, y, z = (float(part) for part in str(value).split(","))
+        except ValueError:
+            self.fail(f"{value!r} is not three numbers such as 0.03,0,0.11.", param, ctx)
+        if not max(abs(x), abs(y), abs(z)) <= FARTHEST_TARGET:
+            self.fail(f"{value} is beyond {FARTHEST_TARGET:g} m; give metres, not millimetres.", param, ctx)
+        return x, y, z
+
+
+@click.command()
+@click.argument("plan", type=click.Path(path_type=Path))
+@click.argument("digitized", type=click.Path(path_type=Path))
+@click.option("--target", type=Point(), help="Where the error matters, in m in the image; else amid the landmarks.")
+@click.option(
+    "--workflow", type=click.Choice(list(DEFAULTS)), default="ratms", show_default=True, help="Whose default limits."
+)
+@click.option("--limit-mm", type=float, help="Largest mean distance of the landmarks.")
+@click.option("--tre-limit-mm", type=float, help="Largest predicted error (rms) at the target.")
+@click.option("--sigma-mm", type=float, help="Noise of a digitized landmark per axis.")
+@click.option("--unit", type=click.Choice(["m", "mm"]), help="Of CSV columns x, y, z that do not name theirs.")
+@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a picture (PNG).")
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Write an accepted registration (lab YAML)."
+)
+@json_option
+@readable_errors
+def register(plan: Path, digitized: Path, plot: Path | None, output: Path | None, as_json: bool, **given: Any) -> None:
+    r"""Register the landmarks in DIGITIZED (body_ref) to those in PLAN (image), and judge the result.
+
+    Files: YAML of the lab's software (PLANNED or DIGITIZED, m), 3D Slicer markups (.mrk.json, .fcsv; LPS or RAS as
+    declared), CSV with a header such as name,x_mm,y_mm,z_mm, and PCMRS plans (.json). Landmarks are paired by name
+    where both files have the same names, else by order.
+
+    Exit status 0: accepted, 1: refused, 2: a file cannot be read or does not fit the other.
+
+    \b
+    Example: pcmrs register plan.mrk.json dig.yaml --target 0.03,0,0.11 --plot reg.png
+    """
+    from pcmrs.formats.landmarks import pair_landmarks, read_landmarks
+    from pcmrs.registration import judge
+
+    pairs = pair_landmarks(read_landmarks(plan, given["unit"]), read_landmarks(digitized, given["unit"]))
+    limits = _limits(**{name: given[name] for name in ("workflow", "limit_mm", "tre_limit_mm", "sigma_mm")})
+    try:
+        verdict = judge(pairs.planned, pairs.digitized, limits, names=pairs.names, target=given["target"])
+    except DegeneratePointsError as error:
+        refusal = {"code": error.code, "text": error.text} | error.fields
+        _say({"accepted": False, "refusal": refusal}, [f"REFUSED: {error.text}"], as_json)
+        sys.exit(EXIT_REJECTED)
+    place = "at the target" if given["target"] else "at the centroid of the landmarks"
+    _say(_as_object(pairs, verdict), _lines(pairs, verdict, place), as_json)
+    _write(pairs, verdict, limits, plot, output)
+    if not verdict.accepted:
+        sys.exit(EXIT_REJECTED)
+
+
+def _limits(
+    workflow: str, limit_mm: float | None, tre_limit_mm: float | None, sigma_mm: float | None
+) -> RegistrationLimits:
+    from pcmrs.registration import RegistrationLimits
+
+    default = DEFAULTS[workflow]
+    try:
+        return RegistrationLimits(
+            residual=(default.limit_mm if limit_mm is None else limit_mm) / 1000.0,
+            sigma=(default.sigma_mm if sigma_mm is None else sigma_mm) / 1000.0,
+            tre=(default.tre_limit_mm if tre_limit_mm is None else tre_limit_mm) / 1000.0,
+        )
+    except ConfigurationError as error:
+        raise click.UsageError(error.text) from None
+
+
+def _write(
+    pairs: Pairs, verdict: RegistrationVerdict, limits: RegistrationLimits, plot: Path | None, output: Path | None
+) -> None:
+    registration = verdict.registration
+    if plot is not None and registration is None:
+        click.echo(f"{plot} is not written: there is no registration to draw.", err=True)
+    elif plot is not None and registration is not None:
+        from pcmrs.cli.register_plot import draw
+
+        draw(pairs, registration.fixed_from_moving, limits.residual, _heading(verdict), plot)
+    if output is not None and (registration is None or not verdict.accepted):
+        click.echo(f"{output} is not written: the registration is refused.", err=True)
+    elif output is not None and registration is not None:
+        from pcmrs.formats.lab_yaml import lab_registration
+
+        output.write_text(lab_registration(registration.fixed_from_moving, refined=False))
+
+
+def _say(as_object: dict[str, Any], lines: list[str], as_json: bool) -> None:
+    click.echo(msgspec.json.format(msgspec.json.encode(as_object)).decode() if as_json else "\n".join(lines))
+
+
+def _heading(verdict: RegistrationVerdict) -> str:
+    return "accepted" if verdict.refusal is None else f"REFUSED: {verdict.refusal.text}"
+
+
+def _as_object(pairs: Pairs, verdict: RegistrationVerdict) -> dict[str, Any]:
+    refusal, registration = verdict.refusal, verdict.registration
+    return {
+        "accepted": verdict.accepted,
+        "refusal": None if refusal is None else {"code": refusal.name, "text": refusal.text},
+        "matched_by": pairs.matched_by,
+        "landmarks": pairs.names,
+        "suspect": None if verdict.suspect is None else pairs.names[verdict.suspect],
+        "permutation": verdict.permutation,
+        "tre": verdict.tre,
+        "gates": verdict.gates,
+    } | ({} if registration is None else _registration_object(registration))
+
+
+def _registration_object(registration: PointRegistration) -> dict[str, Any]:
+    body_ref_from_image = registration.fixed_from_moving
+    return {
+        "body_ref_from_image": body_ref_from_image.matrix.tolist(),
+        "translation": body_ref_from_image.translation.tolist(),
+        "quat_wxyz": body_ref_from_image.quat_wxyz.tolist(),
+        "residuals": registration.distances.tolist(),
+        "mean": registration.residual,
+        "rms": registration.rms,
+    }
+
+
+def _lines(pairs: Pairs, verdict: RegistrationVerdict, place: str) -> list[str]:
+    lines = [_heading(verdict), f"{len(pairs.names)} landmarks, paired by {pairs.matched_by}"]
+    if verdict.registration is not None:
+        lines += _registration_lines(pairs, verdict.registration)
+    if verdict.tre is not None:
+        lines.append(f"predicted TRE {verdict.tre * 1000:.2f} mm rms {place}")
+    return [*lines, "", "gates", *(_gate_line(gate) for gate in verdict.gates)]
+
+
+def _registration_lines(pairs: Pairs, registration: PointRegistration) -> list[str]:
+    transform = registration.fixed_from_moving
+    rows = ("  " + " ".join(f"{value: .9f}" for value in row) for row in transform.matrix.round(9) + 0.0)
+    residuals = (
+        f"  {name:<24} {distance * 1000:7.2f}"
+        for name, distance in zip(pairs.names, registration.distances, strict=True)
+    )
+    quat_wxyz = " ".join(f"{value:.9f}" for value in transform.quat_wxyz.round(9) + 0.0)
+    return [
+        *("", "body_ref_from_image, translation in m", *rows, f"  quaternion w x y z: {quat_wxyz}"),
+        *("", "residuals, mm", *residuals),
+        f"mean {registration.residual * 1000:.2f} mm, rms {registration.rms * 1000:.2f} mm",
+    ]
+
+
+def _gate_line(gate: Gate) -> str:
+    scale, unit = (1000.0, " mm") if gate.name in LENGTHS else (1.0, "")
+    value, limit = (f"{number * scale:.4g}{unit}" for number in (gate.value, gate.limit))
+    return f"  {'passed ' if gate.accepted else 'REFUSED'} {gate.name:<20} {value}, limit {limit}"

@@ -1,0 +1,66 @@
+"""Triangle meshes of surfaces: STL, PLY and OBJ.
+
+None of these says its unit, few say their directions: both are declared by who gives the file.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pcmrs.formats.reading import read_bytes, refuse
+from pcmrs.formats.units import Space, Unit, as_ras
+from pcmrs.spatial import Floats
+
+KINDS = (".stl", ".ply", ".obj")
+MAX_MESH_BYTES = 64 * 1024 * 1024
+"""About a million triangles."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A surface of triangles.
+
+    Attributes:
+        vertices: RAS, m, (V, 3).
+        faces: Indices of the corners, counter-clockwise seen from outside, (F, 3).
+    """
+
+    vertices: Floats
+    faces: npt.NDArray[np.int64]
+
+
+def read_mesh(path: Path, unit: Unit, space: Space) -> Mesh:
+    """The mesh of a file, corners that coincide made one.
+
+    Raises:
+        FileFormatError: It cannot be read, is too long, of another kind, holds no triangle, or numbers that are none.
+    """
+    kind = path.suffix.lower()
+    if kind not in KINDS:
+        refuse(path, f"is no mesh that can be read: its ending must be one of {', '.join(KINDS)}.")
+    loaded = _load(path, read_bytes(path, MAX_MESH_BYTES), kind.removeprefix("."))
+    if not len(loaded.faces):
+        refuse(path, "holds no triangles.")
+    if not np.isfinite(loaded.vertices).all():
+        refuse(path, "holds a corner that is not finite; export the mesh again.")
+    if not 0 <= loaded.faces.min() <= loaded.faces.max() < len(loaded.vertices):
+        refuse(path, "has a triangle with a corner that it does not hold; export the mesh again.")
+    loaded.merge_vertices()
+    return Mesh(as_ras(loaded.vertices, unit, space), np.array(loaded.faces, dtype=np.int64))
+
+
+def _load(path: Path, raw: bytes, kind: str) -> Any:
+    import trimesh
+
+    try:
+        return trimesh.load_mesh(io.BytesIO(raw), file_type=kind, process=False, skip_materials=True)
+    except ImportError:  # the library looks for a module that guesses encodings where a binary file is cut short
+        refuse(path, f"is no {kind.upper()} mesh: it is neither a whole binary file nor text.")
+    except Exception as error:  # its parsers raise whatever they stumble over
+        refuse(path, f"is no {kind.upper()} mesh: {type(error).__name__}: {error}")

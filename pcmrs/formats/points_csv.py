@@ -1,0 +1,58 @@
+"""Named points in a CSV file with a header: ``name`` (or ``label``) and ``x_mm,y_mm,z_mm`` or ``x_m,y_m,z_m``, RAS."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+from pcmrs.formats.reading import read_text, refuse
+from pcmrs.formats.units import Named, Unit, as_ras
+
+EXAMPLE = "name,x_mm,y_mm,z_mm"
+
+
+def read_points_csv(path: Path, unit: Unit | None = None) -> list[Named]:
+    """The points of a file, RAS, m; other columns are passed over.
+
+    Args:
+        path: The file.
+        unit: Of columns called x, y, z; of those that name theirs, it must be the same.
+
+    Raises:
+        FileFormatError: There is no header, no unit, two units, or a row that is none.
+    """
+    try:
+        rows = [row for row in csv.reader(read_text(path).splitlines()) if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        refuse(path, f"is no CSV: {error}.")
+    if not rows:
+        refuse(path, f"is empty, must begin with a header such as {EXAMPLE}.")
+    header = [cell.strip().lower() for cell in rows[0]]
+    found = _unit(path, header, unit)
+    axes = [header.index(axis if axis in header else f"{axis}_{found}") for axis in "xyz"]
+    name = next(header.index(column) for column in ("name", "label") if column in header)
+    return [_point(path, number, row, (name, *axes), found) for number, row in enumerate(rows[1:], start=2)]
+
+
+def _unit(path: Path, header: Sequence[str], given: Unit | None) -> Unit:
+    if "name" not in header and "label" not in header:
+        refuse(path, f"has no column name or label in its first line; begin with a header such as {EXAMPLE}.")
+    named: list[Unit] = [unit for unit in ("m", "mm") if {f"{axis}_{unit}" for axis in "xyz"} <= set(header)]
+    plain = {"x", "y", "z"} <= set(header)
+    if len(named) + plain != 1:
+        refuse(path, f"needs its coordinates in three columns, once; begin with a header such as {EXAMPLE}.")
+    if named and given not in (None, named[0]):
+        refuse(path, f"has columns in {named[0]}, but {given} was asked for.", unit=named[0])
+    unit = named[0] if named else given
+    if unit is None:
+        refuse(path, "does not say in which unit its columns x, y, z are; call them x_mm or x_m, and y and z alike.")
+    return unit
+
+
+def _point(path: Path, number: int, row: Sequence[str], columns: Sequence[int], unit: Unit) -> Named:
+    try:
+        name, *point = (row[column].strip() for column in columns)
+        return name, tuple(as_ras([float(value) for value in point], unit, "RAS").tolist())
+    except (IndexError, ValueError):
+        refuse(path, f"holds no name with three numbers in row {number}: {','.join(row)}.", row=number)

@@ -1,0 +1,77 @@
+"""Saved placements: one YAML file per trial with the planned and the measured pose of the tool.
+
+The lab's software and the gateway's records write them: ``PLANNED_POSE`` and ``MEASURED_POSE``, each with a
+``TRANSLATION`` x y z in m and a ``ROTATION`` quaternion x y z w, in flow style with comments.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pcmrs.errors import FileFormatError
+from pcmrs.formats.lab_yaml import lab_pose
+from pcmrs.formats.reading import read_yaml, refuse
+from pcmrs.spatial import Transform
+
+SUFFIXES = (".yaml", ".yml")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Placement:
+    """Where the tool should have been, and where the tracker measured it.
+
+    Attributes:
+        name: Of the trial: the file's name without suffix, or the row of a journal.
+        planned: ``image_from_tool`` as planned; +z of the tool points away from the body.
+        measured: ``image_from_tool`` as measured.
+    """
+
+    name: str
+    planned: Transform
+    measured: Transform
+
+
+def read_placements(path: Path) -> list[Placement]:
+    """Reads a saved placement, or all of a folder in the order of their names, numbers in them by value.
+
+    Raises:
+        FileFormatError: There are none, or some cannot be read: each of these is named with its reason.
+    """
+    paths = _files_of(path) if path.is_dir() else [path]
+    placements, refused = [], []
+    for file in paths:
+        try:
+            placements.append(_read(file))
+        except FileFormatError as error:
+            refused.append(error)
+    if refused:
+        files = [error.fields["file"] for error in refused]
+        raise FileFormatError(" ".join(error.text for error in refused), files=files)
+    return placements
+
+
+def _files_of(folder: Path) -> list[Path]:
+    files = sorted((file for file in folder.iterdir() if file.suffix in SUFFIXES), key=_by_number)
+    if not files:
+        refuse(folder, "holds no saved placement (*.yaml): name the folder of the trials.")
+    return files
+
+
+def _read(path: Path) -> Placement:
+    content = read_yaml(path)
+    return Placement(path.stem, _pose(path, content, "PLANNED_POSE"), _pose(path, content, "MEASURED_POSE"))
+
+
+def _pose(path: Path, content: dict[str, Any], key: str) -> Transform:
+    block = content.get(key)
+    if not isinstance(block, dict):
+        refuse(path, f"is no saved placement: it holds no pose under {key}.", key=key)
+    return lab_pose(path, block, f"{key}.")
+
+
+def _by_number(path: Path) -> list[str | int]:
+    """Sorts trial_2 before trial_10; texts and numbers alternate, so that they never meet."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"([0-9]+)", path.name)]

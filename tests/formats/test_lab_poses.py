@@ -1,0 +1,57 @@
+"""Poses in the lab's YAML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from pcmrs.errors import FileFormatError
+from pcmrs.formats.lab_yaml import lab_registration, read_lab_pose
+from pcmrs.spatial import Transform, distance, rotation_angle
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("lab") / "reg.yaml"
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_registration_comes_back_as_it_was_written(seed: int, file: Path) -> None:
+    rng = np.random.default_rng(seed)
+    pose = Transform(Rotation.random(rng=rng).as_matrix(), rng.normal(size=3))
+    file.write_text(lab_registration(pose, refined=bool(seed % 2)))
+    found = read_lab_pose(file)
+    assert distance(found, pose) < 1e-14
+    assert rotation_angle(found, pose) < 1e-14
+    assert f"FLAG_ICP: {seed % 2}" in file.read_text()
+
+
+def test_braces_comments_and_short_numbers_are_read(file: Path) -> None:
+    file.write_text(
+        "TRANSLATION: # m\n\n  {\n  x: 1e-05, y: -2, # here\n  z: 0.5\n  }\nROTATION: {x: 0, y: 0, z: 1, w: 0}\n"
+    )
+    np.testing.assert_allclose(read_lab_pose(file).translation, (1e-5, -2.0, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("TRANSLATION: {x: 0, y: 0, z: 0}\n", "under ROTATION"),
+        (
+            "TRANSLATION: {x: 0, y: 0, z: .inf}\nROTATION: {x: 0, y: 0, z: 0, w: 1}\n",
+            "no pose.*TRANSLATION|finite|number",
+        ),
+        ("TRANSLATION: {x: 0, y: 0, z: 0}\nROTATION: {x: 0, y: 0, z: 0, w: 2}\n", "length 2"),
+        ("TRANSLATION: {x: 0, y: 0, z: 0, w: 1}\nROTATION: {x: 0, y: 0, z: 0, w: 1}\n", "x, y, z under TRANSLATION"),
+    ],
+)
+def test_what_is_no_pose_is_refused(text: str, reason: str, file: Path) -> None:
+    file.write_text(text)
+    with pytest.raises(FileFormatError, match=reason) as caught:
+        read_lab_pose(file)
+    assert str(file) in caught.value.text
