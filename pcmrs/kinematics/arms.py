@@ -50,7 +50,7 @@ class JointFacts:
     @property
     def parent_from_joint(self) -> Transform:
         """Pose of the joint frame, at joint position 0, in the frame of the joint before it."""
-        return Transform(Rotation.from_euler("xyz", self.rpy).as_matrix(), np.array(self.xyz))
+        return _pose(self.xyz, self.rpy)
 
 
 @dataclass(frozen=True)
@@ -60,12 +60,29 @@ class ArmFacts:
     Attributes:
         name: As in `ARMS`.
         joints: From the base to the flange.
-        flange_xyz: Origin of the flange in the frame of the last joint, m; their axes are parallel.
+        flange_xyz: Origin of the flange in the frame of the last joint, m.
+        flange_rpy: Its orientation there: fixed-axis roll, pitch, yaw, rad.
+        home: Posture where the arm waits, clear of a body in front of it, rad.
+        stiffness: Of the simulated arm's joint impedance, N m/rad.
+        link_radius: Of all its links as capsules from joint to joint, m; wrist links are slimmer.
     """
 
     name: str
     joints: tuple[JointFacts, ...]
     flange_xyz: Triple
+    home: tuple[float, ...]
+    stiffness: tuple[float, ...]
+    flange_rpy: Triple = (0.0, 0.0, 0.0)
+    link_radius: float = 0.06
+
+    @property
+    def joint_from_flange(self) -> Transform:
+        """Pose of the flange in the frame of the last joint."""
+        return _pose(self.flange_xyz, self.flange_rpy)
+
+
+def _pose(xyz: Triple, rpy: Triple) -> Transform:
+    return Transform(Rotation.from_euler("xyz", rpy).as_matrix(), np.array(xyz))
 
 
 # Axes at zero, where the arm stands upright: z, y, z, -y, z, y, z of the base.
@@ -78,6 +95,8 @@ _RPY = (
     (pi / 2, 0.0, 0.0),
     (-pi / 2, pi, 0.0),
 )
+_HOME = (0.0, -0.35, 0.0, -1.57, 0.0, 1.40, -1.57)
+_STIFFNESS = (4000.0, 4000.0, 3000.0, 3000.0, 2000.0, 2000.0, 1500.0)
 _LIMIT_DEG = (170, 120, 170, 120, 170, 120, 175)
 
 
@@ -102,6 +121,8 @@ IIWA14_R820 = ArmFacts(
         _joint(7, (0, 0.081, 0), 135, 40, 1.2, (0, 0, 0.02), (0.001, 0.001, 0.001, 0, 0, 0)),
     ),
     flange_xyz=(0, 0, 0.045),
+    home=_HOME,
+    stiffness=_STIFFNESS,
 )
 """KUKA LBR iiwa 14 R820."""
 
@@ -117,6 +138,8 @@ IIWA7_R800 = ArmFacts(
         _joint(7, (0, 0.081, 0), 180, 40, 1.2, (0, 0, 0.02), (0.001, 0.001, 0.001, 0, 0, 0)),
     ),
     flange_xyz=(0, 0, 0.045),
+    home=_HOME,
+    stiffness=_STIFFNESS,
 )
 """KUKA LBR iiwa 7 R800."""
 

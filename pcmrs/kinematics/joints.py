@@ -8,19 +8,18 @@ import numpy.typing as npt
 from pcmrs.errors import GeometryError
 from pcmrs.spatial import Floats
 
-JOINTS = 7
 
-
-def joint_array(values: npt.ArrayLike) -> Floats:
-    """A copy of one value per joint, (7,).
+def joint_array(values: npt.ArrayLike, joints: int) -> Floats:
+    """A copy of one value per joint, (n,) for an arm of n = `joints` joints.
 
     Raises:
-        GeometryError: They are not seven finite numbers.
+        GeometryError: They are not that many finite numbers.
     """
     array = np.array(values, dtype=float)
-    if array.shape != (JOINTS,) or not np.isfinite(array).all():
+    if array.shape != (joints,) or not np.isfinite(array).all():
         raise GeometryError(
-            f"Joint values are {JOINTS} finite numbers, not {array.tolist()}; send one for each joint.",
+            f"Joint values are {joints} finite numbers, not {array.tolist()}; send one for each joint.",
             values=array.tolist(),
+            joints=joints,
         )
     return array

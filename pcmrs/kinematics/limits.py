@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.kinematics.joints import JOINTS
 
 
 @dataclass(frozen=True)
@@ -25,7 +24,7 @@ class MotionLimits:
         angular_acceleration: rad/s^2.
 
     Raises:
-        ConfigurationError: A limit is not positive and finite, or not given for each of the seven joints.
+        ConfigurationError: A limit is not positive and finite, or not given for every joint.
     """
 
     joint_velocity: tuple[float, ...]
@@ -38,11 +37,12 @@ class MotionLimits:
     angular_acceleration: float
 
     def __post_init__(self) -> None:
+        joints = max(len(self.joint_velocity), len(self.joint_acceleration), len(self.joint_jerk))
         for field in fields(self):
             values = np.asarray(getattr(self, field.name), dtype=float)
-            shape = (JOINTS,) if field.name.startswith("joint_") else ()
+            shape = (joints,) if field.name.startswith("joint_") else ()
             if values.shape != shape or not np.all(np.isfinite(values) & (values > 0.0)):
-                count = f"{JOINTS} positive numbers" if shape else "one positive number"
+                count = f"{joints} positive numbers" if shape else "one positive number"
                 raise ConfigurationError(
                     f"The motion limit {field.name} is {values.tolist()}, must be {count}.",
                     limit=field.name,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from math import hypot
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from pcmrs.kinematics.arms import ArmFacts, JointFacts
 
-LINK_RADIUS = 0.06  # m; wrist links are slimmer, but the shape serves display and coarse contact only
+_NO_LENGTH = 1e-6  # m
 
 
 def mjcf(facts: ArmFacts, *, damping: float = 0.5, armature: float = 0.1, frictionloss: float = 0.3) -> str:
@@ -26,16 +27,17 @@ def mjcf(facts: ArmFacts, *, damping: float = 0.5, armature: float = 0.1, fricti
     SubElement(root, "compiler", angle="radian", autolimits="true")
     body = SubElement(SubElement(root, "worldbody"), "body", name="base")
     offsets = [joint.xyz for joint in facts.joints] + [facts.flange_xyz]
-    _add_capsule(body, offsets[0])
+    _add_capsule(body, offsets[0], facts.link_radius)
     actuators = SubElement(root, "actuator")
     friction = {"damping": repr(damping), "armature": repr(armature), "frictionloss": repr(frictionloss)}
     for number, joint in enumerate(facts.joints, start=1):
         body = _add_link(body, f"link_{number}", joint, friction)
-        _add_capsule(body, offsets[number])
+        _add_capsule(body, offsets[number], facts.link_radius)
         SubElement(
             actuators, "motor", name=joint.name, joint=joint.name, ctrlrange=_text((-joint.effort, joint.effort))
         )
-    SubElement(body, "site", name="flange", pos=_text(facts.flange_xyz))
+    flange_quat = facts.joint_from_flange.quat_wxyz.tolist()
+    SubElement(body, "site", name="flange", pos=_text(facts.flange_xyz), quat=_text(flange_quat))
     indent(root)
     return tostring(root, encoding="unicode")
 
@@ -50,9 +52,14 @@ def _add_link(parent: Element, name: str, joint: JointFacts, friction: dict[str,
     return body
 
 
-def _add_capsule(body: Element, end: Sequence[float]) -> None:
-    """A capsule from the body's origin to the next joint; it collides with others, not with its like."""
-    shape = {"type": "capsule", "size": repr(LINK_RADIUS), "fromto": _text((0.0, 0.0, 0.0, *end))}
+def _add_capsule(body: Element, end: Sequence[float], radius: float) -> None:
+    """A capsule from the body's origin to the next joint; it collides with others, not with its like.
+
+    Where the next joint sits in the same place, there is nothing between them.
+    """
+    if hypot(*end) < _NO_LENGTH:
+        return
+    shape = {"type": "capsule", "size": repr(radius), "fromto": _text((0.0, 0.0, 0.0, *end))}
     SubElement(body, "geom", {**shape, "contype": "1", "conaffinity": "0"})
 
 

@@ -14,59 +14,90 @@ from pcmrs.kinematics.joints import joint_array
 from pcmrs.kinematics.urdf import urdf
 from pcmrs.spatial import Floats, Transform
 
+_SRS_AXES = np.array(((0, 0, 1), (0, 1, 0), (0, 0, 1), (0, -1, 0), (0, 0, 1), (0, 1, 0), (0, 0, 1)))
+_SAME = 1e-12  # m, and of unit vectors
+
 
 class ArmModel:
-    """An arm of seven joints that computes where its flange is. Not to be shared between threads.
+    """A serial arm that computes where its flange is. Not to be shared between threads.
 
     Attributes:
         facts: What the model was made from.
-        lower: Lowest joint positions, rad, (7,).
-        upper: Highest joint positions, rad, (7,).
-        velocity: Greatest joint speeds, rad/s, (7,).
-        heights: Of the joints and the flange above the base in the upright zero posture, m, (8,).
+        joints: Their number n.
+        lower: Lowest joint positions, rad, (n,).
+        upper: Highest joint positions, rad, (n,).
+        velocity: Greatest joint speeds, rad/s, (n,).
+        heights: Of the joints and the flange above the base in the zero posture, m, (n + 1,).
+        spherical: Whether shoulder, elbow and wrist are those of an S-R-S arm that stands upright in the zero posture,
+            with the axes z, y, z, -y, z, y, z of the base.
     """
 
     def __init__(self, facts: ArmFacts) -> None:
         self.facts = facts
+        self.joints = len(facts.joints)
         self.lower = np.array([joint.lower for joint in facts.joints])
         self.upper = np.array([joint.upper for joint in facts.joints])
         self.velocity = np.array([joint.velocity for joint in facts.joints])
         self._model = pinocchio.buildModelFromXML(urdf(facts))
         self._data = self._model.createData()
         self._flange = self._model.getFrameId("flange")
-        flange = self.forward(np.zeros(len(facts.joints)))
+        flange = self.forward(np.zeros(self.joints))
         self.heights = np.array([joint.translation[2] for joint in self._data.oMi[1:]] + [flange.translation[2]])
+        self.spherical = self._is_spherical(flange)
 
     def forward(self, q: npt.ArrayLike) -> Transform:
-        """``base_from_flange`` at joint positions `q`, rad, (7,).
+        """``base_from_flange`` at joint positions `q`, rad, (n,).
 
         Raises:
-            GeometryError: `q` does not hold seven finite numbers.
+            GeometryError: `q` does not hold one finite number per joint.
         """
-        pinocchio.forwardKinematics(self._model, self._data, joint_array(q))
+        pinocchio.forwardKinematics(self._model, self._data, joint_array(q, self.joints))
         pose = pinocchio.updateFramePlacement(self._model, self._data, self._flange)
         return Transform(pose.rotation, pose.translation)
 
     def jacobian(self, q: npt.ArrayLike) -> Floats:
-        """Velocity of the flange per joint velocity, (6, 7).
+        """Velocity of the flange per joint velocity, (6, n).
 
         Rows: linear velocity of the flange's origin, then angular velocity, both along the axes of the base.
 
         Raises:
-            GeometryError: `q` does not hold seven finite numbers.
+            GeometryError: `q` does not hold one finite number per joint.
         """
         frame = pinocchio.LOCAL_WORLD_ALIGNED
-        jacobian = pinocchio.computeFrameJacobian(self._model, self._data, joint_array(q), self._flange, frame)
+        jacobian = pinocchio.computeFrameJacobian(
+            self._model, self._data, joint_array(q, self.joints), self._flange, frame
+        )
         return np.asarray(jacobian)
 
-    def check_limits(self, q: npt.ArrayLike) -> None:
-        """Accepts joint positions `q`, rad, (7,), that lie within the limits.
+    def gap(self, base_from_flange: Transform, q: Floats) -> tuple[Floats, Floats]:
+        """What is left of the way to a pose, and how the joints change it; `q` as from `joint_array`.
+
+        Returns:
+            Translation (m) and rotation vector (rad) along the axes of the base, (6,); the `jacobian` there, (6, n).
+        """
+        frame = pinocchio.LOCAL_WORLD_ALIGNED
+        jacobian = pinocchio.computeFrameJacobian(self._model, self._data, q, self._flange, frame)
+        pose = pinocchio.updateFramePlacement(self._model, self._data, self._flange)
+        turn = pinocchio.log3(base_from_flange.rotation @ pose.rotation.T)
+        return np.concatenate((base_from_flange.translation - pose.translation, turn)), jacobian
+
+    def origins(self, q: npt.ArrayLike) -> Floats:
+        """Origins of the joint frames in the base at joint positions `q`, m, (n, 3).
 
         Raises:
-            GeometryError: `q` does not hold seven finite numbers.
+            GeometryError: `q` does not hold one finite number per joint.
+        """
+        pinocchio.forwardKinematics(self._model, self._data, joint_array(q, self.joints))
+        return np.array([joint.translation for joint in self._data.oMi[1:]])
+
+    def check_limits(self, q: npt.ArrayLike) -> None:
+        """Accepts joint positions `q`, rad, (n,), that lie within the limits.
+
+        Raises:
+            GeometryError: `q` does not hold one finite number per joint.
             UnreachableError: A joint lies outside its limits; it is named.
         """
-        values = joint_array(q)
+        values = joint_array(q, self.joints)
         for joint, value in zip(self.facts.joints, values.tolist(), strict=True):
             if not joint.lower <= value <= joint.upper:
                 raise UnreachableError(
@@ -77,3 +108,16 @@ class ArmModel:
                     lower=joint.lower,
                     upper=joint.upper,
                 )
+
+    def _is_spherical(self, base_from_flange: Transform) -> bool:
+        """Whether the joint axes and the flange are placed as `spherical` says; `_data` holds the zero posture."""
+        poses = list(self._data.oMi[1:])
+        if len(poses) != len(_SRS_AXES):
+            return False
+        axes = np.array([pose.rotation[:, 2] for pose in poses])
+        places = np.array([pose.translation for pose in poses] + [base_from_flange.translation])
+        return bool(
+            np.allclose(axes, _SRS_AXES, atol=_SAME)
+            and np.allclose(places[:, :2], 0.0, atol=_SAME)
+            and np.allclose(base_from_flange.rotation, np.eye(3), atol=_SAME)
+        )

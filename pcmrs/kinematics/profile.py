@@ -11,7 +11,6 @@ import numpy as np
 from ruckig import InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
 
 from pcmrs.errors import GeometryError
-from pcmrs.kinematics.joints import JOINTS
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.spatial import Floats
 
@@ -19,8 +18,8 @@ PERIOD = 0.005  # s between the samples of a trajectory
 
 
 def joint_request(velocity: Floats, limits: MotionLimits) -> InputParameter:
-    """A motion of all joints along a straight line of joint space, with `velocity` (7,) as speed limits, rad/s."""
-    request = InputParameter(JOINTS)
+    """A motion of all joints along a straight line of joint space, with `velocity` (n,) as speed limits, rad/s."""
+    request = InputParameter(len(velocity))
     request.synchronization = Synchronization.Phase
     request.max_velocity = velocity.tolist()
     request.max_acceleration = list(limits.joint_acceleration)

@@ -6,14 +6,14 @@ from math import ceil
 
 import numpy as np
 import numpy.typing as npt
-from ruckig import InputParameter, Trajectory
 from scipy.interpolate import CubicSpline
 
 from pcmrs.errors import UnreachableError
 from pcmrs.kinematics.joints import joint_array
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.profile import PERIOD, sample_times, solve
+from pcmrs.kinematics.pace import Allowed, Derivatives, paced, speeds_at, tool_way
+from pcmrs.kinematics.profile import PERIOD, sample_times
 from pcmrs.kinematics.track import track
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
@@ -22,6 +22,8 @@ _NO_WAY = 1e-12  # s; a motion that would take less is none
 _KNOT_DISTANCE = 0.002  # m
 _KNOT_ANGLE = 0.005  # rad
 _FEWEST_KNOTS = 5
+_LOOKS_PER_KNOT = 8
+_ROUNDING = 1e-9  # rad
 _RESERVE = 1.01  # on a stretched motion, whose samples fall on other points of the line
 
 
@@ -33,33 +35,36 @@ def straight_motion(
     period: float = PERIOD,
     *,
     flange_from_tool: Transform | None = None,
+    allowed: Allowed | None = None,
 ) -> JointTrajectory:
     """Moves the tool point from rest on a straight line, turning it about a fixed axis, to rest.
 
     Args:
         arm: The arm.
-        start_q: Joint positions at the start, rad, (7,).
+        start_q: Joint positions at the start, rad, (n,).
         base_from_flange_goal: Pose of the flange at the end.
         limits: Of the tool and of the joints; angular jerk is bounded so that angular acceleration takes as
             long to build up as linear acceleration.
         period: Time between samples, s.
         flange_from_tool: Pose of the tool point; the flange itself by default.
+        allowed: Lower speeds of flange and tool point at some places.
 
     Raises:
-        GeometryError: `start_q` does not hold seven finite numbers.
+        GeometryError: `start_q` does not hold one finite number per joint.
         UnreachableError: The arm cannot follow the line to its end; the text says how far it can.
     """
     tool = flange_from_tool or Transform.identity()
     line = _Line(arm.forward(start_q) @ tool, base_from_flange_goal @ tool, tool)
-    request = line.request(limits)
-    if request is None:
-        return JointTrajectory(period=period, positions=[joint_array(start_q).tolist()])
-    profile = solve(request)
+    bounds = line.bounds(limits)
+    if bounds is None:
+        return JointTrajectory(period=period, positions=[joint_array(start_q, arm.joints).tolist()])
     along = _postures_along(arm, start_q, line)
-    postures = _sampled(along, profile, sample_times(profile.duration, 1.0, period))
+    at_knots = along(along.x)
+    progress = paced(along.x, tool_way(arm, at_knots, tool), speeds_at(at_knots, limits, allowed), bounds)
+    postures = along(progress.at(sample_times(progress.duration, 1.0, period)))
     stretch = _overload(postures, period, arm, limits)
     if stretch > 1.0:
-        postures = _sampled(along, profile, sample_times(profile.duration, _RESERVE * stretch, period))
+        postures = along(progress.at(sample_times(progress.duration, _RESERVE * stretch, period)))
     return JointTrajectory(period=period, positions=postures.tolist())
 
 
@@ -81,38 +86,48 @@ class _Line:
         length, angle = float(np.linalg.norm(self._way)), float(np.linalg.norm(self._turn))
         return max(_FEWEST_KNOTS, 1 + ceil(max(length / _KNOT_DISTANCE, angle / _KNOT_ANGLE)))
 
-    def request(self, limits: MotionLimits) -> InputParameter | None:
-        """The motion of the parameter that keeps the limits of the tool; None where there is no way to go."""
+    def bounds(self, limits: MotionLimits) -> Derivatives | None:
+        """What the limits of the tool allow of the parameter; None where there is no way to go."""
         length, angle = float(np.linalg.norm(self._way)), float(np.linalg.norm(self._turn))
         angular_jerk = limits.linear_jerk / limits.linear_acceleration * limits.angular_acceleration
         shortest_time = max(length / limits.linear_velocity, angle / limits.angular_velocity)
         if shortest_time < _NO_WAY:
             return None
-        request = InputParameter(1)
-        request.target_position = [1.0]
-        request.max_velocity = [1.0 / shortest_time]
         slowest = max(length / limits.linear_acceleration, angle / limits.angular_acceleration)
-        request.max_acceleration = [1.0 / slowest]
-        request.max_jerk = [1.0 / max(length / limits.linear_jerk, angle / angular_jerk)]
-        return request
+        gentlest = max(length / limits.linear_jerk, angle / angular_jerk)
+        return Derivatives(1.0 / shortest_time, 1.0 / slowest, 1.0 / gentlest)
 
 
 def _postures_along(arm: ArmModel, start_q: npt.ArrayLike, line: _Line) -> CubicSpline:
-    """Joint positions over the parameter of the line, (7,): exact at knots `_KNOT_DISTANCE` or `_KNOT_ANGLE` apart."""
+    """Joint positions over the parameter of the line, (n,): exact at knots `_KNOT_DISTANCE` or `_KNOT_ANGLE` apart."""
     knots = np.linspace(0.0, 1.0, line.knots())
-    postures = [joint_array(start_q)]
+    postures = [joint_array(start_q, arm.joints)]
     for parameter in knots[1:]:
         try:
             postures.append(track(arm, line.base_from_flange(parameter), postures[-1]))
         except UnreachableError as error:
             text = f"The straight line can be followed for {100.0 * parameter:.0f} % of its way only. {error.text}"
             raise UnreachableError(text, parameter=float(parameter), **error.fields) from error
-    return CubicSpline(knots, np.array(postures))
+    along = CubicSpline(knots, np.array(postures))
+    _check_between_knots(arm, along)
+    return along
 
 
-def _sampled(along: CubicSpline, profile: Trajectory, times: Floats) -> Floats:
-    """Joint positions at the profile's times, (N, 7)."""
-    return np.asarray(along([profile.at_time(time)[0][0] for time in times]))
+def _check_between_knots(arm: ArmModel, along: CubicSpline) -> None:
+    """Refuses a line on which a joint that comes to rest at its limit would swing beyond it between two knots."""
+    parameters = np.linspace(0.0, 1.0, 1 + _LOOKS_PER_KNOT * (len(along.x) - 1))
+    postures = along(parameters)
+    # Measured joints may be a little beyond their limits at the start; no farther, then.
+    excess = np.maximum(np.minimum(arm.lower, postures[0]) - postures, postures - np.maximum(arm.upper, postures[0]))
+    beyond = np.flatnonzero((excess > _ROUNDING).any(axis=1))
+    if len(beyond):
+        parameter, joint = float(parameters[beyond[0]]), arm.facts.joints[int(np.argmax(excess[beyond[0]]))]
+        text = (
+            f"The straight line can be followed for {100.0 * parameter:.0f} % of its way only: {joint.name} would "
+            f"leave its limits {np.degrees(joint.lower):.0f} to {np.degrees(joint.upper):.0f} deg; choose another "
+            "posture to start from or another pose."
+        )
+        raise UnreachableError(text, parameter=parameter, joint=joint.name, lower=joint.lower, upper=joint.upper)
 
 
 def _overload(postures: Floats, period: float, arm: ArmModel, limits: MotionLimits) -> float:

@@ -1,7 +1,6 @@
 """Joint trajectories with bounded jerk: point to point, along a straight line, and to a stop.
 
-Where another limit would be exceeded, the whole motion is stretched in time, which keeps its path and can only
-lower its derivatives.
+All of them keep their path whatever the limits are: these only say how fast it is gone along.
 """
 
 from __future__ import annotations
@@ -11,45 +10,73 @@ from math import ceil
 
 import numpy as np
 import numpy.typing as npt
-from ruckig import ControlInterface, Synchronization, Trajectory
+from ruckig import ControlInterface, Synchronization
 
 from pcmrs.errors import GeometryError
 from pcmrs.kinematics.joints import joint_array
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
+from pcmrs.kinematics.pace import Allowed, Derivatives, paced, speeds_at, tool_way
 from pcmrs.kinematics.profile import PERIOD, joint_request, sample_times, solve
 from pcmrs.kinematics.straight import straight_motion
 from pcmrs.messages import JointTrajectory
+from pcmrs.spatial import Floats, Transform
 
 __all__ = ["MotionLimits", "brake", "concatenate", "joint_motion", "straight_motion"]
 
 JOIN_TOLERANCE = 1e-6  # rad between the end of one trajectory and the start of the next
 
+_NO_PART = 1e-12  # of the way of the joint that moves farthest; a joint that moves less does not limit it
+_PLACE_DISTANCE = 0.006  # rad in any joint between two places at which a speed is worked out
+
 
 def joint_motion(
-    arm: ArmModel, start: npt.ArrayLike, goal: npt.ArrayLike, limits: MotionLimits, period: float = PERIOD
+    arm: ArmModel,
+    start: npt.ArrayLike,
+    goal: npt.ArrayLike,
+    limits: MotionLimits,
+    period: float = PERIOD,
+    *,
+    flange_from_tool: Transform | None = None,
+    allowed: Allowed | None = None,
 ) -> JointTrajectory:
-    """Moves all joints together from rest at `start` to rest at `goal`, rad, (7,).
+    """Moves all joints together from rest at `start` to rest at `goal`, rad, (n,).
 
-    The flange moves at `limits.linear_velocity` at most, whatever its path.
+    Args:
+        arm: The arm.
+        start: Joint positions, rad, (n,).
+        goal: The same.
+        limits: Of the joints; and `linear_velocity` of flange and tool point, whatever their paths.
+        period: Time between samples, s.
+        flange_from_tool: Pose of the tool point; the flange itself by default.
+        allowed: Lower speeds of flange and tool point at some places.
 
     Raises:
-        GeometryError: `start` or `goal` does not hold seven finite numbers.
+        GeometryError: `start` or `goal` does not hold one finite number per joint.
         UnreachableError: `goal` breaks a joint limit.
     """
     arm.check_limits(goal)
-    request = joint_request(np.minimum(limits.joint_velocity, arm.velocity), limits)
-    request.current_position = joint_array(start).tolist()
-    request.target_position = joint_array(goal).tolist()
-    profile = solve(request)
-    # Lower speed limits first: they keep the acceleration, which stretching alone would lower too.
-    excess = _flange_speed(arm, profile, period) / limits.linear_velocity
-    request.max_velocity = [velocity / max(1.0, excess) for velocity in request.max_velocity]
-    profile = solve(request)
-    stretch = max(1.0, _flange_speed(arm, profile, period) / limits.linear_velocity)
-    positions = [profile.at_time(time)[0] for time in sample_times(profile.duration, stretch, period)]
-    positions[0], positions[-1] = request.current_position, request.target_position
-    return JointTrajectory(period=period, positions=positions)
+    begin, end = joint_array(start, arm.joints), joint_array(goal, arm.joints)
+    farthest = float(np.abs(end - begin).max())
+    if farthest == 0.0:
+        return JointTrajectory(period=period, positions=[begin.tolist()])
+    places = np.linspace(0.0, 1.0, 1 + ceil(farthest / _PLACE_DISTANCE))
+    postures = begin + places[:, None] * (end - begin)
+    ways = tool_way(arm, postures, flange_from_tool or Transform.identity())
+    speeds = speeds_at(postures, limits, allowed)
+    progress = paced(places, ways, speeds, _joint_bounds(arm, np.abs(end - begin), limits))
+    parts = progress.at(sample_times(progress.duration, 1.0, period))
+    positions = begin + parts[:, None] * (end - begin)
+    positions[-1] = end
+    return JointTrajectory(period=period, positions=positions.tolist())
+
+
+def _joint_bounds(arm: ArmModel, way: Floats, limits: MotionLimits) -> Derivatives:
+    """What the joints allow of the progress along a way, rad, (n,), straight in joint space."""
+    velocity = np.minimum(limits.joint_velocity, arm.velocity)
+    values = np.array((velocity, limits.joint_acceleration, limits.joint_jerk))
+    moving = way > _NO_PART * way.max()
+    return Derivatives(*(values[:, moving] / way[moving]).min(axis=1).tolist())
 
 
 def concatenate(a: JointTrajectory, b: JointTrajectory) -> JointTrajectory:
@@ -75,26 +102,21 @@ def brake(
     """Stops every joint as fast as its acceleration and jerk limits allow.
 
     Args:
-        positions: Joint positions now, rad, (7,).
-        velocities: Joint velocities now, rad/s, (7,).
+        positions: Joint positions now, rad, (n,).
+        velocities: Joint velocities now, rad/s, (n,).
         limits: Of the joints; joint positions are not limited, for nothing may keep the arm from braking.
         period: Time between samples, s.
 
     Raises:
-        GeometryError: `positions` or `velocities` are not seven finite numbers.
+        GeometryError: `positions` or `velocities` are not one finite number per joint.
     """
-    velocity = joint_array(velocities)
+    joints = len(limits.joint_velocity)
+    velocity = joint_array(velocities, joints)
     request = joint_request(np.maximum(limits.joint_velocity, np.abs(velocity)), limits)
     request.control_interface = ControlInterface.Velocity
     request.synchronization = Synchronization.No
-    request.current_position = joint_array(positions).tolist()
+    request.current_position = joint_array(positions, joints).tolist()
     request.current_velocity = velocity.tolist()
     profile = solve(request)
     count = ceil(profile.duration / period)
     return JointTrajectory(period=period, positions=[profile.at_time(k * period)[0] for k in range(count + 1)])
-
-
-def _flange_speed(arm: ArmModel, profile: Trajectory, period: float) -> float:
-    """The greatest speed of the flange's origin during a profile of the joints, m/s."""
-    states = [profile.at_time(time) for time in sample_times(profile.duration, 1.0, period)]
-    return max(float(np.linalg.norm((arm.jacobian(q) @ velocity)[:3])) for q, velocity, _ in states)

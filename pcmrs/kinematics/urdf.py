@@ -25,7 +25,7 @@ def urdf(facts: ArmFacts) -> str:
     fixed = SubElement(robot, "joint", name="flange_mount", type="fixed")
     SubElement(fixed, "parent", link=parent)
     SubElement(fixed, "child", link="flange")
-    SubElement(fixed, "origin", xyz=_text(facts.flange_xyz), rpy="0 0 0")
+    SubElement(fixed, "origin", xyz=_text(facts.flange_xyz), rpy=_text(facts.flange_rpy))
     indent(robot)
     return tostring(robot, encoding="unicode")
 

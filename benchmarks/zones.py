@@ -1,0 +1,63 @@
+"""Times of the zones: all link pairs of one control step, and the look at a whole approach.
+
+Run: ``python benchmarks/zones.py [STEPS]``. The cell is that of ``ratms`` as shipped: an iiwa 14, a coil, the hull of
+the head phantom, the table and both lines of sight.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+
+import msgspec
+import numpy as np
+
+from pcmrs.kinematics.arms import IIWA14_R820
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.spatial import Floats, Transform
+from pcmrs.workflows.settings import ProcedureSettings
+from pcmrs.workflows.zones import CellZones
+
+STEPS = 5_000
+REPEATS = 5
+"""Of every step, of which the quickest counts: what else runs on the machine does not."""
+TRACKER, BODY_REF = (1.35, -0.5, 0.6), (0.572, -0.006, 0.085)
+BASE_FROM_IMAGE = Transform.from_quat_wxyz((0.462, 0.004, -0.015), (0.70710678, 0.0, 0.0, -0.70710678))
+AT_HEAD = (0.014, 0.530, -0.003, -1.955, -0.019, 0.670, -1.543)
+"""The posture with the coil at the vertex."""
+
+
+def timed(zones: CellZones, posture: Floats) -> float:
+    """All distances once, us."""
+    begin = time.perf_counter()
+    zones.model.distances(posture)
+    return (time.perf_counter() - begin) * 1e6
+
+
+def main(steps: int) -> None:
+    settings = msgspec.convert({"body": {"surface": "head_phantom.ply"}}, ProcedureSettings)
+    flange_from_coil = Transform.from_quat_wxyz((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
+    zones = CellZones(IIWA14_R820, flange_from_coil, settings)
+    zones.place_body(BASE_FROM_IMAGE)
+    zones.model.look_from(TRACKER, BODY_REF)
+    home, at_head = np.array(IIWA14_R820.home), np.array(AT_HEAD)
+    arm = ArmModel(IIWA14_R820)
+    rng = np.random.default_rng(1)
+    print(f"{os.cpu_count()} processors, {len(zones.model.pairs)} pairs, {steps} control steps")
+    near = at_head + rng.uniform(-0.1, 0.1, (steps, 7))
+    anywhere = rng.uniform(arm.lower, arm.upper, (steps, 7))
+    along = home + np.linspace(0.0, 1.0, steps)[:, None] * (at_head - home)
+    for name, postures in (("along an approach", along), ("near the head", near), ("anywhere", anywhere)):
+        microseconds = []
+        for posture in postures:
+            microseconds.append(min(timed(zones, posture) for _ in range(REPEATS)))
+        middle, high = np.percentile(microseconds, (50, 99))
+        print(f"{name:20s} p50 {middle:6.1f} us   p99 {high:6.1f} us   limit 100 us")
+    begin = time.perf_counter()
+    looks = len(zones.look_at(along[:: max(1, steps // 1000)]).postures)
+    print(f"{'a whole approach':20s} {looks} looks in {(time.perf_counter() - begin) * 1e3:.1f} ms")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else STEPS)

@@ -1,0 +1,65 @@
+"""Inverse kinematics of any serial arm: damped least squares from the seed, from beside it and from random postures."""
+
+from __future__ import annotations
+
+from math import tau
+
+import numpy as np
+
+from pcmrs.errors import UnreachableError
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.kinematics.posture import LIMIT_COMFORT, cost
+from pcmrs.kinematics.track import TOLERANCE, descend
+from pcmrs.spatial import Floats, Transform
+
+_RESTARTS = 50
+_SOLUTIONS = 4  # so many are compared where none is comfortable
+
+
+def solve(
+    arm: ArmModel, base_from_flange: Transform, seed: Floats, joint_margin: float, keep_away: Floats | None
+) -> Floats:
+    """The posture of least cost among those found, rad, (n,); see `pcmrs.kinematics.inverse.inverse`.
+
+    The first comfortable one is taken, which is near the seed where the seed leads to one; if there is none among the
+    first `_SOLUTIONS`, they are compared.
+
+    Raises:
+        UnreachableError: No posture was found.
+    """
+    lower, upper = arm.lower + joint_margin, arm.upper - joint_margin
+    restarts = np.random.default_rng(0).uniform(lower, upper, (_RESTARTS, arm.joints))
+    found: list[tuple[float, Floats]] = []
+    least = np.full(6, np.inf)
+    at_ease = np.clip(seed, lower + LIMIT_COMFORT, upper - LIMIT_COMFORT)
+    for start in (seed, at_ease, *restarts):
+        q, error = descend(arm, base_from_flange, start, lower, upper)
+        least = min(least, error, key=np.linalg.norm)
+        if error @ error <= TOLERANCE**2:
+            q = _unwound(q, seed, lower, upper)
+            found.append((cost(arm, q, seed, keep_away), q))
+            comfortable = found[-1][0] == np.linalg.norm(q - seed)
+            if comfortable or len(found) == _SOLUTIONS:
+                break
+    if not found:
+        raise _error(arm, least, joint_margin)
+    return min(found, key=lambda pair: pair[0])[1]
+
+
+def _unwound(q: Floats, seed: Floats, lower: Floats, upper: Floats) -> Floats:
+    """Joints that may turn more than once, turned to where they are nearest to the seed within their limits."""
+    near = q - tau * np.round((q - seed) / tau)
+    near = near + tau * (np.where(near < lower, 1.0, 0.0) - np.where(near > upper, 1.0, 0.0))
+    unwound: Floats = np.where((near >= lower) & (near <= upper), near, q)
+    return unwound
+
+
+def _error(arm: ArmModel, least: Floats, joint_margin: float) -> UnreachableError:
+    gap, turn = float(np.linalg.norm(least[:3])), float(np.linalg.norm(least[3:]))
+    return UnreachableError(
+        f"No posture of {arm.facts.name} was found that reaches the pose with a margin of "
+        f"{np.degrees(joint_margin):.1f} deg from every joint limit; the nearest of {_RESTARTS + 2} tries stayed "
+        f"{gap * 1e3:.1f} mm and {np.degrees(turn):.1f} deg away. Move or turn the pose.",
+        gap=gap,
+        turn=turn,
+    )

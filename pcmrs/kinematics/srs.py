@@ -1,0 +1,200 @@
+"""Inverse kinematics in closed form for arms with spherical shoulder, elbow and spherical wrist (S-R-S).
+
+The hand pose fixes the wrist; the elbow may then turn about the line from shoulder to wrist by the arm angle.
+For each arm angle the joints follow in closed form, in eight branches: the signs of joints 2, 4 and 6. After
+M. Shimizu et al., Analytical Inverse Kinematic Computation for 7-DOF Redundant Manipulators With Joint Limits,
+IEEE Transactions on Robotics 24 (2008), with the elbow found as a point on its circle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from math import atan2, cos, degrees, pi, sin
+
+import numpy as np
+
+from pcmrs.errors import UnreachableError
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.kinematics.posture import (
+    DETOUR,
+    KEEP_AWAY_COMFORT,
+    LIMIT_COMFORT,
+    SINGULAR_COMFORT,
+    distances,
+    shortage,
+)
+from pcmrs.spatial import Floats, Transform
+
+STRETCH_TOLERANCE = 1e-9  # m beyond the stretched arm that rounding may produce
+_SINGULAR = 1e-12  # sine of an angle below which the direction it tilts to is undefined
+_FORBIDDEN = 1e3  # cost of a posture beyond a limit, so that it comes after all others
+_SCANS = (90, 30, 30, 30)  # half the steps of each scan around the best arm angle of the one before
+
+# Turning joint 2, 4 or 6 the other way turns the joints beside it by half a turn: which joints that changes, in
+# each of the eight branches, (8, 7); and the sums over them as a matrix, (8, 14).
+_TURNED = np.array([(a, a, a ^ b, b, b ^ c, c, c) for a, b, c in product((False, True), repeat=3)])
+_SUM = np.hstack((~_TURNED, _TURNED)).astype(float)
+
+
+@dataclass(frozen=True, eq=False)
+class _Elbow:
+    """The circle of the elbow about the line from shoulder to wrist, in the frame of the shoulder.
+
+    Attributes:
+        wrist: Position of the wrist, m, (3,).
+        center: Of the circle, m, (3,).
+        radius: Of the circle, m.
+        axes: Two unit vectors that span its plane, as rows, (2, 3).
+        bend: Angle between upper arm and forearm, 0 when stretched, rad.
+    """
+
+    wrist: Floats
+    center: Floats
+    radius: float
+    axes: Floats
+    bend: float
+
+
+def solve(
+    arm: ArmModel, base_from_flange: Transform, seed: Floats, joint_margin: float, keep_away: Floats | None
+) -> Floats:
+    """The posture of least cost, rad, (7,); see `pcmrs.kinematics.inverse.inverse`.
+
+    Raises:
+        UnreachableError: The pose is too far, too near, or no posture keeps the joint limits.
+    """
+    circle = _elbow_circle(arm, base_from_flange, float(max(arm.upper[3], -arm.lower[3])))
+    center, step = _arm_angle(seed, circle), pi
+    for scan, count in enumerate(_SCANS):
+        angles = center + np.linspace(-step, step, 2 * count + 1)
+        elbow = circle.center + circle.radius * (np.array((np.cos(angles), np.sin(angles))).T @ circle.axes)
+        own = _postures(circle, elbow.T, base_from_flange.rotation, seed)
+        both = np.concatenate((own, _turned(own)))
+        score = _scores(arm, both, seed, joint_margin, DETOUR * _shared(arm, own, elbow, circle.wrist, keep_away))
+        branch, column = divmod(int(np.argmin(score)), len(angles))
+        center, step = float(angles[column]), step / count
+        allowed = score[branch, column] < _FORBIDDEN
+        if scan and allowed:  # finer scans only look for a narrow way between the limits
+            break
+    best: Floats = np.where(_TURNED[branch], both[7:, column], both[:7, column])
+    if not allowed:
+        raise _limit_error(arm, best, joint_margin)
+    return best
+
+
+def _scores(arm: ArmModel, both: Floats, seed: Floats, joint_margin: float, shared: Floats) -> Floats:
+    """The cost of every branch at every arm angle; more than `_FORBIDDEN` by as much as limits are broken, (8, N)."""
+    lower, upper, near = np.tile((arm.lower, arm.upper, seed), 2)[..., None]
+    slack = np.minimum(both - lower, upper - both)
+    scores: Floats = np.sqrt(_SUM @ np.square(both - near)) + DETOUR * (_SUM @ shortage(slack, LIMIT_COMFORT)) + shared
+    beyond = _SUM @ np.maximum(0.0, joint_margin - slack)
+    scores[beyond > 0.0] = _FORBIDDEN + beyond[beyond > 0.0]
+    return scores
+
+
+def _shared(arm: ArmModel, own: Floats, elbow: Floats, wrist: Floats, keep_away: Floats | None) -> Floats:
+    """Shortages that are the same in all branches, (N,): at singularities, and of the forearm from the spheres."""
+    short: Floats = shortage(np.abs(own[1::2]), SINGULAR_COMFORT).sum(axis=0)
+    if keep_away is not None:
+        shoulder = np.array((0.0, 0.0, arm.heights[1]))
+        ends = np.broadcast_to(wrist + shoulder, elbow.shape)
+        short += shortage(distances(elbow + shoulder, ends, keep_away), KEEP_AWAY_COMFORT).sum(axis=1)
+    return short
+
+
+def _elbow_circle(arm: ArmModel, base_from_flange: Transform, bend_limit: float) -> _Elbow:
+    _, shoulder, _, elbow, _, hand, _, flange = arm.heights.tolist()
+    upper_arm, forearm = elbow - shoulder, hand - elbow
+    wrist = base_from_flange @ np.array((0.0, 0.0, hand - flange)) - np.array((0.0, 0.0, shoulder))
+    reach = float(np.linalg.norm(wrist))
+    if reach > upper_arm + forearm + STRETCH_TOLERANCE:
+        raise UnreachableError(
+            f"The pose is too far: the wrist would be {reach:.4f} m from the shoulder, the stretched arm reaches "
+            f"{upper_arm + forearm:.4f} m; bring it {(reach - upper_arm - forearm) * 1e3:.1f} mm closer.",
+            reach=reach,
+            limit=upper_arm + forearm,
+        )
+    # Half the angle by its tangent, and the height of the triangle by its area: exact for the stretched arm, too.
+    stretched = max(0.0, (upper_arm + forearm - reach) * (upper_arm + forearm + reach))
+    folded = max(0.0, (reach - upper_arm + forearm) * (reach + upper_arm - forearm))
+    bend = 2.0 * atan2(stretched**0.5, folded**0.5)
+    if bend > bend_limit:
+        raise UnreachableError(
+            f"The pose is too near: with the wrist {reach:.4f} m from the shoulder {arm.facts.joints[3].name} would "
+            f"bend {degrees(bend):.1f} deg, limit {degrees(bend_limit):.1f} deg; move it away from the shoulder.",
+            reach=reach,
+            bend=bend,
+            limit=bend_limit,
+        )
+    direction = wrist / reach
+    along = (reach**2 + upper_arm**2 - forearm**2) / (2.0 * reach)
+    radius = (stretched * folded) ** 0.5 / (2.0 * reach)
+    return _Elbow(wrist, along * direction, radius, _perpendicular(direction), bend)
+
+
+def _perpendicular(direction: Floats) -> Floats:
+    """Two unit vectors perpendicular to a unit vector and to each other, as rows, (2, 3)."""
+    first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    first /= np.linalg.norm(first)
+    return np.array((first, np.cross(direction, first)))
+
+
+def _arm_angle(q: Floats, circle: _Elbow) -> float:
+    """The arm angle whose elbow lies in the direction of the elbow at joint positions `q`."""
+    elbow = np.array((cos(q[0]) * sin(q[1]), sin(q[0]) * sin(q[1]), cos(q[1])))
+    first, second = circle.axes @ elbow
+    return atan2(second, first)
+
+
+def _postures(circle: _Elbow, elbow: Floats, rotation: Floats, near: Floats) -> Floats:
+    """Joint positions in the branch + - + of joints 2, 4, 6 for elbows (3, N), each in [-pi, pi], (7, N).
+
+    With base_from_flange = Rz(q1) Ry(q2) Rz(q3) Ry(-q4) Rz(q5) Ry(q6) Rz(q7) for rotations; x3, for example, is the
+    x axis behind the third of them. Where an axis is undefined, as when the upper arm is upright, the first joint of
+    the pair stays as in `near`.
+    """
+    q1, sine = _azimuth(elbow[0], elbow[1], near[0])
+    q2 = np.arctan2(sine, elbow[2])
+    c1, s1, c2, s2 = np.cos(q1), np.sin(q1), np.cos(q2), np.sin(q2)
+    x2 = np.array((c1 * c2, s1 * c2, -s2))
+    y2 = np.array((-s1, c1, np.zeros_like(c1)))
+    z2 = np.array((c1 * s2, s1 * s2, c2))
+    forearm = circle.wrist[:, None] - elbow
+    q3, _ = _azimuth(np.einsum("in,in->n", x2, forearm), np.einsum("in,in->n", y2, forearm), near[2])
+    c3, s3, c4, s4 = np.cos(q3), np.sin(q3), cos(circle.bend), sin(circle.bend)
+    x3, y4 = c3 * x2 + s3 * y2, c3 * y2 - s3 * x2
+    x, y, z = rotation.T
+    x4, z4 = c4 * x3 - s4 * z2, s4 * x3 + c4 * z2
+    q5, sine = _azimuth(z @ x4, z @ y4, near[4])
+    q6 = np.arctan2(sine, z @ z4)
+    y5 = np.cos(q5) * y4 - np.sin(q5) * x4
+    q7 = np.arctan2(x @ y5, y @ y5)
+    return np.array((q1, q2, q3, np.full_like(q1, -circle.bend), q5, q6, q7))
+
+
+def _azimuth(x: Floats, y: Floats, if_upright: float) -> tuple[Floats, Floats]:
+    """Direction of vectors (N,), (N,), and their length; `if_upright` where they have none."""
+    length = np.sqrt(x * x + y * y)
+    return np.where(length > _SINGULAR, np.arctan2(y, x), if_upright), length
+
+
+def _turned(own: Floats) -> Floats:
+    """What each joint is where its neighbour or it itself turns the other way, (7, N)."""
+    turned = -own
+    turned[::2] = np.where(own[::2] > 0.0, own[::2] - pi, own[::2] + pi)
+    return turned
+
+
+def _limit_error(arm: ArmModel, posture: Floats, joint_margin: float) -> UnreachableError:
+    worst = int(np.argmax(np.maximum(posture - arm.upper, arm.lower - posture)))
+    joint, position = arm.facts.joints[worst], float(posture[worst])
+    return UnreachableError(
+        f"Every posture that reaches the pose breaks a joint limit; the best one would put {joint.name} at "
+        f"{degrees(position):.2f} deg, limits {degrees(joint.lower):.0f} to {degrees(joint.upper):.0f} deg with a "
+        f"margin of {degrees(joint_margin):.1f} deg; move or turn the pose.",
+        joint=joint.name,
+        position=position,
+        lower=joint.lower + joint_margin,
+        upper=joint.upper - joint_margin,
+    )

@@ -1,0 +1,109 @@
+"""Inverse kinematics of arms that have no closed form of ours."""
+
+import numpy as np
+import pytest
+
+from pcmrs.errors import GeometryError, UnreachableError
+from pcmrs.kinematics.inverse import inverse
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.kinematics.posture import cost
+from pcmrs.kinematics.track import track
+from pcmrs.kinematics.urdf_arms import find_arm
+from pcmrs.spatial import Transform, distance, rotation_angle
+
+
+@pytest.fixture(params=["panda", "ur5"])
+def arm(request: pytest.FixtureRequest) -> ArmModel:
+    return ArmModel(find_arm(request.param))
+
+
+def assert_reaches(arm: ArmModel, q: np.ndarray, target: Transform) -> None:
+    arm.check_limits(q)
+    assert distance(arm.forward(q), target) < 1e-9
+    assert rotation_angle(arm.forward(q), target) < 1e-9
+
+
+def test_every_reachable_pose_is_reached(arm: ArmModel) -> None:
+    for known, seed in np.random.default_rng(21).uniform(arm.lower, arm.upper, (250, 2, arm.joints)):
+        target = arm.forward(known)
+        assert_reaches(arm, inverse(arm, target, seed), target)
+
+
+def test_the_same_question_has_the_same_answer(arm: ArmModel) -> None:
+    known, seed = np.random.default_rng(22).uniform(arm.lower, arm.upper, (2, arm.joints))
+    target = arm.forward(known)
+    np.testing.assert_array_equal(inverse(arm, target, seed), inverse(ArmModel(arm.facts), target, seed))
+
+
+def test_a_comfortable_posture_near_the_seed_is_taken(arm: ArmModel) -> None:
+    home = np.array(arm.facts.home)
+    assert cost(arm, home, home) == 0.0
+    for shift in np.random.default_rng(23).uniform(-0.02, 0.02, (50, 3)):
+        target = arm.forward(home) @ Transform.from_rotvec(shift, shift)
+        found = inverse(arm, target, home)
+        assert_reaches(arm, found, target)
+        assert np.linalg.norm(found - home) < 0.6
+
+
+def test_among_uncomfortable_postures_the_best_found_is_taken() -> None:
+    arm = ArmModel(find_arm("panda"))
+    better = 0
+    for known in np.random.default_rng(24).uniform(arm.lower, arm.upper, (30, arm.joints)):
+        seed = np.clip(known, arm.lower + 0.05, arm.upper - 0.05)
+        seed[-1] = arm.upper[-1] - 0.05
+        target = arm.forward(seed)
+        found = inverse(arm, target, seed)
+        assert cost(arm, found, seed) <= cost(arm, seed, seed) + 1e-6
+        better += cost(arm, found, seed) < cost(arm, seed, seed) - 0.01
+    assert better > 0
+
+
+def test_the_margin_is_kept(arm: ArmModel) -> None:
+    margin = 0.2
+    for q in np.random.default_rng(25).uniform(arm.lower + margin, arm.upper - margin, (20, arm.joints)):
+        found = inverse(arm, arm.forward(q), arm.upper, joint_margin=margin)
+        assert np.all(found >= arm.lower + margin)
+        assert np.all(found <= arm.upper - margin)
+
+
+def test_a_joint_that_turns_twice_is_not_turned_for_nothing() -> None:
+    arm = ArmModel(find_arm("ur5"))
+    for known, seed in np.random.default_rng(26).uniform(arm.lower, arm.upper, (20, 2, 6)):
+        found = inverse(arm, arm.forward(known), seed)
+        for turned in (found - 2 * np.pi, found + 2 * np.pi):
+            allowed = (turned >= arm.lower) & (turned <= arm.upper)
+            assert np.all(np.abs(turned - seed)[allowed] > np.abs(found - seed)[allowed])
+
+
+def test_the_forearm_keeps_away_from_where_it_is_told(arm: ArmModel) -> None:
+    home = np.array(arm.facts.home)
+    sphere = np.array([(*arm.origins(home)[-3], 0.05)])
+    found = inverse(arm, arm.forward(home), home, keep_away=sphere)
+    assert_reaches(arm, found, arm.forward(home))
+    assert cost(arm, found, home, sphere) <= cost(arm, home, home, sphere)
+
+
+def test_what_is_out_of_reach_says_how_far(arm: ArmModel) -> None:
+    with pytest.raises(UnreachableError, match=f"{arm.facts.name}.*mm and .* deg away") as caught:
+        inverse(arm, Transform(np.eye(3), np.array((0.0, 0.0, 2.0))), arm.facts.home)
+    assert 0.5 < caught.value.fields["gap"] < 1.5
+
+
+def test_a_margin_that_leaves_no_range_is_refused(arm: ArmModel) -> None:
+    with pytest.raises(UnreachableError, match="no range"):
+        inverse(arm, arm.forward(arm.facts.home), arm.facts.home, joint_margin=3.2)
+
+
+def test_a_malformed_seed_is_refused(arm: ArmModel) -> None:
+    for solve in (inverse, track):
+        with pytest.raises(GeometryError, match=f"{arm.joints} finite numbers"):
+            solve(arm, arm.forward(arm.facts.home), np.zeros(arm.joints + 1))
+
+
+def test_small_corrections_stay_near_the_seed(arm: ArmModel) -> None:
+    home = np.array(arm.facts.home)
+    for shift in np.random.default_rng(27).uniform(-0.005, 0.005, (50, 3)):
+        target = arm.forward(home) @ Transform.from_rotvec(shift, 2 * shift)
+        found = track(arm, target, home)
+        assert_reaches(arm, found, target)
+        assert np.linalg.norm(found - home) < 0.2
