@@ -1,5 +1,6 @@
 """Dispatcher-State/Flag/Operation: commands in, decisions out, operations performed in between."""
 
+from pcmrs.dispatcher.activity import Activity
 from pcmrs.dispatcher.dispatcher import Dispatcher
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import Recorder
@@ -8,6 +9,7 @@ from pcmrs.dispatcher.run import ProcedureData, Run
 from pcmrs.dispatcher.workflow import Workflow
 
 __all__ = [
+    "Activity",
     "Dispatcher",
     "NoArguments",
     "Procedure",

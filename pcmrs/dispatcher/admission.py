@@ -13,7 +13,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.fsm import OperationSpec
 from pcmrs.messages import Command
 
-EVENT_SOURCES = ("device:", "detector:", "timer:", "operation:")
+EVENT_SOURCES = ("device:", "detector:", "timer:", "operation:", "activity:")
 
 CLOCK_TOLERANCE = 5.0
 """A sender's wall clock may be so far ahead of ours, s."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pcmrs.fsm import Blueprint, Closure, Denial, OperationSpec
-from pcmrs.messages import Command, Reason, Verdict
+from pcmrs.messages import Command, Reason, Running, Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +54,12 @@ class Attempt:
     def name(self) -> str:
         """Branch and operation, as users write it."""
         return f"{self.command.branch}.{self.command.operation}"
+
+    @property
+    def shown(self) -> Running:
+        """What the snapshot shows of it."""
+        command = self.command
+        return Running(branch=command.branch, operation=command.operation, id=command.id, progress=self.progress)
 
     def stop(self, reason: Reason) -> None:
         """Cancels its steps; harmless once they have ended."""

@@ -48,3 +48,9 @@ class Lanes:
         """Empties the queue and returns what was in it."""
         waiting, self.waiting = self.waiting, []
         return waiting
+
+    def turn_away(self) -> list[Attempt]:
+        """Empties the queue but for events, which say what has happened already, and returns what was taken out."""
+        taken = [attempt for attempt in self.waiting if not attempt.spec.event]
+        self.waiting = [attempt for attempt in self.waiting if attempt.spec.event]
+        return taken

@@ -11,7 +11,7 @@ from pcmrs.dispatcher.run import C, D
 from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Change, Closure, Denial, Engine, flags_of
-from pcmrs.messages import BlueprintTag, Running, Snapshot
+from pcmrs.messages import BlueprintTag, Ongoing, Running, Snapshot
 
 
 class Procedure(Generic[C, D]):
@@ -83,7 +83,7 @@ class Procedure(Generic[C, D]):
         self.latched = True
         self.sequence = self.reserve()
 
-    def snapshot(self, running: list[Running]) -> Snapshot:
+    def snapshot(self, running: list[Running], activities: list[Ongoing]) -> Snapshot:
         """What the world is shown."""
         blueprint = self.blueprint
         return Snapshot(
@@ -95,4 +95,5 @@ class Procedure(Generic[C, D]):
             blueprint=BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash),
             plan=self.data.plan_id,
             registration=self.data.registration_id,
+            activities=activities,
         )

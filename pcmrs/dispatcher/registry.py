@@ -1,20 +1,22 @@
-"""Payload types, checks and steps under the names that blueprints use."""
+"""Payload types, checks, steps and activities under the names that blueprints use."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Container, Coroutine, Iterable
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 import msgspec
 
+from pcmrs.dispatcher.activity import Activity
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint
 
 Check = Callable[[Run[C, D]], None]
 Step = Callable[[Run[C, D]], Awaitable[None] | None]
+Pursuit = Callable[[Activity[C, D]], Coroutine[Any, Any, None]]
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -30,6 +32,7 @@ class Registry(Generic[C, D]):
     checks: dict[str, Check[C, D]] = field(default_factory=dict)
     steps: dict[str, Step[C, D]] = field(default_factory=dict)
     worldly: set[str] = field(default_factory=set)
+    activities: dict[str, Pursuit[C, D]] = field(default_factory=dict)
 
     def payload(self, name: str, kind: type[msgspec.Struct]) -> None:
         """Registers the type of an operation's arguments."""
@@ -58,16 +61,30 @@ class Registry(Generic[C, D]):
         self.steps[function.__name__] = function
         return function
 
+    def activity(self, function: F) -> F:
+        """Registers what goes on while a branch is in a state: it is cancelled when the state is left.
+
+        Raises:
+            BlueprintError: It is no coroutine function.
+        """
+        if not inspect.iscoroutinefunction(function):
+            text = f"{function.__name__} does not wait, so it would end at once: write it with async def."
+            raise BlueprintError(text, activity=function.__name__)
+        self.activities[function.__name__] = function
+        return function
+
     def check_names(self, blueprint: Blueprint) -> None:
         """Raises `BlueprintError` if the blueprint uses a name that is not registered."""
-        for branch_name, branch in blueprint.branches.items():
-            for name, operation in branch.operations.items():
-                wanted = (
-                    ("payload", [operation.payload], self.payloads),
-                    ("check", operation.checks, self.checks),
-                    ("step", operation.steps, self.steps),
-                )
-                for kind, names, known in wanted:
-                    for unknown in set(names) - set(known):
-                        text = f"{branch_name}.{name}: no {kind} is registered as {unknown!r}"
-                        raise BlueprintError(text, branch=branch_name, operation=name)
+        for branch, spec in blueprint.branches.items():
+            for name, operation in spec.operations.items():
+                self._check(f"{branch}.{name}", "payload", [operation.payload], self.payloads)
+                self._check(f"{branch}.{name}", "check", operation.checks, self.checks)
+                self._check(f"{branch}.{name}", "step", operation.steps, self.steps)
+            for state, activity in spec.activities.items():
+                self._check(f"{branch} {state}", "activity", [activity.run], self.activities)
+
+    @staticmethod
+    def _check(where: str, kind: str, names: Iterable[str], known: Container[str]) -> None:
+        for name in names:
+            if name not in known:
+                raise BlueprintError(f"{where}: no {kind} is registered as {name!r}", where=where, name=name)

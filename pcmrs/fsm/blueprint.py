@@ -177,6 +177,21 @@ class SequenceSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     abandon: dict[str, Any] = {}
 
 
+class ActivitySpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What goes on while a branch is in a state: the do-activity of UML state machines, the `<invoke>` of SCXML.
+
+    Attributes:
+        run: Registered name of the function that runs from entering the state until it is left.
+        ended: Event operation of the branch that leaves the state, performed when the activity ends by itself.
+        moves: It moves the robot: Stop ends it, it does not begin while Stop is latched, and a motion takes over from
+            it.
+    """
+
+    run: str
+    ended: str
+    moves: bool = False
+
+
 class BranchSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One State Branch (SB).
 
@@ -186,6 +201,7 @@ class BranchSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
         sequence: In place of states: items that are performed in order. Empty once it is expanded.
         flags: Names of the digits of the states, mirrored for display.
         emits: For each state, the parent's operation called on a change to it (Rule 2); ``"*"`` for all not named.
+        activities: State to what goes on while the branch is in it.
     """
 
     level: int = 1
@@ -196,6 +212,7 @@ class BranchSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     flags: list[str] = []
     parent: ParentSpec | None = None
     emits: dict[str, str] = {}
+    activities: dict[str, ActivitySpec] = {}
     revocations: list[RevocationSpec] = []
 
     @property

@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
+from pcmrs.fsm.blueprint import ActivitySpec, Blueprint, BranchSpec, OperationSpec
 from pcmrs.fsm.state import State
 
 RESERVED = frozenset(name for name in dir(State) if not name.startswith("_")) | {"active", "self"}
@@ -99,10 +99,17 @@ def _state_class(name: str, branch: BranchSpec, state: str) -> Iterator[str]:
     base = class_name(name)
     yield from ("", "", f"class {_state_name(name, state)}({base}):")
     yield f"    {_docstring(branch.states[state])}"
+    if activity := branch.activities.get(state):
+        yield f"    # do / {_shown(activity)}"
     yield from ("", f"    name = {_literal(state)}", f"    meaning = {_literal(branch.states[state])}")
     for key in branch.operations:
         if branch.valid_in(key, state):
             yield from ("", f"    def {key}(self) -> Answer:", f"        return self.{key.upper()}")
+
+
+def _shown(activity: ActivitySpec) -> str:
+    moves = ", which moves the robot" if activity.moves else ""
+    return f"{activity.run}{moves}; when that ends by itself, {activity.ended}"
 
 
 def _index(blueprint: Blueprint) -> Iterator[str]:

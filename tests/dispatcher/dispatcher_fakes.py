@@ -13,7 +13,7 @@ import pytest
 from clock import ManualClock, settle
 from ratms_oracle import BLUEPRINT, INITIAL, Joint, all_operations, expected
 
-from pcmrs.dispatcher import Dispatcher, ProcedureData, Registry, Run, Workflow
+from pcmrs.dispatcher import Activity, Dispatcher, ProcedureData, Registry, Run, Workflow
 from pcmrs.errors import JournalError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import Blueprint, Effect, load_blueprint
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
@@ -45,12 +45,18 @@ class Script:
         steps: Operation to an action that its steps perform; it may set the outcome, raise or wait.
         checks: Operation to the error that its first check raises.
         entered: Operations whose steps have been entered, in order.
+        activities: Activity to what it does.
+        acting: All activities that have begun, in order.
+        log: Beginnings and ends of activities, and steps, in order.
     """
 
     def __init__(self) -> None:
         self.steps: dict[str, Callable[[Run[Any, Notes]], Awaitable[None]]] = {}
         self.checks: dict[str, Exception] = {}
         self.entered: list[str] = []
+        self.activities: dict[str, Callable[[Activity[Any, Notes]], Awaitable[None]]] = {}
+        self.acting: list[Activity[Any, Notes]] = []
+        self.log: list[str] = []
 
     def end(self, operation: str, ending: str) -> None:
         """Makes an operation end as declared, ``failed`` or ``unknown``."""
@@ -74,6 +80,15 @@ class Script:
         self.steps[operation] = act
         return gate
 
+    async def go_on(self, act: Activity[Any, Notes]) -> None:
+        """An activity does as told, or else nothing, until it is cancelled."""
+        self.acting.append(act)
+        self.log.append(f"{act.name} begins")
+        try:
+            await self.activities.get(act.name, _wait)(act)
+        finally:
+            self.log.append(f"{act.name} ends")
+
     def check(self, run: Run[Any, Notes]) -> None:
         error = self.checks.get(_name(run))
         if error is not None:
@@ -96,9 +111,14 @@ class Script:
     def _note(self, run: Run[Any, Notes]) -> None:
         name = _name(run)
         self.entered.append(name)
+        self.log.append(name)
         run.outcome = _usual_outcome(run)
         if name not in run.data.marks[-1:]:
             run.keep(marks=(*run.data.marks, name))
+
+
+async def _wait(_act: Activity[Any, Notes]) -> None:
+    await asyncio.Event().wait()
 
 
 def _name(run: Run[Any, Notes]) -> str:
@@ -106,9 +126,10 @@ def _name(run: Run[Any, Notes]) -> str:
 
 
 def _usual_outcome(run: Run[Any, Notes]) -> str | None:
-    ready = run.states["registration"] == "111" and run.states["toolplan"] == "1"
+    ready = (run.states.get("registration"), run.states.get("toolplan")) == ("111", "1")
     return {
         "digitization.digitize_one": "complete",
+        "digitization.check_landmark": "same",
         "placement.locate": "retracted",
         "placement.back_off": "standoff" if ready else "retracted",
     }.get(_name(run))
@@ -124,6 +145,7 @@ def make_workflow(
     """The blueprint with every name in it registered as the script's check or step."""
     registry: Registry[Any, Notes] = Registry()
     for branch_name, branch in blueprint.branches.items():
+        registry.activities |= {a.run: script.go_on for a in branch.activities.values()}
         for spec in branch.operations.values():
             registry.checks |= dict.fromkeys(spec.checks, script.check)
             worldly = branch_name in worldly_branches
@@ -196,6 +218,7 @@ class Bench:
     Attributes:
         published: Snapshots, verdicts and events in order of publication.
         holds: How often the robot was held; `hold_error` is raised by each of them.
+        hold: How the robot is held.
     """
 
     def __init__(self, blueprint: Blueprint = RATMS, worldly_branches: Collection[str] = WORLDLY_BRANCHES) -> None:
@@ -205,9 +228,12 @@ class Bench:
         self.published: list[Snapshot | Verdict | DeviceEvent] = []
         self.holds = 0
         self.hold_error: Exception | None = None
+        self.hold: Callable[[], Awaitable[object]] = self._hold
         self._ids = itertools.count(1)
         workflow = make_workflow(self.script, blueprint, worldly_branches)
-        self.dispatcher = Dispatcher(workflow, None, self.clock, self.recorder, self._hold, self.published.append)
+        self.dispatcher = Dispatcher(
+            workflow, None, self.clock, self.recorder, lambda: self.hold(), self.published.append
+        )
 
     async def _hold(self) -> None:
         self.holds += 1

@@ -119,7 +119,7 @@ async def test_the_hold_after_stop_can_use_a_deadline(bench: Bench) -> None:
         assert task is not None
         cancelling.append(task.cancelling())
 
-    bench.dispatcher._hold = hold
+    bench.hold = hold
     bench.script.hang("placement.confirm")
     task = await bench.begin("placement.confirm")
     await bench.dispatcher.stop("test:operator")
@@ -140,6 +140,28 @@ async def test_stop_rejects_what_waits(bench: Bench) -> None:
     assert (await running).decision == "failed"
     assert bench.joint == ("100", "0", "0", "0", "unknown")
     assert not gate.is_set()
+
+
+async def test_stop_rejects_no_event_that_waits(bench: Bench) -> None:
+    """It has happened already, and will not be reported again."""
+    await bench.do("robot.connect")
+    gate = asyncio.Event()
+
+    async def slow(run: Run[Any, Notes]) -> None:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            await gate.wait()
+
+    bench.script.steps["robot.disconnect"] = slow
+    disconnect = await bench.begin("robot.disconnect")
+    lost = await bench.begin("robot.link_lost", source="device:robot")
+    stop = asyncio.create_task(bench.dispatcher.stop("test:operator"))
+    await settle()
+    gate.set()
+    await stop
+    assert [(await task).decision for task in (disconnect, lost)] == ["failed", "accepted"]
+    assert bench.joint == INITIAL
 
 
 async def test_stop_twice_in_a_row(bench: Bench) -> None:
@@ -284,7 +306,7 @@ async def test_a_hold_from_before_a_motion_does_not_serve_for_a_stop_in_it(bench
         asked.append(len(asked))
         await answered.wait()
 
-    bench.dispatcher._hold = hold
+    bench.hold = hold
     early = asyncio.create_task(bench.dispatcher.stop("test:operator"))
     await settle()
     await bench.do("robot.acknowledge")

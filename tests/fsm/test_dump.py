@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import pcmrs
 from pcmrs.fsm.blueprint import (
+    ActivitySpec,
     Blueprint,
     BranchSpec,
     Condition,
@@ -59,6 +60,7 @@ BRANCH = st.builds(
     operations=st.dictionaries(NAME, OPERATION, max_size=2),
     parent=st.none() | st.builds(ParentSpec, branch=NAME, start=NAME, compatible=REQUIREMENT),
     emits=st.dictionaries(NAME, NAME, max_size=3),
+    activities=st.dictionaries(NAME, st.builds(ActivitySpec, run=TEXT, ended=NAME, moves=st.booleans()), max_size=2),
     revocations=st.lists(st.builds(RevocationSpec, by=STATES, from_=STATES, to=NAME), max_size=2),
 )
 CONDITION = st.builds(Condition, states=REQUIREMENT, running=STATES)

@@ -52,7 +52,7 @@ def test_the_table_says_what_an_operation_needs_and_does() -> None:
         "operation": "use_previous",
         "from → to": "any → 111",
         "requires": "",
-        "checks": "previous_registration_fits",
+        "checks": "calibration_valid, previous_registration_fits",
         "steps": "take_previous_registration",
         "asked by": "anyone",
         "calls": "digitization := 1",

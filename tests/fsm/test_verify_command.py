@@ -24,7 +24,7 @@ def run(*arguments: str | Path, given: bytes | None = None) -> Result:
 def test_a_sound_workflow_takes_one_line() -> None:
     result = run(FILE)
     assert result.exit_code == 0
-    assert result.stdout == f"{FILE}: sound: 34 joint states, 1153 transitions, 7 properties\n"
+    assert result.stdout == f"{FILE}: sound: 34 joint states, 1448 transitions, 7 properties\n"
     assert result.stderr == ""
 
 
@@ -48,7 +48,7 @@ def test_the_worst_file_decides_how_it_ends_and_all_are_looked_at() -> None:
         (str(files[1]), True, False),
         (str(files[2]), False, False),
     ]
-    assert (found[0]["joint_states"], found[0]["transitions"]) == (34, 1153)
+    assert (found[0]["joint_states"], found[0]["transitions"]) == (34, 1448)
     assert [finding["code"] for finding in found[1]["findings"]] == ["deadlock"]
     assert found[1]["findings"][0]["commands"] == ["door.open"]
 

@@ -9,7 +9,7 @@ from pcmrs.fsm.blueprint import BranchSpec
 from pcmrs.fsm.chart.arrows import Arrow, Place, arrows
 from pcmrs.fsm.chart.links import Link
 from pcmrs.fsm.chart.row import CAPTION_COLUMNS, Port, Row, row
-from pcmrs.fsm.chart.text import flow
+from pcmrs.fsm.chart.text import activity_line, flow
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,10 @@ def column(name: str, branch: BranchSpec, links: Iterable[Link]) -> Column:
     drawn = arrows(name, branch)
     order = {state: number for number, state in enumerate(branch.states)}
     loops = {arrow.target: arrow.words for arrow in drawn if arrow.loops}
-    rows = {state: row(state, meaning, loops.get(state, [])) for state, meaning in branch.states.items()}
+    rows = {
+        state: row(state, meaning, activity_line(branch, state), loops.get(state, []))
+        for state, meaning in branch.states.items()
+    }
     straight = {arrow.sources[0]: (arrow, caption(arrow)) for arrow in drawn if _steps_down(arrow, order)}
     entries = [(arrow, Port(arrow, caption(arrow))) for arrow in drawn if not arrow.sources]
     beside = [arrow for arrow in drawn if arrow.sources and not arrow.loops and not _steps_down(arrow, order)]

@@ -10,7 +10,7 @@ from pcmrs.fsm.chart.arrows import Kind, Place, edges
 from pcmrs.fsm.chart.canvas import STROKES
 from pcmrs.fsm.chart.current import check_current
 from pcmrs.fsm.chart.links import Link, links
-from pcmrs.fsm.chart.text import clean
+from pcmrs.fsm.chart.text import activity_line, clean
 
 _HEADER = """digraph {id} {{
   compound=true; rankdir=TB; fontname="Helvetica"; label={title}; labelloc=t;
@@ -44,7 +44,7 @@ def _cluster(blueprint: Blueprint, name: str, current: Mapping[str, str]) -> Ite
     yield f"  {_mark(name, 'start')} [shape=point, fillcolor=black, width=0.12];"
     for state, meaning in branch.states.items():
         looks = ', fillcolor="#ffe08a", penwidth=3' if current.get(name) == state else ""
-        yield f"  {_node(Place(name, state))} [label={_quoted(state, meaning)}{looks}];"
+        yield f"  {_node(Place(name, state))} [label={_quoted(state, meaning, activity_line(branch, state))}{looks}];"
     yield f"  {_mark(name, 'start')} -> {_node(Place(name, branch.start))};"
     drawn = edges(name, branch)
     if not all(edge.sources for edge in drawn):

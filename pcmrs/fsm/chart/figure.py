@@ -70,6 +70,9 @@ def _state(into: Element, panel: Panel, state: str, row: Row, meaning: str, *, h
     for words in row.meaning:
         y += LINE
         sans(drawn, middle, y + 2, words, MEANING, text_anchor="middle")
+    if row.activity:
+        y += LINE
+        text(drawn, middle, y + 2, row.activity, LABEL, text_anchor="middle")
     _loops(drawn, panel, row, y + 5)
 
 

@@ -1,7 +1,7 @@
 """The state chart as Mermaid ``stateDiagram-v2`` text: branches are composite states side by side.
 
 Mermaid draws no arrows between the inner states of different composite states, so Rules 2 and 3
-are notes. Capital letters in its names keep them apart from those of the workflow.
+are notes, and so are activities. Capital letters in its names keep them apart from those of the workflow.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.chart.arrows import Place, edges
 from pcmrs.fsm.chart.current import check_current
 from pcmrs.fsm.chart.links import Link, links
-from pcmrs.fsm.chart.text import clean
+from pcmrs.fsm.chart.text import activity_line, clean
 
 _SPECIAL = re.compile(r"[^\w ,.()/=*+-]")
 
@@ -49,6 +49,8 @@ def _states(blueprint: Blueprint, name: str) -> Iterator[str]:
     for state, meaning in branch.states.items():
         label = f"{state} ({meaning})" if meaning else state
         yield f'state "{_escaped(label)}" as {_id(Place(name, state))}'
+        if state in branch.activities:
+            yield f"note right of {_id(Place(name, state))} : {_escaped(activity_line(branch, state))}"
     drawn = edges(name, branch)
     if not all(edge.sources for edge in drawn):
         yield f'state "any state" as {name}_ANY'

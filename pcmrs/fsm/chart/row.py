@@ -53,6 +53,7 @@ class Row:
     Attributes:
         state: Its name.
         meaning: Lines of its meaning.
+        activity: What goes on in it, a line; empty where nothing does.
         loops: Lines with the operations that keep it.
         left: Ports at the left edge, from the top.
         right: Ports at the right edge, from the top.
@@ -62,6 +63,7 @@ class Row:
 
     state: str
     meaning: list[str]
+    activity: str
     loops: list[str]
     left: list[Port] = field(default_factory=list)
     right: list[Port] = field(default_factory=list)
@@ -78,12 +80,14 @@ class Row:
         """Width that its texts need, in px."""
         name = mono_width(self.state, NAME)
         meaning = widest(sans_width(line, MEANING) for line in self.meaning)
-        return max(name, meaning, 14 + widest(mono_width(line, LABEL) for line in self.loops)) + 2 * _MARGIN
+        activity = mono_width(self.activity, LABEL)
+        return max(name, meaning, activity, 14 + widest(mono_width(line, LABEL) for line in self.loops)) + 2 * _MARGIN
 
     @property
     def text_height(self) -> float:
         """Height that its texts need, in px."""
-        return NAME + LINE * (len(self.meaning) + len(self.loops)) + 3 * bool(self.loops)
+        lines = len(self.meaning) + bool(self.activity) + len(self.loops)
+        return NAME + LINE * lines + 3 * bool(self.loops)
 
     def place(self, y: float) -> None:
         """Puts the box at `y`, as high as its texts and ports need, and the ports along its edges."""
@@ -96,10 +100,10 @@ class Row:
                 port.y = top - _BARE / 2
 
 
-def row(state: str, meaning: str, loops: Sequence[str]) -> Row:
+def row(state: str, meaning: str, activity: str, loops: Sequence[str]) -> Row:
     """A state without ports, from its texts; `loops` are the operations that keep it."""
     lines = wrap(clean(meaning), MEANING_COLUMNS, MEANING_LINES)
-    return Row(cut(clean(state), NAME_COLUMNS), lines, flow(loops, CAPTION_COLUMNS))
+    return Row(cut(clean(state), NAME_COLUMNS), lines, cut(clean(activity), NAME_COLUMNS), flow(loops, CAPTION_COLUMNS))
 
 
 def _total(ports: Sequence[Port]) -> float:

@@ -7,6 +7,8 @@ import textwrap
 import unicodedata
 from collections.abc import Iterable, Sequence
 
+from pcmrs.fsm.blueprint import BranchSpec
+
 MONO = "'DejaVu Sans Mono', 'Liberation Mono', Menlo, Consolas, monospace"
 SANS = "Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif"
 
@@ -56,6 +58,12 @@ def flow(words: Sequence[str], columns: int) -> list[str]:
         else:
             lines.append(word)
     return lines
+
+
+def activity_line(branch: BranchSpec, state: str) -> str:
+    """What goes on in a state, as UML writes it: ``do / follow_head``; empty where nothing does."""
+    activity = branch.activities.get(state)
+    return "" if activity is None else f"do / {activity.run}"
 
 
 def widest(widths: Iterable[float]) -> float:

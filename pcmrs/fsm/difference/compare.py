@@ -13,7 +13,7 @@ from typing import Any, Literal
 import msgspec
 
 from pcmrs.fsm.behaviour import Joint, line_of, operations
-from pcmrs.fsm.blueprint import Blueprint, OperationSpec, PropertySpec
+from pcmrs.fsm.blueprint import ActivitySpec, Blueprint, OperationSpec, PropertySpec
 from pcmrs.fsm.difference.facets import FacetKind, Seen, answers_seen, differing, worded
 
 Kind = Literal["added", "removed", "changed", "reached", "unreached"] | FacetKind
@@ -93,10 +93,16 @@ def _declarations(blueprint: Blueprint) -> dict[str, dict[str, Any]]:
     found |= {f"property.{promise.id}": _promise(promise) for promise in blueprint.properties}
     for name, branch in blueprint.branches.items():
         found[name] = {"start": branch.start, "flags": branch.flags}
-        found |= {f"{name}.[{state}]": {} for state in branch.states}
+        found |= {f"{name}.[{state}]": _activity(branch.activities.get(state)) for state in branch.states}
     for branch_name, operation, spec in operations(blueprint):
         found[f"{branch_name}.{operation}"] = _declaration(spec)
     return found
+
+
+def _activity(activity: ActivitySpec | None) -> dict[str, Any]:
+    if activity is None:
+        return {}
+    return {"activity": activity.run, "ended by": activity.ended, "moves": activity.moves}
 
 
 def _promise(promise: PropertySpec) -> dict[str, Any]:

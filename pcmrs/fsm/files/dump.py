@@ -11,7 +11,7 @@ import tomli_w
 from pcmrs.fsm.blueprint import Blueprint
 
 LONGEST_LINE = 120
-HEADED = frozenset({"branches", "operations", "states", "parent", "sequence"})
+HEADED = frozenset({"branches", "operations", "states", "parent", "sequence", "activities"})
 HEADED_MEMBERS = frozenset({"branches", "operations", "outcomes"})
 
 Path = tuple[str, ...]

@@ -1,4 +1,4 @@
-"""What can be said of a blueprint by reading it: names, references, shapes, and rules 1 to 3."""
+"""What can be said of a blueprint by reading it: names, references, shapes, activities, and rules 1 to 3."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.finding import Finding
+from pcmrs.fsm.rules.activities import check_activities
 from pcmrs.fsm.rules.levels import check_levels
 from pcmrs.fsm.rules.names import check_names
 from pcmrs.fsm.rules.references import check_references
@@ -18,7 +19,7 @@ def check_rules(blueprint: Blueprint) -> Iterator[Finding]:
     Args:
         blueprint: Expanded, see `pcmrs.fsm.files.sequence`.
     """
-    for check in (check_names, check_references, check_shapes, check_levels):
+    for check in (check_names, check_references, check_shapes, check_activities, check_levels):
         findings = list(check(blueprint))
         yield from findings
         if findings:

@@ -15,6 +15,10 @@ def check_references(blueprint: Blueprint) -> Iterator[Finding]:
         yield from _parent(blueprint, name, branch)
         for key, operation in branch.operations.items():
             yield from _operation_references(blueprint, name, operation, (*path, "operations", key))
+        for state, activity in branch.activities.items():
+            where = (*path, "activities", state)
+            yield from _states_exist(blueprint, {name: [state]}, where)
+            yield from _operation_exists(blueprint, f"{name}.{activity.ended}", (*where, "ended"))
         for index, revocation in enumerate(branch.revocations):
             where = (*path, "revocations", str(index))
             for by in revocation.by:

@@ -18,7 +18,7 @@ MAX_JOINT_STATES = 2_000_000
 """So many joint states are looked at unless more are asked for."""
 
 BY_ITSELF = (structure.denials, structure.revocations)
-IN_A_WHOLE_SEARCH = (structure.unused, liveness.deadlocks, liveness.goals, liveness.releases)
+IN_A_WHOLE_SEARCH = (structure.unused, structure.activities, liveness.deadlocks, liveness.goals, liveness.releases)
 
 
 @dataclass(frozen=True, slots=True)

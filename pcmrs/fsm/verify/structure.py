@@ -42,6 +42,23 @@ def order(space: Space) -> Iterator[Finding]:
         yield _shown(space, operation, decision, "order_dependent", text)
 
 
+def activities(space: Space) -> Iterator[Finding]:
+    """Activities that may end by themselves where the operation that leaves their state is denied."""
+    for operation in space.operations:
+        declared = space.blueprint.branches[operation.branch].activities
+        ending = {state for state, activity in declared.items() if activity.ended == operation.operation}
+        denied = {
+            decision.seen[operation.branch]: decision
+            for decision in operation.known
+            if isinstance(decision.answer, Denial) and decision.seen[operation.branch] in ending
+        }
+        for state, decision in denied.items():
+            text = f"The activity {declared[state].run} of {operation.branch} {state} may end by itself where "
+            text += f"{operation.operation} is denied: nothing of it may be refused in that state."
+            path, way = ("branches", operation.branch, "activities", state), space.way_to(space.nearest(decision))
+            yield Finding(code="activity_stuck", text=text, path=path, commands=way)
+
+
 def revocations(space: Space) -> Iterator[Finding]:
     """Revocations of one branch that hold at once and disagree; the file alone shows it."""
     for name, branch in space.blueprint.branches.items():

@@ -17,6 +17,7 @@ ANY = r"\*"
 
 NAMES = {
     ("Blueprint", "branches"): NAME.pattern,
+    ("BranchSpec", "activities"): STATE_NAME.pattern,
     ("BranchSpec", "operations"): NAME.pattern,
     ("BranchSpec", "states"): STATE_NAME.pattern,
     ("BranchSpec", "emits"): f"{STATE_NAME.pattern}|{ANY}",

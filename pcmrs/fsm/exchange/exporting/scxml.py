@@ -4,13 +4,13 @@ One parallel region per branch, a branch that refines one state of its parent in
 ``branch.state``. Events are ``branch.operation``, or ``branch.operation.outcome`` where it can end in several ways;
 ``done`` is the outcome of an operation that declares none. In an imported workflow events are called as they were. A
 transition without target is an operation that is accepted and keeps the state. Checks, steps and roles are not part
-of the chart.
+of the chart, activities a comment in it: processors refuse an ``<invoke>`` that they do not know.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.exchange import SCXML_NAMESPACE
@@ -59,6 +59,8 @@ class _Writer:
             inside = self.nesting.inside(branch, state)
             kind = "parallel" if len(inside) > 1 else "state"
             element = SubElement(region, kind, id=_id(branch, state))
+            if activity := spec.activities.get(state):
+                element.append(Comment(f" do / {activity.run}; at its end {branch}.{activity.ended} "))
             for reaction in self._reactions[branch, state]:
                 self._write_transition(element, reaction)
             for child in inside:

@@ -32,6 +32,10 @@ def _branch(name: str, branch: BranchSpec) -> Iterator[tuple[str, ...]]:
                 _asked_by(operation) if first else "",
                 ", ".join(_calls(branch, key, operation, spec.to)),
             )
+    for state, activity in branch.activities.items():
+        moves = " (moves)" if activity.moves else ""
+        at_its_end = f"{activity.ended} when it ends"
+        yield (name, f"activity{moves}", state, "", "", activity.run, "being in the state", at_its_end)
     for rule in branch.revocations:
         moved = f"{', '.join(rule.from_)} → {rule.to}"
         yield (name, "revoked", moved, "", "", "", f"a change of {', '.join(rule.by)}", "")

@@ -1,0 +1,157 @@
+"""From attempt to conclusion: checks, intent, steps, and what the ending means for the states."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Generic
+
+from pcmrs.dispatcher.activities import Activities
+from pcmrs.dispatcher.attempt import Attempt, Locks
+from pcmrs.dispatcher.decisions import Conclusion, Decisions
+from pcmrs.dispatcher.lanes import Lanes
+from pcmrs.dispatcher.perform import Ending, consequence, refusal, take_steps, take_steps_at_once
+from pcmrs.dispatcher.recorder import Recorder
+from pcmrs.dispatcher.run import C, D, Run
+from pcmrs.dispatcher.stage import Stage, performing
+from pcmrs.errors import PcmrsError
+from pcmrs.fsm import Denial
+from pcmrs.messages import Reason
+
+
+class Performer(Generic[C, D]):
+    """Performs attempts that have their locks.
+
+    Args:
+        stage: What they are performed with.
+        lanes: Where others run and wait.
+        decisions: Where they are concluded.
+        recorder: Where intents are journalled.
+        activities: What gives way to a motion.
+    """
+
+    def __init__(
+        self,
+        stage: Stage[C, D],
+        lanes: Lanes,
+        decisions: Decisions[C, D],
+        recorder: Recorder,
+        activities: Activities[C, D],
+    ) -> None:
+        self._stage = stage
+        self._lanes = lanes
+        self._decisions = decisions
+        self._recorder = recorder
+        self._activities = activities
+        self._registry = stage.workflow.registry
+
+    def start(self, attempt: Attempt) -> None:
+        """Performs an operation: at once, or as a task of its own where it touches the world."""
+        self._lanes.running.append(attempt)
+        if self._touches_world(attempt):
+            attempt.task = self._stage.tasks.spawn(self._perform(attempt))
+        else:
+            self._perform_at_once(attempt)
+
+    def _touches_world(self, attempt: Attempt) -> bool:
+        return not self._registry.worldly.isdisjoint(attempt.spec.steps)
+
+    def _perform_at_once(self, attempt: Attempt) -> None:
+        """Performs an operation that touches nothing outside, from its checks to its conclusion."""
+        attempt.begun = attempt.ending = True
+        token = performing.set(id(self._stage.procedure))
+        run = self._run_of(attempt)
+        try:
+            refused = refusal(self._registry, attempt.spec, run)
+            ending = None if refused else take_steps_at_once(self._registry, attempt.spec, run)
+        finally:
+            performing.reset(token)
+        self._conclude(attempt, run, refused, ending)
+
+    async def _perform(self, attempt: Attempt) -> None:
+        """Performs an operation that touches the world, as a task of its own."""
+        performing.set(id(self._stage.procedure))
+        run = self._run_of(attempt)
+        try:
+            refused = refusal(self._registry, attempt.spec, run)
+            ending = None if refused else await self._steps(attempt, run)
+        except Exception as error:
+            attempt.end_steps()
+            unknown: Conclusion[C, D] = Conclusion(attempt.command, attempt.verdict, "unknown", attempt=attempt)
+            self._decisions.break_off(unknown, error)
+        else:
+            attempt.end_steps()
+            await self._let_others_end(attempt)
+            self._conclude(attempt, run, refused, ending)
+
+    async def _let_others_end(self, attempt: Attempt) -> None:
+        """Waits while other operations run on branches that this one would move now, and did not when it began.
+
+        A retreat does not keep others from changing what its standoff rests on: only here can the two meet.
+        """
+        attempt.committing = True
+        while in_the_way := self._in_the_way(attempt):
+            await asyncio.wait([other.verdict for other in in_the_way])
+
+    def _in_the_way(self, attempt: Attempt) -> list[Attempt]:
+        closure = self._stage.procedure.ask(attempt.command.branch, attempt.command.operation)
+        if isinstance(closure, Denial):
+            return []
+        beyond = Locks(closure.writes - attempt.locks.writes, frozenset())
+        others = (other for other in self._lanes.running if not other.committing)
+        return [other for other in others if beyond.conflicts(other.locks)]
+
+    async def _steps(self, attempt: Attempt, run: Run[C, D]) -> Ending:
+        """Takes the steps after the intent is durable; holds what has failed to move."""
+        attempt.begun = True
+        if attempt.moves:
+            self._stage.hold.outdate()
+        try:
+            self._stage.show()
+            await asyncio.shield(self._recorder.intent(attempt.command, run.states))
+            ending = Ending("failed", reason=attempt.stopped)
+            if attempt.stopped is None:
+                ending = await self._take_over(attempt) or await take_steps(self._registry, attempt.spec, run)
+        except asyncio.CancelledError:
+            cancelled = Reason(code="step_cancelled", text=f"What {attempt.name} waited for was cancelled.")
+            ending = Ending("failed", reason=attempt.stopped or cancelled)
+        attempt.end_steps()
+        if attempt.moves and ending.kind != "done" and not await self._stage.hold.confirmed():
+            return Ending("unknown", reason=ending.reason)
+        return ending
+
+    async def _take_over(self, attempt: Attempt) -> Ending | None:
+        """Lets activities give way to a motion; how it has ended already where they do not."""
+        if not attempt.moves:
+            return None
+        try:
+            async with self._stage.clock.timeout(attempt.spec.timeout_s):
+                await self._activities.give_way()
+        except TimeoutError:
+            text = f"An activity that moves the robot has not given way within {attempt.spec.timeout_s} s."
+            fields = {"timeout": attempt.spec.timeout_s}
+            return Ending("failed", reason=Reason(code="deadline_passed", text=text, fields=fields))
+        return None
+
+    def _run_of(self, attempt: Attempt) -> Run[C, D]:
+        def show(fraction: float) -> None:
+            attempt.progress = fraction
+            self._stage.show()
+
+        stage = self._stage
+        states, data = stage.procedure.joint(), stage.procedure.data
+        return Run(attempt.command, attempt.payload, states, stage.cell, stage.clock, data, show)
+
+    def _conclude(self, attempt: Attempt, run: Run[C, D], refused: Reason | None, ending: Ending | None) -> None:
+        """Works out what the refusal or the ending means for the states."""
+        command, verdict = attempt.command, attempt.verdict
+        if ending is None:
+            self._decisions.conclude(Conclusion(command, verdict, "rejected", refused, attempt))
+            return
+        at_once = not self._touches_world(attempt)
+        closure = self._stage.procedure.ask(command.branch, command.operation)
+        if isinstance(closure, Denial):
+            error = PcmrsError(f"{closure.text} It was allowed when {attempt.name} began.")
+            self._decisions.break_off(Conclusion(command, verdict, "unknown", attempt=attempt), error)
+            return
+        decision, change, reason = consequence(closure, ending, attempt.name)
+        self._decisions.conclude(Conclusion(command, verdict, decision, reason, attempt, run, change, at_once))
