@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import uuid
-from collections.abc import AsyncGenerator, AsyncIterator, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 from pcmrs.bus import DEFAULT_ENDPOINT, Bus, BusSettings, Empty
 from pcmrs.bus.codec import convert
@@ -22,6 +22,7 @@ from pcmrs.errors import BusError, DeviceError, PayloadError, UnknownOutcomeErro
 from pcmrs.messages import DeviceEvent, DeviceReply, DeviceRequest, Snapshot, Verdict
 
 Event = Snapshot | Verdict | DeviceEvent
+T = TypeVar("T")
 
 _TTL = 5.0
 """Seconds after which a command that was held up on its way is refused, not run late."""
@@ -126,6 +127,16 @@ class Client:
         finally:
             for end in ends:
                 await end()
+
+    def listen(self, key: str, kind: type[T], handler: Callable[[T], None]) -> None:
+        """Calls `handler` with what comes on a stream from now on, until the connection ends.
+
+        Args:
+            key: Of the stream or of several, such as ``state/joints`` or ``state/pose/*``.
+            kind: Type of its messages.
+            handler: Runs in the event loop and returns soon.
+        """
+        self._bus.subscribe(key, kind, lambda _, message: handler(message))
 
     async def request_device(
         self, device: str, method: str, arguments: Mapping[str, Any] | None = None, timeout: float = 5.0

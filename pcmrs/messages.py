@@ -76,6 +76,15 @@ class Running(Message, frozen=True, kw_only=True, omit_defaults=False):
     progress: float = 0.0
 
 
+class Ongoing(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The activity of the state that a branch is in; `values` are what it shows of itself."""
+
+    branch: str
+    state: str
+    name: str
+    values: dict[str, Any] = {}
+
+
 class BlueprintTag(Message, frozen=True, kw_only=True, omit_defaults=False):
     """Which workflow a decision was made under; `hash` is the SHA-256 of what the blueprint says."""
 
@@ -90,6 +99,7 @@ class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
     Attributes:
         plan: Id of the accepted tool plan, if any.
         registration: Id of the accepted registration, if any.
+        activities: What goes on besides operations, until the state it belongs to is left.
     """
 
     sequence: int
@@ -100,6 +110,7 @@ class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
     blueprint: BlueprintTag
     plan: str | None = None
     registration: str | None = None
+    activities: list[Ongoing] = []
 
 
 class Flags(Message, frozen=True, kw_only=True, omit_defaults=False):
@@ -134,7 +145,12 @@ class BodyPose(Message, frozen=True, kw_only=True):
 
 
 class JointState(Message, frozen=True, kw_only=True):
-    """Measured joints: positions in rad, velocities in rad/s, torques in N m, base to flange."""
+    """Measured joints: positions in rad, velocities in rad/s, torques in N m, base to flange.
+
+    Attributes:
+        flange_force: External force on what the flange carries, N, along the flange's axes, without its weight;
+            None where the arm has no estimate.
+    """
 
     captured: float
     sent: float
@@ -142,6 +158,7 @@ class JointState(Message, frozen=True, kw_only=True):
     velocities: list[float]
     torques: list[float]
     moving: bool = False
+    flange_force: tuple[float, float, float] | None = None
 
 
 class JointTrajectory(Message, frozen=True, kw_only=True):
@@ -155,11 +172,63 @@ MotionOutcome = Literal["done", "stopped"]
 
 
 class MotionResult(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """How a motion ended, and the joints (rad) measured then."""
+    """How a motion ended, and the joints (rad) measured then.
+
+    Attributes:
+        reason: Why it was stopped: ``held``, ``force_limit``, or a reason of the motion's own.
+        force: With which the tool pressed then, N; only after `Robot.press`.
+    """
 
     outcome: MotionOutcome
     positions: list[float]
     reason: str | None = None
+    force: float | None = None
+
+
+class ServoSession(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """A stream of set points that a robot has agreed to follow.
+
+    Attributes:
+        session: Goes into every set point; grows with each session.
+        deadman: The robot brakes by itself when no fresh set point has come for so long, s of the cell.
+    """
+
+    session: int
+    deadman: float
+
+
+class JointSetpoint(Message, frozen=True, kw_only=True):
+    """Where the joints shall be now (rad) and how fast they shall go there (rad/s), base to flange.
+
+    Attributes:
+        session: Of a `ServoSession`; set points of another one are dropped.
+        number: Grows within a session; a set point that is not newer than the last is dropped.
+        sent: Sender's monotonic time.
+    """
+
+    session: int
+    number: int
+    sent: float
+    positions: list[float]
+    velocities: list[float]
+
+
+class PressRequest(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Asks that the tool be pressed gently against the body.
+
+    Attributes:
+        force: To press with, N, 1 to 5.
+        direction_in_flange: Unit vector along which to go and press, in the flange's axes.
+        travel: Farthest way along it, m, 0.010 at most.
+        speed: Greatest speed on it, m/s.
+        timeout: Longest time, s of the cell.
+    """
+
+    force: float
+    direction_in_flange: tuple[float, float, float]
+    travel: float
+    speed: float
+    timeout: float
 
 
 class LandmarkPrompt(Message, frozen=True, kw_only=True):
@@ -221,11 +290,64 @@ class PoseMessage(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class SceneTruth(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Ground truth of a simulated scene: for reports and tests, never for control."""
+    """Ground truth of a simulated scene: for reports and tests, never for control.
+
+    The true pose of a planned tool is ``tracker_from_body_ref @ body_ref_from_image @ image_from_coil``.
+
+    Attributes:
+        time: Of the cell, at which all of it holds, s.
+        contact_force: Between body and tool, N.
+        tip_in_pointer: Where the pointer's tip truly is, in its marker body, m.
+        tip_in_tracker: Where it is now, m; None while the pointer is away.
+    """
 
     tracker_from_coil: PoseMessage
     tracker_from_body_ref: PoseMessage
     body_ref_from_image: PoseMessage
+    time: float = 0.0
+    contact_force: float = 0.0
+    tip_in_pointer: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tip_in_tracker: tuple[float, float, float] | None = None
+
+
+class HeadStep(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """A quick shift of the head by `offset` (m, along the tracker's axes), `time` s after the motion began."""
+
+    time: float
+    offset: tuple[float, float, float]
+
+
+class HeadBurst(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The head goes at `speed` (m/s) for `duration` (s) along `direction` (unit vector), and stays there."""
+
+    time: float
+    duration: float
+    speed: float
+    direction: tuple[float, float, float]
+
+
+class HeadMotion(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """How a simulated head moves, in cell time since it was set; by default it does not.
+
+    Vectors are along the tracker's axes.
+
+    Attributes:
+        drift: Velocity, m/s.
+        breathing_amplitude: Of a sine along `breathing_direction`, m.
+        breathing_hz: Its frequency.
+        breathing_direction: Unit vector.
+        steps: Sudden shifts.
+        bursts: Stretches of quick motion.
+        seed: Gives the breathing its phase.
+    """
+
+    drift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    breathing_amplitude: float = 0.0
+    breathing_hz: float = 0.25
+    breathing_direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    steps: list[HeadStep] = []
+    bursts: list[HeadBurst] = []
+    seed: int = 0
 
 
 class Target(Message, frozen=True, kw_only=True, omit_defaults=False):

@@ -12,12 +12,13 @@ import structlog
 from pcmrs.clock import Clock
 from pcmrs.devices.protocols import Device
 from pcmrs.errors import ConfigurationError
-from pcmrs.kinematics.arms import ARMS
+from pcmrs.kinematics.arms import ArmFacts
+from pcmrs.kinematics.urdf_arms import find_arm
 from sim.plant import STEP
 from sim.pointer import SimPointer
 from sim.robot import SimRobot
 from sim.scene import SimScene
-from sim.settings import SimSettings, read_settings
+from sim.settings import ForceSettings, SimSettings, read_force_settings, read_settings
 from sim.tracker import SimTracker
 from sim.world import World
 
@@ -34,7 +35,8 @@ class Cell:
 
     Args:
         settings: Errors and geometry.
-        arm_name: A key of `ARMS`.
+        facts: The arm.
+        force: When the force on the tool is too great.
         clock: The cell keeps up with it as far as the processor can.
 
     Attributes:
@@ -42,12 +44,12 @@ class Cell:
         lag: Time by which the simulation fell behind the clock in all, s.
     """
 
-    def __init__(self, settings: SimSettings, arm_name: str, clock: Clock) -> None:
+    def __init__(self, settings: SimSettings, facts: ArmFacts, force: ForceSettings, clock: Clock) -> None:
         self._clock = clock
-        self._world = World(settings, arm_name)
-        self._time = clock.monotonic()
-        self._robot = SimRobot(self._world, clock, self._time)
-        self._tracker = SimTracker(self._world, clock, self._time)
+        start = clock.monotonic()
+        self._world = World(settings, facts, force, start)
+        self._robot = SimRobot(self._world, clock, start)
+        self._tracker = SimTracker(self._world, clock, start)
         pointer = SimPointer(self._world, clock)
         self.devices: Mapping[str, Device] = {
             "robot": self._robot,
@@ -71,16 +73,15 @@ class Cell:
 
     def advance(self, now: float) -> None:
         """Simulates up to `now`, s of the clock."""
-        lost = max(0.0, now - self._time - LONGEST_CATCH_UP)
+        world = self._world
+        lost = max(0.0, now - world.time - LONGEST_CATCH_UP)
         self.lag += lost
-        self._time += lost
-        while self._time + STEP <= now:
+        world.time += lost
+        while world.time + STEP <= now:
             due = min(self._robot.due, self._tracker.due, now)
-            steps = max(1, int((due - self._time) / STEP))
-            self._world.arm.step(steps)
-            self._time += steps * STEP
-            self._robot.update(self._time)
-            self._tracker.update(self._time)
+            world.step(max(1, int((due - world.time) / STEP)))
+            self._robot.update(world.time)
+            self._tracker.update(world.time)
 
 
 @asynccontextmanager
@@ -91,13 +92,14 @@ async def open_devices(
 
     Args:
         devices: Among ``robot``, ``tracker``, ``pointer`` and ``scene``.
-        settings: The whole configuration; ``sim`` and ``robot.model`` are read.
+        settings: The whole configuration; ``sim`` and ``robot`` are read.
         clock: The cell's clock.
 
     Raises:
         ConfigurationError: A device or the arm is unknown, or the table ``sim`` is wrong.
     """
-    cell = Cell(read_settings(settings), _arm_name(settings), clock)
+    own = read_settings(settings)
+    cell = Cell(own, _arm(settings, own), read_force_settings(settings), clock)
     unknown = sorted(set(devices) - set(cell.devices))
     if unknown:
         raise ConfigurationError(
@@ -112,8 +114,10 @@ async def open_devices(
             await stepping
 
 
-def _arm_name(settings: Mapping[str, Any]) -> str:
-    name = settings.get("robot", {}).get("model", "iiwa14")
-    if name not in ARMS:
-        raise ConfigurationError(f"The arm {name!r} is unknown; known are {', '.join(ARMS)}.", model=name)
-    return str(name)
+def _arm(settings: Mapping[str, Any], own: SimSettings) -> ArmFacts:
+    facts = find_arm(settings.get("robot", {}).get("model", "iiwa14"))
+    for name, values in (("home", own.arm.home), ("stiffness", own.arm.stiffness)):
+        if len(values) not in (0, len(facts.joints)):
+            text = f"sim.arm.{name} holds {len(values)} numbers; {facts.name} has {len(facts.joints)} joints."
+            raise ConfigurationError(text, name=name, values=list(values))
+    return facts

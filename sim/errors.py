@@ -1,17 +1,48 @@
-"""Seeded error models: of the tracker, and of the person who touches landmarks."""
+"""Seeded error models: of the arm, of the tracker, and of the person who touches landmarks."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import radians
 
 import numpy as np
 
+from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.spatial import Floats, Transform
-from sim.settings import DigitizationSettings, TrackerSettings
+from sim.settings import DigitizationSettings, TrackerSettings, Triple
 
 WAVES = 12
 SHORTEST_WAVE = 0.3  # m; the bias hardly changes over the size of a marker body
 LONGEST_WAVE = 1.5  # m
+
+
+ARM_STREAM = 1
+"""Keeps the draws of the arm's geometry apart from all others of a seed."""
+SURFACE_STREAM = 1000
+"""The same for points of the skin: no landmark has so high an index."""
+
+
+def displaced(facts: ArmFacts, error: float, seed: int) -> ArmFacts:
+    """The arm as it was built: every joint, and the flange, sits beside where the model has it.
+
+    The joints turn the displacements against each other, so that their squares add up at the flange.
+
+    Args:
+        facts: The arm as its model has it.
+        error: Root of the sum of the squared displacements, m.
+        seed: Where they come from.
+    """
+    rng = np.random.default_rng((seed, ARM_STREAM))
+    offsets = rng.normal(size=(len(facts.joints) + 1, 3))
+    offsets *= error / np.linalg.norm(offsets)
+    *at_joints, at_flange = offsets.tolist()
+    joints = tuple(replace(joint, xyz=_add(joint.xyz, by)) for joint, by in zip(facts.joints, at_joints, strict=True))
+    return replace(facts, joints=joints, flange_xyz=_add(facts.flange_xyz, at_flange))
+
+
+def _add(xyz: Triple, offset: list[float]) -> Triple:
+    x, y, z = (value + by for value, by in zip(xyz, offset, strict=True))
+    return x, y, z
 
 
 class BiasField:
@@ -74,11 +105,15 @@ class TouchErrors:
     Args:
         settings: Deviations per axis.
         seed: Where they come from.
+
+    Attributes:
+        surface: Where on the skin a person touches who may touch anywhere, and how far beside it.
     """
 
     def __init__(self, settings: DigitizationSettings, seed: int) -> None:
         self._settings = settings
         self._seed = seed
+        self.surface = np.random.default_rng((seed, SURFACE_STREAM))
         self._landmarks: dict[int, tuple[np.random.Generator, Floats]] = {}
 
     def next(self, index: int) -> Floats:

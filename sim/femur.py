@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pcmrs.spatial import Floats, Transform
 from sim.phantom import Landmark, Phantom
 from sim.shape import Capsule
+from sim.solid import Balls
 
 BASE = np.array([0.085, 0.012, -0.020])
 """Where the axes of neck and shaft meet, in the image, m: the right hip beside the middle of the scanner."""
@@ -45,9 +46,15 @@ BONE = (
 )
 
 
+def distances(points: Floats) -> Floats:
+    """Distances of points (..., 3) of the image from the bone's surface, m, (...,); negative inside."""
+    found: Floats = np.min([part.distance(points) for part in BONE], axis=0)
+    return found
+
+
 def distance(point: Floats) -> float:
-    """Distance of a point of the image from the bone's surface, m; negative inside."""
-    return min(part.distance(point) for part in BONE)
+    """The same of one point, (3,)."""
+    return float(distances(point))
 
 
 def surface_point(origin: npt.ArrayLike, direction: npt.ArrayLike) -> Floats:
@@ -90,7 +97,9 @@ FEMUR = Phantom(
     inside=BASE,
     landmarks=LANDMARKS,
     body=tuple(part.shape() for part in BONE),
+    solid=Balls(BONE),
     tool=(_SLEEVE.shape(GUIDE_MASS),),
+    tool_radius=GUIDE_RADIUS,
     world_from_image=_world_from_image(),
     body_ref_from_image=_body_ref_from_image(),
 )

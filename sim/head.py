@@ -8,6 +8,7 @@ import numpy.typing as npt
 from pcmrs.spatial import Floats, Transform
 from sim.phantom import Landmark, Phantom
 from sim.shape import Shape
+from sim.solid import Superellipsoid
 
 CENTRE = np.array([0.004, -0.012, 0.035])
 """Centre of the head in the image, m: scanners do not centre heads."""
@@ -18,6 +19,7 @@ EXPONENT = 2.3
 COIL_MASS = 1.0  # kg: a figure-of-eight coil without its cable
 COIL_RADIUS = 0.05  # m
 COIL_HALF_THICKNESS = 0.01  # m
+COIL_CENTRE = Transform(np.eye(3), np.array([0.0, 0.0, COIL_HALF_THICKNESS]))  # the origin is on the face
 
 
 def surface_point(direction: npt.ArrayLike) -> Floats:
@@ -29,6 +31,13 @@ def surface_point(direction: npt.ArrayLike) -> Floats:
     scale = np.sum(np.abs(ray / SEMI_AXES) ** EXPONENT) ** (-1 / EXPONENT)
     point: Floats = CENTRE + scale * ray
     return point
+
+
+def level(points: Floats) -> Floats:
+    """Of points (..., 3) of the image, (...,): negative inside of the head, 0 on its surface, positive outside."""
+    powers = np.sum(np.abs((points - CENTRE) / SEMI_AXES) ** EXPONENT, axis=-1)
+    levels: Floats = powers ** (1 / EXPONENT) - 1.0
+    return levels
 
 
 def outward_normal(point: npt.ArrayLike) -> Floats:
@@ -58,7 +67,9 @@ HEAD = Phantom(
     inside=CENTRE,
     landmarks=LANDMARKS,
     body=(Shape("ellipsoid", Transform(np.eye(3), CENTRE), tuple(SEMI_AXES.tolist())),),
-    tool=(Shape("cylinder", Transform.identity(), (COIL_RADIUS, COIL_HALF_THICKNESS), COIL_MASS),),
+    solid=Superellipsoid(CENTRE, SEMI_AXES, EXPONENT),
+    tool=(Shape("cylinder", COIL_CENTRE, (COIL_RADIUS, COIL_HALF_THICKNESS), COIL_MASS),),
+    tool_radius=COIL_RADIUS,
     # Upright, 0.45 m in front of the base, facing away from it.
     world_from_image=Transform.from_quat_wxyz((0.462, 0.004, -0.015), (0.70710678, 0.0, 0.0, -0.70710678)),
     # On the forehead.

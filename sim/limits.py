@@ -6,11 +6,15 @@ import numpy as np
 
 from pcmrs.errors import DeviceError
 from pcmrs.kinematics.arms import ArmFacts
-from pcmrs.messages import JointTrajectory
+from pcmrs.messages import JointTrajectory, PressRequest
 from pcmrs.spatial import Floats
 
 START_TOLERANCE = 0.02
 """Greatest distance of a trajectory's start from the present set posture, rad in any joint."""
+PRESS_FORCE = (1.0, 5.0)  # N
+PRESS_TRAVEL = 0.010  # m
+PRESS_SPEED = 0.05  # m/s
+UNIT_TOLERANCE = 1e-3
 ROUNDING = 1e-6  # relative to a limit, so that a planner may use all of it
 
 
@@ -19,7 +23,7 @@ def check_trajectory(trajectory: JointTrajectory, posture: Floats, facts: ArmFac
 
     Args:
         trajectory: What is asked for.
-        posture: Present set posture, rad, (7,).
+        posture: Present set posture, rad, (n,).
         facts: The arm and its limits.
 
     Raises:
@@ -29,6 +33,25 @@ def check_trajectory(trajectory: JointTrajectory, posture: Floats, facts: ArmFac
     _check_start(positions[0], posture)
     _check_range(positions, facts)
     _check_speed(np.diff(positions, axis=0) / trajectory.period, facts)
+
+
+def check_press(request: PressRequest) -> None:
+    """Checks that a press is gentle and complete.
+
+    Raises:
+        DeviceError: It must not be done.
+    """
+    length = float(np.linalg.norm(request.direction_in_flange))
+    for what, value, low, high, unit in (
+        ("force", request.force, *PRESS_FORCE, "N"),
+        ("travel", request.travel, 0.0, PRESS_TRAVEL, "m"),
+        ("speed", request.speed, 0.0, PRESS_SPEED, "m/s"),
+        ("timeout", request.timeout, 0.0, np.inf, "s"),
+        ("length of the direction", length, 1 - UNIT_TOLERANCE, 1 + UNIT_TOLERANCE, ""),
+    ):
+        if not (low <= value <= high and value > 0.0):
+            text = f"The {what} of a press is {value:g} {unit}, must be {low:g} to {high:g} {unit}; change the request."
+            raise DeviceError(text, what=what, value=value, lowest=low, highest=high)
 
 
 def _positions(trajectory: JointTrajectory, joints: int) -> Floats:

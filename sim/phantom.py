@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from pcmrs.spatial import Floats, Transform
 from sim.shape import Shape
+from sim.solid import Solid
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +24,10 @@ class Phantom:
     Attributes:
         inside: A point inside of it: who touches a landmark holds the pointer away from there, (3,).
         landmarks: In the order in which they are planned.
-        body: Its shape in the image.
-        tool: Shape of what the robot carries for it, in the frame of the tool.
+        body: Its shape in the image, as it is drawn.
+        solid: The same, as a tool meets it.
+        tool: Shape of what the robot carries for it, in the frame of the tool, whose face is its plane z = 0.
+        tool_radius: Of that face, m.
         world_from_image: Where it stands; the robot base is the world frame.
         body_ref_from_image: Where its marker body is fixed to it.
     """
@@ -32,6 +35,8 @@ class Phantom:
     inside: Floats
     landmarks: tuple[Landmark, ...]
     body: tuple[Shape, ...]
+    solid: Solid
     tool: tuple[Shape, ...]
+    tool_radius: float
     world_from_image: Transform
     body_ref_from_image: Transform

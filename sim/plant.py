@@ -51,14 +51,11 @@ def _with_tool(text: str, flange_from_tool: Transform, shapes: Sequence[Shape]) 
     spec = mujoco.MjSpec.from_string(text)
     spec.option.timestep = STEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    # Nothing is touched on purpose: contact would only cost time.
+    # Tool and body meet in `sim.contact`; all other contact would only cost time.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     flange = spec.site("flange")
-    tool = flange.parent.add_body(
-        name="tool",
-        pos=flange.pos + flange_from_tool.translation,  # the flange is parallel to the last link
-        quat=flange_from_tool.quat_wxyz,
-    )
+    link_from_tool = Transform.from_quat_wxyz(flange.pos, flange.quat) @ flange_from_tool
+    tool = flange.parent.add_body(name="tool", pos=link_from_tool.translation, quat=link_from_tool.quat_wxyz)
     _add_shapes(tool, shapes, Transform.identity())
     return spec
 

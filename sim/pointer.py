@@ -7,7 +7,9 @@ import numpy as np
 from pcmrs.clock import Clock
 from pcmrs.messages import LandmarkPrompt
 from pcmrs.spatial import Floats, Transform
+from sim.motion import Pivot
 from sim.shape import rotation_with_z
+from sim.skin import TOUCHES
 from sim.world import World
 
 
@@ -25,24 +27,41 @@ class SimPointer:
         self._displacements: dict[int, Floats] = {}
 
     async def touch(self, prompt: LandmarkPrompt) -> None:
-        settings = self._world.settings.digitization
-        self._world.body_ref_from_pointer = None
-        await self._clock.sleep(settings.reach_time)
+        await self._reach()
         error = self._world.touch_errors.next(prompt.index)
         slip = self._displacements.pop(prompt.index, np.zeros(3))
-        tip_in_image = np.array(prompt.position_in_image) + error + slip
-        self._world.body_ref_from_pointer = self._body_ref_from_pointer(tip_in_image)
-        await self._clock.sleep(settings.rest_time)
+        await self._rest(np.array(prompt.position_in_image) + error + slip)
+
+    async def touch_surface(self) -> None:
+        await self._reach()
+        settings, rng = self._world.settings, self._world.touch_errors.surface
+        beside = rng.normal(0.0, settings.digitization.surface_noise_mm * 1e-3, 3)
+        await self._rest(TOUCHES[settings.phantom](rng) + beside)
 
     async def release(self) -> None:
-        self._world.body_ref_from_pointer = None
+        self._world.image_from_pointer = self._world.pivot = None
+
+    def pivot(self, duration: float) -> None:
+        """Turns the pointer about its tip in a divot, where the first landmark is planned, for `duration` s."""
+        time, divot = self._world.time, self._world.phantom.landmarks[0].position
+        self._world.pivot = Pivot(time, time + duration, self._image_from_tip(divot), self._tip_from_pointer)
 
     def displace(self, index: int, offset_in_image: Floats) -> None:
         """Adds an error, m, (3,), to the next touch of landmark `index` only."""
         self._displacements[index] = offset_in_image
 
-    def _body_ref_from_pointer(self, tip_in_image: Floats) -> Transform:
-        """The marker body of a pointer whose tip is there and whose shaft points away from the body."""
-        image_from_tip = Transform(rotation_with_z(tip_in_image - self._world.phantom.inside), tip_in_image)
-        tip_from_pointer = self._world.settings.geometry.pointer_from_tip.transform.inverse()
-        return self._world.body_ref_from_image @ image_from_tip @ tip_from_pointer
+    async def _reach(self) -> None:
+        self._world.image_from_pointer = self._world.pivot = None
+        await self._clock.sleep(self._world.settings.digitization.reach_time)
+
+    async def _rest(self, tip_in_image: Floats) -> None:
+        self._world.image_from_pointer = self._image_from_tip(tip_in_image) @ self._tip_from_pointer
+        await self._clock.sleep(self._world.settings.digitization.rest_time)
+
+    @property
+    def _tip_from_pointer(self) -> Transform:
+        return self._world.settings.geometry.pointer_from_tip.transform.inverse()
+
+    def _image_from_tip(self, tip_in_image: Floats) -> Transform:
+        """A tip that is there, with the shaft along +z, away from the body."""
+        return Transform(rotation_with_z(tip_in_image - self._world.phantom.inside), tip_in_image)

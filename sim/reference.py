@@ -2,22 +2,55 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Protocol, Self
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from pcmrs.messages import JointTrajectory
+from pcmrs.messages import DeviceEvent, JointTrajectory
 from pcmrs.spatial import Floats
 from sim.plant import STEP
+
+
+class SetPoint(Protocol):
+    """What the arm follows.
+
+    Attributes:
+        halt: Why the arm must brake now, if it must.
+        alarm: What to report when it is held, if anything.
+        ended: Whether it stands still for good.
+        position: The present set posture, rad, (n,).
+        velocity: Its velocity, rad/s, (n,).
+    """
+
+    @property
+    def halt(self) -> str | None: ...
+
+    @property
+    def alarm(self) -> DeviceEvent | None: ...
+
+    @property
+    def ended(self) -> bool: ...
+
+    @property
+    def position(self) -> Floats: ...
+
+    @property
+    def velocity(self) -> Floats: ...
+
+    def advance(self) -> Floats:
+        """The next sample: position, velocity and acceleration, (3, n)."""
 
 
 class Reference:
     """A moving set point that stays at its last sample for ever.
 
     Args:
-        samples: Position rad, velocity rad/s and acceleration rad/s^2 of 7 joints at every `STEP`, (N, 3, 7).
+        samples: Position rad, velocity rad/s and acceleration rad/s^2 of n joints at every `STEP`, (N, 3, n).
     """
+
+    halt: str | None = None
+    alarm: DeviceEvent | None = None
 
     def __init__(self, samples: Floats) -> None:
         self._samples = samples
@@ -26,11 +59,11 @@ class Reference:
 
     @classmethod
     def standing(cls, posture: Floats) -> Self:
-        """A set point that does not move, posture (7,) in rad."""
-        return cls(np.stack((posture, np.zeros(7), np.zeros(7)))[None])
+        """A set point that does not move, posture (n,) in rad."""
+        return cls(np.stack((posture, np.zeros_like(posture), np.zeros_like(posture)))[None])
 
     @classmethod
-    def along(cls, trajectory: JointTrajectory, present: Self) -> Self:
+    def along(cls, trajectory: JointTrajectory, present: SetPoint) -> Self:
         """Follows a trajectory from the present set point: a cubic spline, clamped to end at rest.
 
         A trajectory starts near the present set point, not exactly on it; the difference fades out linearly. One of
@@ -39,16 +72,16 @@ class Reference:
         if len(trajectory.positions) == 1:
             return cls.standing(present.position)
         positions = np.array(trajectory.positions)
-        positions += np.linspace(present.position - positions[0], np.zeros(7), len(positions))
+        positions += np.linspace(present.position - positions[0], 0.0, len(positions))
         times = np.arange(len(positions)) * trajectory.period
-        spline = CubicSpline(times, positions, bc_type=((1, present.velocity), (1, np.zeros(7))))
+        spline = CubicSpline(times, positions, bc_type=((1, present.velocity), (1, np.zeros_like(present.velocity))))
         grid = np.linspace(0.0, times[-1], 1 + int(np.ceil(times[-1] / STEP)))
         samples = np.stack([spline(grid, order) for order in range(3)], axis=1)
         samples[-1, 2] = 0.0  # it stays there
         return cls(samples)
 
     def advance(self) -> Floats:
-        """The next sample, (3, 7)."""
+        """The next sample, (3, n)."""
         self._index = min(self._index + 1, self._last)
         sample: Floats = self._samples[self._index]
         return sample
@@ -60,12 +93,12 @@ class Reference:
 
     @property
     def position(self) -> Floats:
-        """The present set posture, rad, (7,)."""
+        """The present set posture, rad, (n,)."""
         position: Floats = self._samples[self._index, 0]
         return position
 
     @property
     def velocity(self) -> Floats:
-        """Its velocity, rad/s, (7,)."""
+        """Its velocity, rad/s, (n,)."""
         velocity: Floats = self._samples[self._index, 1]
         return velocity

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from pcmrs.errors import DeviceError
-from pcmrs.messages import SceneTruth
+from pcmrs.messages import HeadMotion, SceneTruth
 from pcmrs.spatial import Transform
+from sim.motion import check_motion
 from sim.pointer import SimPointer
 from sim.robot import SimRobot
+from sim.settings import Triple
 from sim.tracker import BODIES
 from sim.world import World
 
@@ -45,8 +47,17 @@ class SimScene:
             self._world.hidden.discard(body)
 
     async def move_body(self, offset_in_tracker: tuple[float, float, float]) -> None:
-        moved = Transform(np.eye(3), np.array(offset_in_tracker))
-        self._world.tracker_from_body_ref = moved @ self._world.tracker_from_body_ref
+        self._world.shift_body(np.array(offset_in_tracker))
+
+    async def set_motion(self, motion: HeadMotion) -> None:
+        check_motion(motion)
+        self._world.set_motion(motion)
+
+    async def bump_reference(self, offset_in_body_ref: Triple, rotvec: Triple) -> None:
+        self._world.bump_reference(Transform.from_rotvec(offset_in_body_ref, rotvec))
+
+    async def pivot_pointer(self, duration: float) -> None:
+        self._pointer.pivot(duration)
 
     async def cut_robot(self, cut: bool) -> None:
         self._robot.cut(cut)

@@ -64,12 +64,14 @@ class DigitizationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
         planning_bias_mm: Standard deviation per axis by which a planned landmark differs from the anatomical
             point that the person touches; fixed per seed and landmark.
         noise_mm: Standard deviation per axis of each touch anew.
+        surface_noise_mm: Standard deviation per axis of a point touched anywhere on the skin.
         reach_time: From the prompt until the tip rests on the landmark, s.
         rest_time: From then until the person says so, s; longer than the tracker's latency.
     """
 
     planning_bias_mm: NotNegative = 1.6
     noise_mm: NotNegative = 0.95
+    surface_noise_mm: NotNegative = 0.5
     reach_time: NotNegative = 0.8
     rest_time: NotNegative = 0.2
 
@@ -78,36 +80,47 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The arm's imperfections and its controller.
 
     Attributes:
-        home: Posture at the start, rad, base to flange.
+        home: Posture at the start, rad, base to flange; empty for the arm's own.
         friction: Coulomb friction of each joint, N m.
         damping: Viscous friction of each joint, N m s/rad.
         armature: Rotor inertia of each joint seen at its output, kg m^2; known to the controller.
+        geometry_error_mm: Root mean square distance of the true flange from where the model has it, over postures and
+            seeds; fixed per seed.
         inertia_error: Relative error of the controller's masses and inertias: link by link +this or -this.
-        stiffness: Of the joint impedance, base to flange, N m/rad.
+        stiffness: Of the joint impedance, base to flange, N m/rad; empty for the arm's own.
         integral_rate: Rate at which the integral action removes a constant error, 1/s.
         brake_acceleration: Of every joint when held, rad/s^2.
         brake_jerk: Of every joint when held, rad/s^3.
+        force_noise: Standard deviation of the measured force per axis and control step, N, before the filter.
+        force_filter_hz: Corner of the low-pass filter of the measured force.
         state_rate_hz: Published joint states per second of cell time.
     """
 
-    home: tuple[float, float, float, float, float, float, float] = (0.0, -0.35, 0.0, -1.57, 0.0, 1.40, -1.57)
+    home: tuple[float, ...] = ()
     friction: NotNegative = 0.5
     damping: NotNegative = 0.5
     armature: NotNegative = 0.1
+    geometry_error_mm: NotNegative = 1.0
     inertia_error: Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)] = 0.05
-    stiffness: tuple[Positive, Positive, Positive, Positive, Positive, Positive, Positive] = (
-        4000.0,
-        4000.0,
-        3000.0,
-        3000.0,
-        2000.0,
-        2000.0,
-        1500.0,
-    )
+    stiffness: tuple[Positive, ...] = ()
     integral_rate: NotNegative = 8.0
     brake_acceleration: Positive = 10.0
     brake_jerk: Positive = 200.0
+    force_noise: NotNegative = 0.2
+    force_filter_hz: Positive = 20.0
     state_rate_hz: Positive = 100.0
+
+
+class ContactSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The skin between tool and body.
+
+    Attributes:
+        stiffness: N/m.
+        damping: Part of the spring's force that is added per speed of the tool into the body, s/m.
+    """
+
+    stiffness: NotNegative = 1000.0
+    damping: NotNegative = 5.0
 
 
 class GeometrySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -142,7 +155,27 @@ class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tracker: TrackerSettings = TrackerSettings()
     digitization: DigitizationSettings = DigitizationSettings()
     arm: ArmSettings = ArmSettings()
+    contact: ContactSettings = ContactSettings()
     geometry: GeometrySettings = GeometrySettings()
+
+
+class ForceSettings(msgspec.Struct, frozen=True):
+    """What the driver reads of the table ``robot``: the greatest force, N, and the way by which it is relieved."""
+
+    force_limit: Positive = 25.0
+    relief_mm: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.0
+
+
+def read_force_settings(settings: Mapping[str, Any]) -> ForceSettings:
+    """What the driver reads of the table ``robot`` of the whole configuration.
+
+    Raises:
+        ConfigurationError: A value has the wrong type or is out of range.
+    """
+    try:
+        return msgspec.convert(settings.get("robot", {}), ForceSettings)
+    except msgspec.ValidationError as error:
+        raise ConfigurationError(f"The table [robot] of the configuration is wrong: {error}.") from None
 
 
 def read_settings(settings: Mapping[str, Any]) -> SimSettings:

@@ -36,12 +36,13 @@ class Capsule:
     end: Floats
     radius: float
 
-    def distance(self, point: Floats) -> float:
-        """Distance of a point from the surface, m; negative inside."""
+    def distance(self, points: Floats) -> Floats:
+        """Distances of points (..., 3) from the surface, m, (...,); negative inside."""
         line = self.end - self.start
         squared = float(line @ line)
-        along = np.clip(float((point - self.start) @ line) / squared, 0.0, 1.0) if squared > 0.0 else 0.0
-        return float(np.linalg.norm(point - self.start - along * line)) - self.radius
+        along = np.clip((points - self.start) @ line / squared, 0.0, 1.0) if squared > 0.0 else np.float64(0.0)
+        distances: Floats = np.linalg.norm(points - self.start - along[..., None] * line, axis=-1) - self.radius
+        return distances
 
     def shape(self, mass: float = 0.0) -> Shape:
         """The same for the scene."""

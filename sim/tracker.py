@@ -12,7 +12,7 @@ from pcmrs.messages import BodyPose
 from sim.stream import Stream
 from sim.world import World
 
-BODIES = ("coil", "body_ref", "pointer")
+BODIES = ("coil", "body_ref", "pointer", "witness")
 
 
 class SimTracker:

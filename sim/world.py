@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcmrs.kinematics.arms import ARMS
-from pcmrs.kinematics.model import ArmModel
-from pcmrs.messages import PoseMessage, SceneTruth
-from pcmrs.spatial import Transform
+from pcmrs.kinematics.arms import ArmFacts
+from pcmrs.messages import HeadMotion, PoseMessage, SceneTruth
+from pcmrs.spatial import Floats, Transform
 from sim.arm import Arm
 from sim.errors import TouchErrors, TrackerErrors
+from sim.motion import Pivot, head_offset
 from sim.phantoms import PHANTOMS
-from sim.settings import Pose, SimSettings
+from sim.plant import STEP
+from sim.settings import ForceSettings, Pose, SimSettings
+
+BODY_REF_FROM_WITNESS = Transform.from_rotvec((0.0, 0.08, 0.0), (0.3, 0.2, 0.0))
+"""Where a second marker body was fixed to the patient, as long as nobody bumps the reference."""
 
 
 class World:
@@ -19,35 +23,40 @@ class World:
 
     Args:
         settings: Errors and geometry.
-        arm_name: A key of `ARMS`.
+        facts: The arm.
+        force: When the force on the tool is too great.
+        time: At which it begins, s.
 
     Attributes:
         settings: Errors and geometry.
         phantom: What stands before the arm.
         arm: The simulated arm.
-        tracker_from_body_ref: Where the patient is now.
+        time: Now, s of the cell.
+        tracker_from_image: Where the patient's body is now.
         body_ref_from_image: The true registration.
-        body_ref_from_pointer: Where the pointer rests on the patient; None while it is on its way or away.
+        image_from_pointer: Where the pointer rests on the patient; None while it is on its way or away.
+        pivot: How the pointer turns in a divot, if it does.
         hidden: Bodies that something hides from the tracker.
         tracker_errors: What the tracker adds to the truth.
         touch_errors: Where a person touches beside a planned landmark.
     """
 
-    def __init__(self, settings: SimSettings, arm_name: str) -> None:
+    def __init__(self, settings: SimSettings, facts: ArmFacts, force: ForceSettings, time: float) -> None:
         geometry = settings.geometry
         self.settings = settings
         self.phantom = phantom = PHANTOMS[settings.phantom]
-        self._model = ArmModel(ARMS[arm_name])
-        self._tracker_from_world = geometry.world_from_tracker.transform.inverse()
+        self.time = time
+        self._world_from_tracker = geometry.world_from_tracker.transform
+        self._tracker_from_world = self._world_from_tracker.inverse()
         self._flange_from_coil = geometry.flange_from_coil.transform
         self.body_ref_from_image = _placed(geometry.body_ref_from_image, phantom.body_ref_from_image)
-        world_from_image = _placed(geometry.world_from_image, phantom.world_from_image)
-        world_from_body_ref = world_from_image @ self.body_ref_from_image.inverse()
-        self.tracker_from_body_ref = self._tracker_from_world @ world_from_body_ref
-        self.body_ref_from_pointer: Transform | None = None
+        self._image_from_witness = self.body_ref_from_image.inverse() @ BODY_REF_FROM_WITNESS
+        self.image_from_pointer: Transform | None = None
+        self.pivot: Pivot | None = None
         self.hidden: set[str] = set()
-        rng = np.random.default_rng(settings.seed)
-        self.arm = Arm(ARMS[arm_name], settings.arm, self._flange_from_coil, phantom, rng)
+        self.arm = Arm(facts, settings, force, phantom)
+        self._motion, self._motion_start = HeadMotion(), time
+        self._put(self._tracker_from_world @ _placed(geometry.world_from_image, phantom.world_from_image))
         self.reseed(settings.seed)
 
     def reseed(self, seed: int) -> None:
@@ -55,34 +64,94 @@ class World:
         self.tracker_errors = TrackerErrors(self.settings.tracker, np.random.default_rng(seed))
         self.touch_errors = TouchErrors(self.settings.digitization, seed)
 
+    def step(self, steps: int) -> None:
+        """Lets `steps` times `STEP` pass."""
+        if self._motion == HeadMotion():
+            self.arm.step(steps)
+            self.time += steps * STEP
+            return
+        for _ in range(steps):
+            self._move()
+            self.arm.step(1)
+            self.time += STEP
+
+    def shift_body(self, offset_in_tracker: Floats) -> None:
+        """Moves the patient at once, m, (3,)."""
+        self._put(_shifted(offset_in_tracker, self._tracker_from_image_at_start))
+        self._move()
+
+    def set_motion(self, motion: HeadMotion) -> None:
+        """The patient moves like that from where it is now."""
+        self._put(self.tracker_from_image)
+        self._motion, self._motion_start = motion, self.time
+
+    def bump_reference(self, old_from_new: Transform) -> None:
+        """Moves the reference on the patient; its marker body lies at `old_from_new` in where it was before."""
+        self.body_ref_from_image = old_from_new.inverse() @ self.body_ref_from_image
+
     def tracker_from_coil(self) -> Transform:
         """The true pose of the tool's marker body."""
-        return self._tracker_from_world @ self._model.forward(self.arm.positions) @ self._flange_from_coil
+        return self._tracker_from_world @ self.arm.base_from_flange() @ self._flange_from_coil
+
+    def tracker_from_body_ref(self) -> Transform:
+        """The true pose of the reference."""
+        return self.tracker_from_image @ self.body_ref_from_image.inverse()
 
     def tracker_from(self, body: str) -> Transform | None:
         """The true pose of a tracked body; None when it is not in the tracker's view at all."""
         if body == "coil":
             return self.tracker_from_coil()
         if body == "body_ref":
-            return self.tracker_from_body_ref
-        if self.body_ref_from_pointer is None:
-            return None
-        return self.tracker_from_body_ref @ self.body_ref_from_pointer
+            return self.tracker_from_body_ref()
+        if body == "witness":
+            return self.tracker_from_image @ self._image_from_witness
+        return self._tracker_from_pointer()
 
     def truth(self) -> SceneTruth:
-        """The true poses at this moment."""
+        """Everything as it is at this moment."""
+        tip_in_pointer = self.settings.geometry.pointer_from_tip.position
+        pointer = self._tracker_from_pointer()
         return SceneTruth(
             tracker_from_coil=_message(self.tracker_from_coil()),
-            tracker_from_body_ref=_message(self.tracker_from_body_ref),
+            tracker_from_body_ref=_message(self.tracker_from_body_ref()),
             body_ref_from_image=_message(self.body_ref_from_image),
+            time=self.time,
+            contact_force=self.arm.contact.force,
+            tip_in_pointer=tip_in_pointer,
+            tip_in_tracker=None if pointer is None else _triple(pointer @ tip_in_pointer),
         )
+
+    def _tracker_from_pointer(self) -> Transform | None:
+        if self.pivot is not None and self.time > self.pivot.end:
+            self.pivot = None
+        image_from_pointer = self.image_from_pointer
+        if self.pivot is not None:
+            image_from_pointer = self.pivot.image_from_pointer(self.time)
+        return None if image_from_pointer is None else self.tracker_from_image @ image_from_pointer
+
+    def _put(self, tracker_from_image: Transform) -> None:
+        self._tracker_from_image_at_start = self.tracker_from_image = tracker_from_image
+        self.arm.contact.place(self._world_from_tracker @ tracker_from_image)
+
+    def _move(self) -> None:
+        offset = head_offset(self._motion, self.time - self._motion_start)
+        self.tracker_from_image = _shifted(offset, self._tracker_from_image_at_start)
+        self.arm.contact.place(self._world_from_tracker @ self.tracker_from_image)
 
 
 def _placed(configured: Pose | None, own: Transform) -> Transform:
     return own if configured is None else configured.transform
 
 
+def _shifted(offset: Floats, pose: Transform) -> Transform:
+    return Transform.from_quat_wxyz(offset, (1.0, 0.0, 0.0, 0.0)) @ pose
+
+
 def _message(transform: Transform) -> PoseMessage:
-    x, y, z = transform.translation.tolist()
     w, i, j, k = transform.quat_wxyz.tolist()
-    return PoseMessage(position=(x, y, z), quat_wxyz=(w, i, j, k))
+    return PoseMessage(position=_triple(transform.translation), quat_wxyz=(w, i, j, k))
+
+
+def _triple(vector: Floats) -> tuple[float, float, float]:
+    x, y, z = vector.tolist()
+    return x, y, z

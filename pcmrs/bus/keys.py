@@ -64,6 +64,8 @@ KEYS = [
     _row("dev/<device>/cmd", "query", "DeviceRequest -> DeviceReply", "Calls a method of a device node; daemon only."),
     _row("dev/<device>/state", "subscribe", "DeviceHealth", "Whether a device node and its device are well."),
     _row("dev/<device>/beat", "subscribe", "heartbeat", "Beats of the daemon and of the device node."),
+    _row("dev/robot/setpoint", "subscribe", "JointSetpoint", "Set points of a servo session; daemon only."),
+    _row("dev/<device>/event", "subscribe", "DeviceEvent", "What a device reports by itself to the daemon."),
     _row("alive/<component>", "subscribe", "liveliness token", "Which processes of the cell are connected."),
 ]
 

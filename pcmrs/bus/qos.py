@@ -31,6 +31,7 @@ COMMANDS: Final = DataClass(Priority.REAL_TIME, newest_only=False, express=True)
 SNAPSHOTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest_only=True, kept=1, history=1)
 EVENTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest_only=False, kept=256)
 BEATS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest_only=True, express=True)
+SETPOINTS: Final = DataClass(Priority.REAL_TIME, newest_only=True, express=True)
 POSES: Final = DataClass(Priority.INTERACTIVE_LOW, newest_only=True)
 JOINTS: Final = DataClass(Priority.DATA_HIGH, newest_only=True)
 VIDEO: Final = DataClass(Priority.BACKGROUND, newest_only=True)
@@ -50,6 +51,8 @@ _TABLE: Final = [
         ("state/target", SNAPSHOTS),
         ("dev/*/state", SNAPSHOTS),
         ("dev/*/beat", BEATS),
+        ("dev/*/setpoint", SETPOINTS),
+        ("dev/*/event", EVENTS),
         ("video/*", VIDEO),
         ("**", OTHER),
     )

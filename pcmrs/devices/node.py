@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 import math
 from collections.abc import Mapping
 from typing import Any, get_type_hints
@@ -14,7 +15,7 @@ from pcmrs.clock import Clock
 from pcmrs.devices.link import Link
 from pcmrs.devices.protocols import Pointer, Robot, RobotDriver, Scene, TrackerDriver
 from pcmrs.errors import PayloadError, PcmrsError
-from pcmrs.messages import Beat, DeviceHealth, DeviceReply, DeviceRequest, Reason
+from pcmrs.messages import Beat, DeviceHealth, DeviceReply, DeviceRequest, JointSetpoint, Reason
 
 log = structlog.get_logger(__name__)
 
@@ -66,7 +67,9 @@ class DeviceNode:
             if "robot" in self._devices:
                 robot: RobotDriver = self._devices["robot"]
                 self._link.subscribe("dev/robot/beat", Beat, self._hear_beat)
+                self._link.subscribe("dev/robot/setpoint", JointSetpoint, lambda _, each: robot.set_point(each))
                 tasks.create_task(self._publish_joints(robot))
+                tasks.create_task(self._publish_events(robot))
                 tasks.create_task(self._watch_beat())
 
     def stop(self, source: str) -> None:
@@ -128,6 +131,10 @@ class DeviceNode:
             self._heard["robot"] = self._clock.monotonic()
             self._link.publish("state/joints", state)
 
+    async def _publish_events(self, robot: RobotDriver) -> None:
+        async for event in robot.events():
+            self._link.publish("dev/robot/event", event)
+
     def _hear_beat(self, _key: str, _beat: Beat) -> None:
         self._last_beat = self._clock.monotonic()
 
@@ -149,7 +156,7 @@ class DeviceNode:
 
 
 def _methods(protocol: type) -> list[str]:
-    return [name for name, value in vars(protocol).items() if callable(value) and not name.startswith("_")]
+    return [name for name, value in vars(protocol).items() if inspect.iscoroutinefunction(value)]
 
 
 async def _call(device: Any, methods: dict[str, dict[str, Any]], request: DeviceRequest) -> Any:

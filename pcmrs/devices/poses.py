@@ -7,6 +7,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 from pcmrs.clock import Clock
 from pcmrs.errors import GeometryError, RefusalError
@@ -91,11 +92,28 @@ class PoseFeed:
         """
         for body in bodies:
             self._newest(body)
-        frames = self._together(bodies, since=since)[-count:]
+        frames = self.together(bodies, since)[-count:]
         if not frames:
             text = f"{' and '.join(bodies)} have not been seen together since the arm came to rest: ask again."
             raise RefusalError("pose_missing", text)
         return {body: mean_transform([frame[body] for frame in frames]) for body in bodies}
+
+    def together(self, bodies: Sequence[str], since: float) -> list[dict[str, Transform]]:
+        """The frames captured after `since`, s of the clock, that show all `bodies`: ``tracker_from_body`` each."""
+        found: dict[int, dict[str, Transform]] = {}
+        for body in bodies:
+            for sighting in self._sightings.get(body, ()):
+                if sighting.captured >= since:
+                    found.setdefault(sighting.frame_number, {})[body] = sighting.tracker_from_body
+        return [frame for _, frame in sorted(found.items()) if len(frame) == len(bodies)]
+
+    def frames_after(self, number: int, bodies: Sequence[str]) -> list[dict[str, Sighting]]:
+        """The frames after frame `number` that show all `bodies`, oldest first, each with its stamps."""
+        found: dict[int, dict[str, Sighting]] = {}
+        for body in bodies:
+            for sighting in takewhile(lambda each: each.frame_number > number, reversed(self._sightings.get(body, ()))):
+                found.setdefault(sighting.frame_number, {})[body] = sighting
+        return [frame for _, frame in sorted(found.items()) if len(frame) == len(bodies)]
 
     async def collect(self, bodies: Sequence[str], count: int, timeout: float) -> list[dict[str, Transform]]:
         """`count` frames captured from now on that show all `bodies`: ``tracker_from_body`` each.
@@ -109,7 +127,7 @@ class PoseFeed:
             async with self._clock.timeout(timeout):
                 while len(frames) < count:
                     self._arrived.clear()
-                    frames = self._together(bodies, since=begin)
+                    frames = self.together(bodies, begin)
                     if len(frames) < count:
                         await self._arrived.wait()
         except TimeoutError:
@@ -149,14 +167,6 @@ class PoseFeed:
             text += f"{self._why_missing([body])}. Clear the line of sight."
             raise RefusalError("pose_stale", text, body=body, age=age, limit=self._max_age)
         return known[-1]
-
-    def _together(self, bodies: Sequence[str], since: float) -> list[dict[str, Transform]]:
-        found: dict[int, dict[str, Transform]] = {}
-        for body in bodies:
-            for sighting in self._sightings.get(body, ()):
-                if sighting.captured >= since:
-                    found.setdefault(sighting.frame_number, {})[body] = sighting.tracker_from_body
-        return [frame for _, frame in sorted(found.items()) if len(frame) == len(bodies)]
 
     def _why_missing(self, bodies: Sequence[str]) -> str:
         reasons = [f"{body}: {self._last_reason[body]}" for body in bodies if body in self._last_reason]

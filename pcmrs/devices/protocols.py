@@ -10,8 +10,32 @@ from collections.abc import AsyncIterator, Collection, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from typing import Any, Protocol
 
+import numpy.typing as npt
+
 from pcmrs.clock import Clock
-from pcmrs.messages import BodyPose, JointState, JointTrajectory, LandmarkPrompt, MotionResult, SceneTruth
+from pcmrs.messages import (
+    BodyPose,
+    DeviceEvent,
+    HeadMotion,
+    JointSetpoint,
+    JointState,
+    JointTrajectory,
+    LandmarkPrompt,
+    MotionResult,
+    PressRequest,
+    SceneTruth,
+    ServoSession,
+)
+
+
+class ServoStream(Protocol):
+    """A running servo session, as who sends the set points has it."""
+
+    def send(self, positions: npt.ArrayLike, velocities: npt.ArrayLike) -> None:
+        """Sends where the joints shall be now (rad) and how fast they shall go there (rad/s), (n,); never waits.
+
+        The robot extrapolates it until the next one comes, and brakes when none does.
+        """
 
 
 class Robot(Protocol):
@@ -33,8 +57,25 @@ class Robot(Protocol):
     async def follow(self, trajectory: JointTrajectory) -> MotionResult:
         """Moves along the trajectory and returns when it stands still at its end or was held."""
 
+    async def press(self, request: PressRequest) -> MotionResult:
+        """Goes along an axis of the tool until it presses as asked, and stays there.
+
+        Returns:
+            ``done`` once the force was within 0.3 N of the asked one for 0.5 s; ``stopped`` with reason
+            ``no_contact`` or ``travel_limit`` at the end of the travel, ``timeout``, ``held`` or ``force_limit``.
+        """
+
+    async def begin_servo(self) -> ServoSession:
+        """Opens a session of set points; the robot stands still until the first one comes."""
+
+    async def end_servo(self) -> MotionResult:
+        """Ends the session and returns when the robot stands: ``stopped`` if it had ended by itself before."""
+
+    def servo(self) -> AbstractAsyncContextManager[ServoStream]:
+        """A servo session for as long as the context lasts; leaving it returns when the robot stands."""
+
     async def hold(self) -> JointState:
-        """Brakes at once, ends a running `follow` as ``stopped``, returns the joints at rest."""
+        """Brakes at once, ends what runs as ``stopped``, returns the joints at rest."""
 
 
 class Pointer(Protocol):
@@ -42,6 +83,9 @@ class Pointer(Protocol):
 
     async def touch(self, prompt: LandmarkPrompt) -> None:
         """Asks for a landmark and returns once the person holds the tip on it."""
+
+    async def touch_surface(self) -> None:
+        """Asks for any point of the skin and returns once the person holds the tip on it."""
 
     async def release(self) -> None:
         """The person may take the pointer away."""
@@ -65,15 +109,35 @@ class Scene(Protocol):
     async def move_body(self, offset_in_tracker: tuple[float, float, float]) -> None:
         """Moves the patient's body with its reference by `offset_in_tracker` (m)."""
 
+    async def set_motion(self, motion: HeadMotion) -> None:
+        """The patient's body moves like that from now on, with its reference."""
+
+    async def bump_reference(
+        self, offset_in_body_ref: tuple[float, float, float], rotvec: tuple[float, float, float]
+    ) -> None:
+        """Moves the reference on the body by an offset (m) and a rotation vector (rad), both in its own axes.
+
+        The body and the tracked body ``witness``, fixed to it elsewhere, stay.
+        """
+
+    async def pivot_pointer(self, duration: float) -> None:
+        """The pointer pivots about its tip in a divot of the body for `duration` s of the cell, then goes away."""
+
     async def cut_robot(self, cut: bool) -> None:
         """Cuts the robot's link, or restores it; a cut arm holds its posture and does not answer."""
 
 
 class RobotDriver(Robot, Protocol):
-    """A robot as its node has it: the protocol plus a stream of states."""
+    """A robot as its node has it: the protocol plus streams of states and events, and set points without answer."""
 
     def states(self) -> AsyncIterator[JointState]:
         """Measured joints at the driver's own rate while connected or not."""
+
+    def events(self) -> AsyncIterator[DeviceEvent]:
+        """What the robot has to report by itself."""
+
+    def set_point(self, setpoint: JointSetpoint) -> None:
+        """Takes a set point of the running session; one that is stale or foreign is dropped, never an error."""
 
 
 class TrackerDriver(Protocol):

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractAsyncContextManager
 from typing import Any, TypeVar
 
 import msgspec
 
 from pcmrs.clock import Clock
 from pcmrs.devices.link import Link
+from pcmrs.devices.protocols import ServoStream
+from pcmrs.devices.servo import servo_session
 from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.messages import (
     DeviceReply,
     DeviceRequest,
+    HeadMotion,
+    JointSetpoint,
     JointState,
     JointTrajectory,
     LandmarkPrompt,
     MotionResult,
+    PressRequest,
     SceneTruth,
+    ServoSession,
 )
 
 T = TypeVar("T")
@@ -86,8 +93,23 @@ class RemoteRobot(RemoteDevice):
         duration = trajectory.period * len(trajectory.positions)
         return await self.call("follow", MotionResult, duration + MOTION_MARGIN, trajectory=trajectory)
 
+    async def press(self, request: PressRequest) -> MotionResult:
+        return await self.call("press", MotionResult, request.timeout + MOTION_MARGIN, request=request)
+
+    async def begin_servo(self) -> ServoSession:
+        return await self.call("begin_servo", ServoSession)
+
+    async def end_servo(self) -> MotionResult:
+        return await self.call("end_servo", MotionResult)
+
+    def servo(self) -> AbstractAsyncContextManager[ServoStream]:
+        return servo_session(self, self._put, self._clock)
+
     async def hold(self) -> JointState:
         return await self.call("hold", JointState)
+
+    def _put(self, setpoint: JointSetpoint) -> None:
+        self._link.publish("dev/robot/setpoint", setpoint)
 
 
 class RemotePointer(RemoteDevice):
@@ -99,6 +121,9 @@ class RemotePointer(RemoteDevice):
 
     async def touch(self, prompt: LandmarkPrompt) -> None:
         await self.call("touch", type(None), self._touch_timeout, prompt=prompt)
+
+    async def touch_surface(self) -> None:
+        await self.call("touch_surface", type(None), self._touch_timeout)
 
     async def release(self) -> None:
         await self.call("release", type(None))
@@ -124,6 +149,17 @@ class RemoteScene(RemoteDevice):
 
     async def move_body(self, offset_in_tracker: tuple[float, float, float]) -> None:
         await self.call("move_body", type(None), offset_in_tracker=offset_in_tracker)
+
+    async def set_motion(self, motion: HeadMotion) -> None:
+        await self.call("set_motion", type(None), motion=motion)
+
+    async def bump_reference(
+        self, offset_in_body_ref: tuple[float, float, float], rotvec: tuple[float, float, float]
+    ) -> None:
+        await self.call("bump_reference", type(None), offset_in_body_ref=offset_in_body_ref, rotvec=rotvec)
+
+    async def pivot_pointer(self, duration: float) -> None:
+        await self.call("pivot_pointer", type(None), duration=duration)
 
     async def cut_robot(self, cut: bool) -> None:
         await self.call("cut_robot", type(None), cut=cut)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pcmrs.bus import KEYS, KeyTable
 from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.keys import cell_prefix, command_key, split_command_key
-from pcmrs.bus.qos import BEATS, COMMANDS, EVENTS, JOINTS, OTHER, POSES, SNAPSHOTS, DataClass, class_of
+from pcmrs.bus.qos import BEATS, COMMANDS, EVENTS, JOINTS, OTHER, POSES, SETPOINTS, SNAPSHOTS, DataClass, class_of
 from pcmrs.devices.link import Link
 from pcmrs.errors import PayloadError
 
@@ -41,6 +41,8 @@ def test_a_name_that_would_change_the_key_is_refused(name: str) -> None:
         ("state/pose/*", POSES),
         ("dev/robot/beat", BEATS),
         ("dev/*/beat", BEATS),
+        ("dev/robot/setpoint", SETPOINTS),
+        ("dev/robot/event", EVENTS),
         ("dev/robot/state", SNAPSHOTS),
         ("meta/version", OTHER),
         ("state/**", OTHER),

@@ -18,16 +18,23 @@ from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.messages import (
     Beat,
     BodyPose,
+    DeviceEvent,
     DeviceReply,
     DeviceRequest,
+    HeadBurst,
+    HeadMotion,
+    JointSetpoint,
     JointState,
     JointTrajectory,
     LandmarkPrompt,
     MotionResult,
+    PressRequest,
+    ServoSession,
 )
 
 STATE = JointState(captured=1.0, sent=1.0, positions=[0.1] * 7, velocities=[0.0] * 7, torques=[0.0] * 7)
 TRAJECTORY = JointTrajectory(period=0.005, positions=[[0.0] * 7, [0.1] * 7])
+END = JointSetpoint(session=0, number=0, sent=0.0, positions=[], velocities=[])
 
 
 class FakeRobot:
@@ -38,6 +45,10 @@ class FakeRobot:
         self.followed: list[JointTrajectory] = []
         self.holds = 0
         self.stream: asyncio.Queue[JointState] = asyncio.Queue()
+        self.reports: asyncio.Queue[DeviceEvent] = asyncio.Queue()
+        self.setpoints: list[JointSetpoint] = []
+        self.pressed: list[PressRequest] = []
+        self.servo_end = MotionResult(outcome="done", positions=[0.1] * 7)
 
     async def connect(self) -> JointState:
         if self.error is not None:
@@ -54,6 +65,22 @@ class FakeRobot:
         self.followed.append(trajectory)
         return MotionResult(outcome="done", positions=trajectory.positions[-1])
 
+    async def press(self, request: PressRequest) -> MotionResult:
+        self.pressed.append(request)
+        return MotionResult(outcome="done", positions=[0.1] * 7, force=3.1)
+
+    async def begin_servo(self) -> ServoSession:
+        return ServoSession(session=4, deadman=0.1)
+
+    async def end_servo(self) -> MotionResult:
+        self.setpoints.append(END)
+        if self.error is not None:
+            raise self.error
+        return self.servo_end
+
+    def set_point(self, setpoint: JointSetpoint) -> None:
+        self.setpoints.append(setpoint)
+
     async def hold(self) -> JointState:
         self.holds += 1
         if self.error is not None:
@@ -63,6 +90,10 @@ class FakeRobot:
     async def states(self) -> AsyncIterator[JointState]:
         while True:
             yield await self.stream.get()
+
+    async def events(self) -> AsyncIterator[DeviceEvent]:
+        while True:
+            yield await self.reports.get()
 
 
 class FakeTracker:
@@ -83,6 +114,9 @@ class FakeHand:
     async def touch(self, prompt: LandmarkPrompt) -> None:
         self.calls.append(prompt)
 
+    async def touch_surface(self) -> None:
+        self.calls.append("surface")
+
     async def release(self) -> None:
         self.calls.append("release")
 
@@ -91,6 +125,15 @@ class FakeHand:
 
     async def reseed(self, seed: int) -> None:
         self.calls.append(seed)
+
+    async def set_motion(self, motion: HeadMotion) -> None:
+        self.calls.append(motion)
+
+    async def bump_reference(self, offset_in_body_ref: Any, rotvec: Any) -> None:
+        self.calls.append((offset_in_body_ref, rotvec))
+
+    async def pivot_pointer(self, duration: float) -> None:
+        self.calls.append(duration)
 
 
 class Bench:
@@ -138,6 +181,76 @@ async def test_calls_and_results_keep_their_types(bench: Bench) -> None:
     assert bench.hand.calls == [prompt, (3, (0.01, 0.0, 0.0))]
 
 
+async def test_a_scene_moves_its_head_reference_and_pointer(bench: Bench) -> None:
+    burst = HeadBurst(time=1.0, duration=0.5, speed=0.086, direction=(1.0, 0.0, 0.0))
+    motion = HeadMotion(drift=(3.3e-5, 0.0, 0.0), bursts=[burst], seed=3)
+    await bench.scene.set_motion(motion)
+    await bench.scene.bump_reference((0.005, 0.0, 0.0), (0.0, 0.1, 0.0))
+    await bench.scene.pivot_pointer(20.0)
+    assert bench.hand.calls == [motion, ((0.005, 0.0, 0.0), (0.0, 0.1, 0.0)), 20.0]
+
+
+async def test_a_press_reports_its_force(bench: Bench) -> None:
+    request = PressRequest(force=3.0, direction_in_flange=(0.0, 0.0, 1.0), travel=0.01, speed=0.01, timeout=5.0)
+    assert (await bench.robot.press(request)).force == 3.1
+    assert bench.robot_device.pressed == [request]
+
+
+def carry_setpoints(bench: Bench) -> None:
+    """What the daemon has published reaches the node, in order."""
+    for setpoint in bench.link.published.pop("dev/robot/setpoint", []):
+        bench.link.hear("dev/robot/setpoint", setpoint)
+
+
+async def test_set_points_are_published_numbered_and_stamped(bench: Bench) -> None:
+    async with bench.robot.servo() as stream:
+        stream.send([0.1] * 7, [0.0] * 7)
+        await bench.clock.advance(0.016)
+        stream.send([0.2] * 7, [0.3] * 7)
+        carry_setpoints(bench)
+    first, second, end = bench.robot_device.setpoints
+    assert (first.session, first.number, second.number) == (4, 1, 2)
+    assert second.sent - first.sent == pytest.approx(0.016)
+    assert (second.positions, second.velocities) == ([0.2] * 7, [0.3] * 7)
+    assert end is END, "leaving ends the session"
+
+
+async def test_a_session_that_the_robot_ended_is_an_error_to_who_leaves_it(bench: Bench) -> None:
+    bench.robot_device.servo_end = MotionResult(outcome="stopped", positions=[0.1] * 7, reason="no_set_point")
+    with pytest.raises(DeviceError, match="no_set_point") as failed:
+        async with bench.robot.servo():
+            pass
+    assert failed.value.fields["reason"] == "no_set_point"
+
+
+async def test_a_block_that_fails_ends_the_session_and_keeps_its_error(bench: Bench) -> None:
+    bench.robot_device.error = DeviceError("The brakes are on.")
+    with pytest.raises(ZeroDivisionError):
+        async with bench.robot.servo():
+            _ = 1 / 0
+    assert bench.robot_device.setpoints == [END]
+
+
+async def test_a_cancelled_block_ends_the_session(bench: Bench) -> None:
+    async def serve() -> None:
+        async with bench.robot.servo():
+            await asyncio.Event().wait()
+
+    serving = asyncio.create_task(serve())
+    await settle()
+    serving.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await serving
+    assert bench.robot_device.setpoints == [END]
+
+
+async def test_events_of_the_robot_are_published(bench: Bench) -> None:
+    event = DeviceEvent(device="robot", code="force_limit", text="Too much.", danger=True, fields={"force": 30.0})
+    bench.robot_device.reports.put_nowait(event)
+    await settle()
+    assert bench.link.published["dev/robot/event"] == [event]
+
+
 async def test_a_device_that_refuses_is_a_device_error_with_its_text(bench: Bench) -> None:
     bench.robot_device.error = DeviceError("The brakes are on.", joint=3)
     with pytest.raises(DeviceError, match="The brakes are on") as failed:
@@ -156,6 +269,7 @@ async def test_a_device_that_does_not_know_is_unknown(bench: Bench) -> None:
     [
         ("explode", {}, "no method 'explode'"),
         ("states", {}, "no method 'states'"),
+        ("servo", {}, "no method 'servo'"),
         ("__init__", {}, "no method '__init__'"),
         ("follow", {}, r"follow takes \['trajectory'\]"),
         ("joints", {"fast": True}, r"joints takes \[\]"),

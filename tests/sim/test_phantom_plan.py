@@ -29,7 +29,7 @@ ALL = [
 def test_the_examples_are_what_the_command_writes(tmp_path: Path) -> None:
     main(tmp_path)
     written = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
-    assert set(written) == {"ratms_plan.json", "femoroplasty_plan.json"}
+    assert set(written) == {"ratms_plan.json", "femoroplasty_plan.json", "head_phantom.ply", "femur_phantom.ply"}
     assert written == {name: (EXAMPLES / name).read_bytes() for name in written}
 
 
@@ -63,7 +63,7 @@ def test_drills_enter_at_the_greater_trochanter_and_stay_in_the_bone(
 def test_every_pose_is_reachable_and_the_way_home_only_leads_away(phantom: Phantom, pose: Transform) -> None:
     settings = SimSettings()
     arm = ArmModel(ARMS["iiwa14"])
-    home = np.array(settings.arm.home)
+    home = np.array(arm.facts.home)
     world_from_image = phantom.world_from_image
     flange_from_tool = settings.geometry.flange_from_coil.transform
     middle = world_from_image @ phantom.inside

@@ -19,7 +19,7 @@ def depth(phantom: Phantom, point: Floats, outwards: Floats) -> float:
     """How deep below a point of the image, m, a ray from `ABOVE` it meets the scene."""
     model = plant_model(ARMS["iiwa14"], ArmSettings(), GeometrySettings().flange_from_coil.transform, phantom)
     data = mujoco.MjData(model)
-    data.qpos[:] = ArmSettings().home
+    data.qpos[:] = ARMS["iiwa14"].home
     mujoco.mj_forward(model, data)
     world_from_image = phantom.world_from_image
     outwards = world_from_image.rotation @ (outwards / np.linalg.norm(outwards))

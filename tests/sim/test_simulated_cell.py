@@ -8,16 +8,17 @@ import pytest
 from pcmrs.clock import Clock
 from pcmrs.devices.protocols import OpenDriver
 from pcmrs.errors import ConfigurationError, DeviceError, UnknownOutcomeError
+from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointTrajectory, LandmarkPrompt, PoseMessage
 from pcmrs.spatial import Floats, Transform, distance
 from sim.cell import BATCH, LONGEST_CATCH_UP, Cell, open_devices
 from sim.errors import TouchErrors
 from sim.phantoms import PHANTOMS
 from sim.plant import STEP
-from sim.settings import DigitizationSettings, SimSettings
+from sim.settings import DigitizationSettings, ForceSettings, SimSettings
 
 Devices = Mapping[str, Any]
-HOME = np.array(SimSettings().arm.home)
+HOME = np.array(ARMS["iiwa14"].home)
 PROMPT = LandmarkPrompt(index=2, name="left_outer_canthus", position_in_image=(-0.0456, 0.0691, 0.035))
 
 
@@ -47,7 +48,7 @@ async def measured_tip(devices: Devices) -> Floats:
     tip_in_pointer = SimSettings().geometry.pointer_from_tip.position
     truth = await devices["scene"].truth()
     tips = []
-    for _, body_ref, pointer in await next_frames(devices, 10):
+    for _, body_ref, pointer, _ in await next_frames(devices, 10):
         body_ref_from_pointer = transform(body_ref).inverse() @ transform(pointer)
         tips.append(transform(truth.body_ref_from_image).inverse() @ body_ref_from_pointer @ tip_in_pointer)
     return np.asarray(np.mean(tips, axis=0))
@@ -135,7 +136,7 @@ async def test_joint_states_come_at_their_rate(cell: Devices) -> None:
 async def test_frames_come_at_their_rate_and_latency(cell: Devices) -> None:
     frames = await next_frames(cell, 60)
     captured = np.array([frame[0].captured for frame in frames])
-    assert [pose.body for pose in frames[0]] == ["coil", "body_ref", "pointer"]
+    assert [pose.body for pose in frames[0]] == ["coil", "body_ref", "pointer", "witness"]
     assert np.diff([frame[0].frame_number for frame in frames]).tolist() == [1] * 59
     assert np.mean(np.diff(captured)) == pytest.approx(1 / 60, rel=0.01)
     ages = [pose.sent - pose.captured for frame in frames for pose in frame]
@@ -148,20 +149,20 @@ async def test_a_moved_body_is_seen_only_after_the_latency(cell: Devices, clock:
     before = transform((await cell["scene"].truth()).tracker_from_body_ref).translation
     await cell["scene"].move_body((0.01, 0.0, 0.0))
     frames = await next_frames(cell, 20)
-    seen = {body_ref.captured >= moved_at: body_ref.position[0] - before[0] for _, body_ref, _ in frames}
+    seen = {body_ref.captured >= moved_at: body_ref.position[0] - before[0] for _, body_ref, _, _ in frames}
     assert seen[False] == pytest.approx(0.0, abs=1e-3)
     assert seen[True] == pytest.approx(0.01, abs=1e-3)
 
 
 async def test_measured_coil_is_near_the_truth(cell: Devices) -> None:
     truth = transform((await cell["scene"].truth()).tracker_from_coil)
-    for coil, _, _ in await next_frames(cell, 20):
+    for coil, _, _, _ in await next_frames(cell, 20):
         assert distance(transform(coil), truth) < 1e-3
 
 
 async def test_occluded_bodies_are_invalid_until_shown(cell: Devices) -> None:
     await cell["scene"].occlude("coil", True)
-    coil, body_ref, pointer = (await next_frames(cell, 5))[-1]
+    coil, body_ref, pointer, _ = (await next_frames(cell, 5))[-1]
     assert (coil.valid, coil.reason) == (False, "occluded")
     assert body_ref.valid
     assert (pointer.valid, pointer.reason) == (False, "not_visible")
@@ -238,7 +239,8 @@ async def test_nothing_is_left_behind(clock: Clock) -> None:
     ("devices", "settings", "text"),
     [
         (("robot", "drill"), {}, "drill"),
-        (("robot",), {"robot": {"model": "ur5"}}, "ur5"),
+        (("robot",), {"robot": {"model": "puma560"}}, "puma560"),
+        (("robot",), {"robot": {"relief_mm": 6.0}}, "relief_mm"),
         (("robot",), {"sim": {"tracker": {"rate": 60}}}, "rate"),
         (("robot",), {"sim": {"seed": -1}}, "seed"),
         (("robot",), {"sim": {"phantom": "knee"}}, "phantom"),
@@ -258,7 +260,7 @@ async def test_only_the_asked_devices_are_opened(clock: Clock) -> None:
 
 
 async def test_a_slow_machine_slows_the_cell_and_is_counted(clock: Clock) -> None:
-    cell = Cell(SimSettings(), "iiwa14", clock)
+    cell = Cell(SimSettings(), ARMS["iiwa14"], ForceSettings(), clock)
     frames = asyncio.create_task(next_frames(cell.devices, 5))
     await asyncio.sleep(0)
     now = clock.monotonic()

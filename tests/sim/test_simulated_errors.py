@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
 
-from pcmrs.spatial import Transform
-from sim.errors import BiasField, TouchErrors, TrackerErrors
+from pcmrs.kinematics.arms import ARMS
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.spatial import Transform, distance
+from sim.errors import BiasField, TouchErrors, TrackerErrors, displaced
 from sim.settings import DigitizationSettings, TrackerSettings
 
 PLACES = np.random.default_rng(0).uniform(-2.0, 2.0, (4000, 3))
@@ -22,6 +24,22 @@ def test_bias_is_fixed_per_seed_and_smooth() -> None:
     assert np.array_equal(field.at(place), same.at(place))
     assert not np.allclose(field.at(place), other.at(place))
     assert np.linalg.norm(field.at(place) - field.at(place + 0.001)) < 1e-5
+
+
+def test_the_arm_is_built_beside_its_model_by_the_stated_error() -> None:
+    facts, rng = ARMS["iiwa14"], np.random.default_rng(0)
+    model, errors = ArmModel(facts), []
+    for seed in range(40):
+        true = ArmModel(displaced(facts, 1e-3, seed))
+        postures = rng.uniform(model.lower, model.upper, (20, 7))
+        errors += [distance(true.forward(posture), model.forward(posture)) for posture in postures]
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1e-3, rel=0.1)
+
+
+def test_the_arm_is_built_the_same_for_a_seed() -> None:
+    facts = ARMS["iiwa14"]
+    assert displaced(facts, 1e-3, 3) == displaced(facts, 1e-3, 3) != displaced(facts, 1e-3, 4)
+    assert displaced(facts, 0.0, 3) == facts
 
 
 def test_jitter_has_its_deviation_per_axis() -> None:

@@ -2,20 +2,14 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
+from simulated_arms import make_arm
 from structlog.testing import capture_logs
-
-from pcmrs.kinematics.arms import ARMS
-from sim.arm import Arm
-from sim.phantoms import PHANTOMS
-from sim.settings import ArmSettings, GeometrySettings
 
 
 def test_an_unstable_simulation_is_logged_and_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    flange_from_coil = GeometrySettings().flange_from_coil.transform
-    arm = Arm(ARMS["iiwa14"], ArmSettings(), flange_from_coil, PHANTOMS["head"], np.random.default_rng(1))
+    arm = make_arm()
     arm._data.qvel[:] = 1e30
     with capture_logs() as logged:
         arm.step(1)

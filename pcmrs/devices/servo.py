@@ -1,0 +1,67 @@
+"""A servo session from the sender's side: opened, fed with set points, and ended however it is left."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+
+import numpy as np
+import numpy.typing as npt
+
+from pcmrs.clock import Clock
+from pcmrs.devices.protocols import Robot, ServoStream
+from pcmrs.errors import DeviceError, PcmrsError
+from pcmrs.messages import JointSetpoint
+
+
+class SetpointSender:
+    """Numbers the set points of one session; see `ServoStream`.
+
+    Args:
+        session: The session's number.
+        put: Hands a set point on; never waits.
+        clock: Stamps them.
+    """
+
+    def __init__(self, session: int, put: Callable[[JointSetpoint], None], clock: Clock) -> None:
+        self._session = session
+        self._put = put
+        self._clock = clock
+        self._number = 0
+
+    def send(self, positions: npt.ArrayLike, velocities: npt.ArrayLike) -> None:
+        self._number += 1
+        setpoint = JointSetpoint(
+            session=self._session,
+            number=self._number,
+            sent=self._clock.monotonic(),
+            positions=np.asarray(positions, dtype=float).tolist(),
+            velocities=np.asarray(velocities, dtype=float).tolist(),
+        )
+        self._put(setpoint)
+
+
+@asynccontextmanager
+async def servo_session(robot: Robot, put: Callable[[JointSetpoint], None], clock: Clock) -> AsyncIterator[ServoStream]:
+    """Opens a session, and ends it however the block ends; then the robot stands.
+
+    Args:
+        robot: That follows.
+        put: Hands a set point to it.
+        clock: Stamps them.
+
+    Raises:
+        DeviceError: The robot refuses, or it had ended the session by itself; field ``reason`` says why.
+        UnknownOutcomeError: It does not answer.
+    """
+    session = await robot.begin_servo()
+    try:
+        yield SetpointSender(session.session, put, clock)
+    except BaseException:
+        with suppress(PcmrsError):  # the first error says more; a silent robot brakes by its deadman
+            await robot.end_servo()
+        raise
+    result = await robot.end_servo()
+    if result.outcome == "stopped":
+        text = f"The robot ended the servo session by itself: {result.reason}. Look why before the next one."
+        raise DeviceError(text, reason=result.reason)
