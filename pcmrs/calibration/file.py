@@ -121,7 +121,7 @@ def write_calibration(path: Path, calibration: Calibration) -> Calibration:
     hashed = msgspec.structs.replace(calibration, sha256=calibration.content_hash())
     beside = path.with_name(f".{path.name}.part")
     try:
-        beside.write_text(HEADER + tomli_w.dumps(msgspec.to_builtins(hashed, builtin_types=(datetime,))))
+        beside.write_text(HEADER + tomli_w.dumps(msgspec.to_builtins(hashed, builtin_types=(datetime,))), "utf-8")
         beside.replace(path)
     except OSError as error:
         raise FileFormatError(f"{path} cannot be written: {error.strerror}.", file=str(path)) from None

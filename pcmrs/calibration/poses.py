@@ -6,14 +6,13 @@ A pose ``a_from_b`` has the columns ``a_from_b_x_mm, …_y_mm, …_z_mm, …_qx,
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pcmrs.errors import GeometryError
-from pcmrs.formats.reading import read_text, refuse
+from pcmrs.formats.reading import read_table, read_text, refuse
 from pcmrs.formats.units import METRES
 from pcmrs.spatial import Transform
 
@@ -37,7 +36,7 @@ def read_poses(path: Path, names: Sequence[str]) -> list[list[Transform]]:
     Raises:
         FileFormatError: The file cannot be read, a column or its unit is missing, or a row is no pose.
     """
-    rows = _from_json(path) if path.suffix == ".json" else _from_csv(path)
+    rows = _from_json(path) if path.suffix == ".json" else [row for _, row in read_table(path)[1]]
     if not rows:
         refuse(path, f"holds no poses; the first line must be a header such as {header(names)}.")
     return [[_pose(path, number, row, name) for number, row in enumerate(rows, start=1)] for name in names]
@@ -61,15 +60,7 @@ def _columns(name: str, unit: str) -> list[str]:
     return [*(f"{name}_{axis}_{unit}" for axis in "xyz"), *(f"{name}_q{axis}" for axis in "xyzw")]
 
 
-def _from_csv(path: Path) -> list[dict[str, Any]]:
-    try:
-        reader = csv.DictReader(read_text(path).splitlines(), skipinitialspace=True)
-        return list(reader)
-    except csv.Error as error:
-        refuse(path, f"is no CSV: {error}.")
-
-
-def _from_json(path: Path) -> list[dict[str, Any]]:
+def _from_json(path: Path) -> Sequence[Mapping[str, Any]]:
     try:
         rows = json.loads(read_text(path))
     except (ValueError, RecursionError) as error:

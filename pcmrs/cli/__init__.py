@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import sys
+
 import click
 
 from pcmrs.cli.lazy import LazyGroup
@@ -32,3 +35,6 @@ def main() -> None:
     Start a cell with pcmrs-serve; the commands here talk to it, and design and check its workflow. Research
     software, not a medical device.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without ° shows a ? in its place, not a traceback

@@ -2,95 +2,22 @@
 
 from __future__ import annotations
 
-import functools
-import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 import msgspec
-from rich.console import Console, RenderableType
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.console import RenderableType
 
-from pcmrs.cli.options import json_option, plot_option
+from pcmrs.cli.experiment_options import Wanted, experiment_options
+from pcmrs.cli.options import Finite, json_option, plot_option
+from pcmrs.cli.printing import print_report, save_svg
+from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the experiments.
     from pcmrs.experiment.placements import PlacementReport
-    from pcmrs.experiment.setup import Setup, ShowProgress
-
-DEFAULT_RATE = 5.0
-NARROWEST = 112
-
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """The options that all experiments share; see `experiment_options` for what they mean."""
-
-    workflow: str | None
-    seed: int
-    rate: float
-    plan_file: Path | None
-    overrides: tuple[str, ...]
-    picture: Path | None
-    report_file: Path | None
-
-    def setup(self, workflow: str, progress: ShowProgress) -> Setup:
-        """The experiment's setup for a workflow. Raises `ConfigurationError` when its plan cannot be read."""
-        from pcmrs.experiment.plan import example_plan, read_plan
-        from pcmrs.experiment.setup import Setup
-
-        plan = read_plan(self.plan_file or example_plan(workflow))
-        return Setup(plan, workflow, self.seed, self.rate, self.overrides, progress)
-
-
-def experiment_options(workflow: str | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Adds the options that all experiments share; the command gets them as `wanted`.
-
-    Args:
-        workflow: The workflow where none is named; None for all that were published.
-    """
-
-    def add(function: Callable[..., Any]) -> Callable[..., Any]:
-        @functools.wraps(function)
-        def command(**given: Any) -> Any:
-            shared = {field.name: given.pop(field.name) for field in fields(Wanted)}
-            return function(wanted=Wanted(**shared), **given)
-
-        for option in _options(workflow):
-            command = option(command)
-        return command
-
-    return add
-
-
-def _options(workflow: str | None) -> tuple[Callable[..., Any], ...]:
-    return (
-        click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Sets one value of the daemon."),
-        click.option("--picture", type=click.Path(path_type=Path), help="Also save the table as this SVG file."),
-        click.option(
-            "--report",
-            "report_file",
-            type=click.Path(path_type=Path),
-            metavar="FILE.json",
-            help="Also save the report as this JSON file.",
-        ),
-        click.option(
-            "--plan",
-            "plan_file",
-            type=click.Path(path_type=Path),
-            help="Landmarks and poses; by default the workflow's example, examples/WORKFLOW_plan.json.",
-        ),
-        click.option(
-            "--rate", default=DEFAULT_RATE, show_default=True, help="Speed of the simulation against real time."
-        ),
-        click.option("--seed", default=1, show_default=True, help="Of the simulated errors."),
-        click.option("--workflow", default=workflow, show_default=workflow or "all", help="ratms or femoroplasty."),
-    )
 
 
 @click.group()
@@ -100,7 +27,7 @@ def experiment() -> None:
 
 @experiment.command()
 @experiment_options("ratms")
-@click.option("--trials", default=12, show_default=True, help="How many placements.")
+@click.option("--trials", type=click.IntRange(min=2), default=12, show_default=True, help="How many placements.")
 @click.option(
     "--seeds", default=1, show_default=True, type=click.IntRange(min=1), help="How many seeds, from --seed on."
 )
@@ -156,7 +83,7 @@ def _failures(wanted: Wanted, workflows: list[str], *, as_json: bool) -> None:
     from pcmrs.cli.tables import failure_table
     from pcmrs.experiment.failures import run_failures
 
-    with _progress() as progress:
+    with progress_bar() as progress:
         report = run(run_failures([wanted.setup(workflow, progress) for workflow in workflows]))
     _show(report, failure_table(report), wanted, as_json=as_json)
     if report.summary.as_published < report.summary.runs:
@@ -169,11 +96,39 @@ def _failure_rates(wanted: Wanted, workflows: list[str], runs: int, plot: Path |
     from pcmrs.experiment.monte_carlo import run_monte_carlo
     from pcmrs.experiment.monte_carlo_plot import monte_carlo_figure
 
-    with _progress() as progress:
+    with progress_bar() as progress:
         report = run_monte_carlo([wanted.setup(workflow, progress) for workflow in workflows], runs)
     _show(report, monte_carlo_tables(report), wanted, as_json=as_json)
     if plot is not None:
         save_png(monte_carlo_figure(report), plot)
+
+
+@experiment.command()
+@experiment_options("ratms", rate=1.0)
+@click.option(
+    "--duration", default=20.0, show_default=True, type=Finite(10.0), help="Of each motion of the head, s of the cell."
+)
+@plot_option
+@json_option
+@readable_errors
+def following(wanted: Wanted, duration: float, plot: Path | None, as_json: bool) -> None:
+    """Keep the tool at its place on a simulated head that breathes, drifts, shifts and moves quickly.
+
+    Each motion with and without compensation of the tracker's latency; in the end the reference is hidden. A machine
+    that does not keep up shows it in the column lag.
+
+    Example: pcmrs experiment following --seed 1 --report following.json --plot following.png
+    """
+    from pcmrs.analysis.plots import save_png
+    from pcmrs.cli.following_tables import following_tables
+    from pcmrs.experiment.following import run_following
+    from pcmrs.experiment.following_plot import following_figure
+
+    with progress_bar() as progress:
+        report, drawn = run(run_following(wanted.setup(wanted.workflow or "ratms", progress), duration))
+    _show(report, following_tables(report), wanted, as_json=as_json)
+    if plot is not None:
+        save_png(following_figure(drawn), plot)
 
 
 @click.command()
@@ -195,7 +150,7 @@ def _placements(wanted: Wanted, trials: int, *, as_json: bool) -> PlacementRepor
     from pcmrs.cli.tables import placement_table
     from pcmrs.experiment.placements import run_placements
 
-    with _progress() as progress:
+    with progress_bar() as progress:
         report = run(run_placements(wanted.setup(wanted.workflow or "ratms", progress), trials))
     _show(report, placement_table(report), wanted, as_json=as_json)
     return report
@@ -205,7 +160,7 @@ def _placements_over(wanted: Wanted, trials: int, seeds: int, plot: Path | None,
     from pcmrs.cli.seed_tables import seeds_tables
     from pcmrs.experiment.placement_seeds import run_seeds
 
-    with _progress() as progress:
+    with progress_bar() as progress:
         report = run(run_seeds(wanted.setup(wanted.workflow or "ratms", progress), trials, seeds))
     _show(report, seeds_tables(report), wanted, as_json=as_json)
     _plot(report.reports, plot)
@@ -222,38 +177,8 @@ def _plot(reports: list[PlacementReport], plot: Path | None) -> None:
 
 
 def _show(report: msgspec.Struct, table: RenderableType, wanted: Wanted, *, as_json: bool) -> None:
-    encoded = msgspec.json.encode(report)
-    if as_json:
-        click.echo(encoded.decode())
-    else:
-        _print(table, wanted.picture)
+    print_report(report, table, as_json=as_json)
+    if wanted.picture is not None:
+        save_svg(table, wanted.picture)
     if wanted.report_file is not None:
-        wanted.report_file.write_bytes(encoded + b"\n")
-
-
-def _print(table: RenderableType, picture: Path | None) -> None:
-    """Prints a table; in a narrow terminal its lines wrap, so that no number is cut.
-
-    Args:
-        table: What to print.
-        picture: SVG file that shows the same, if wanted.
-    """
-    console = Console(width=max(Console().width, NARROWEST), record=picture is not None)
-    console.print(table)
-    if picture is not None:
-        svg = console.export_svg(title="pcmrs")
-        # Rich refers to a web font; a picture of a medical device's results loads nothing from anywhere.
-        picture.write_text(re.sub(r"@font-face\s*{[^}]*}", "", svg))
-
-
-@contextmanager
-def _progress() -> Iterator[ShowProgress]:
-    """A bar on standard error, so that standard output holds the result only."""
-    columns = (TextColumn("{task.description:<40}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("", total=None)
-
-        def show(text: str, done: int, total: int) -> None:
-            bar.update(task, description=text, completed=done, total=total)
-
-        yield show
+        wanted.report_file.write_bytes(msgspec.json.encode(report) + b"\n")

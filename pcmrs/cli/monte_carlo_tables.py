@@ -56,7 +56,7 @@ def _rates(report: MonteCarloReport) -> Table:
 def _noise(report: MonteCarloReport) -> list[str]:
     return [
         f"{workflow}: planning bias {noise.planning_bias_mm:g} mm and touch noise {noise.noise_mm:g} mm per axis "
-        f"({noise.sigma_mm:.2f} mm in all); limits: residual {noise.residual_limit_mm:g} mm, predicted TRE "
+        f"(expected: {noise.sigma_mm:.2f} mm in all); limits: residual {noise.residual_limit_mm:g} mm, predicted TRE "
         f"{noise.tre_limit_mm:g} mm, {100 * noise.false_alarm:g} % false alarms."
         for workflow, noise in report.noise.items()
     ]

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import AsyncIterator, Callable
+import math
+import os
+from collections.abc import AsyncIterator, Callable, Collection
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from pcmrs.client import Client
 
@@ -74,6 +77,42 @@ def config_options(function: F) -> F:
     return function
 
 
+class Finite(click.FloatRange):
+    """A number within a range; nan would pass any."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number, or a usage error."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is not finite; give a number.", param, ctx)
+        return number
+
+
+POSITIVE = Finite(0.0, min_open=True)
+
+
+class OutputFile(click.Path):
+    """A file that can be written as far as one sees: minutes of work are not lost to a misspelt folder."""
+
+    def __init__(self) -> None:
+        super().__init__(dir_okay=False, writable=True)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path, or a usage error."""
+        path = Path(os.fsdecode(super().convert(value, param, ctx)))
+        if not path.parent.is_dir():
+            self.fail(f"{path} cannot be written: there is no folder {path.parent}; make it first.", param, ctx)
+        return path
+
+
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")
 
-plot_option = click.option("--plot", type=click.Path(path_type=Path), metavar="FILE.png", help="Also draw a picture.")
+plot_option = click.option("--plot", type=OutputFile(), metavar="FILE.png", help="Also draw a picture.")
+
+
+def refuse_given(names: Collection[str], why: str) -> None:
+    """Refuses parameters that would be passed over: whoever gives one believes that it was heeded."""
+    context = click.get_current_context()
+    for option in context.command.params:
+        if option.name in names and context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE:
+            raise click.UsageError(f"{option.opts[0]} {why}")

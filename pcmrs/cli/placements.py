@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import codecs
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import msgspec
-from rich.console import Console, RenderableType
 
-from pcmrs.cli.options import json_option, plot_option
+from pcmrs.cli.options import Finite, json_option, plot_option
+from pcmrs.cli.printing import print_report
 from pcmrs.cli.running import readable_errors
 
 if TYPE_CHECKING:
@@ -19,15 +19,12 @@ if TYPE_CHECKING:
 STANDOFF_MM = 10.0
 """The lab's placements are saved this far before the target."""
 
-NARROWEST = 120
-"""Columns of the tables."""
-
 
 @click.command()
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option(
     "--standoff-mm",
-    type=float,
+    type=Finite(-1000.0, 1000.0),
     help=f"How far along its z axis the tool was to stand before the target; {STANDOFF_MM:g} for saved placements, "
     "as recorded for a journal where nothing is given.",
 )
@@ -60,7 +57,7 @@ def _is_journal(path: Path) -> bool:
 def _is_pose_log(path: Path) -> bool:
     from pcmrs.formats.pose_log import ROWS
 
-    return _beginning(path).lstrip().startswith(tuple(f"{row},".encode() for row in ROWS))
+    return _beginning(path).removeprefix(codecs.BOM_UTF8).lstrip().startswith(tuple(f"{row},".encode() for row in ROWS))
 
 
 def _beginning(path: Path) -> bytes:
@@ -73,10 +70,16 @@ def _beginning(path: Path) -> bytes:
 def _recorded(path: Path, standoff_mm: float | None) -> list[Recorded]:
     from pcmrs.analysis.placements import Recorded
     from pcmrs.cli.journalled import read_journalled
-    from pcmrs.formats.pose_file import read_placements
+    from pcmrs.formats.pose_file import SUFFIXES, read_placements
+    from pcmrs.formats.pose_log import ROWS
+    from pcmrs.formats.reading import refuse
 
     if _is_journal(path):
         return read_journalled(path, standoff_mm)
+    if path.is_file() and path.suffix not in SUFFIXES:
+        refuse(
+            path, f"is no saved placement ({', '.join(SUFFIXES)}), no journal, and no pose log of rows {ROWS[0]}, …."
+        )
     standoff = (STANDOFF_MM if standoff_mm is None else standoff_mm) / 1000.0
     return [Recorded(placement, standoff) for placement in read_placements(path)]
 
@@ -91,7 +94,7 @@ def _show_placements(path: Path, standoff_mm: float | None, plot: Path | None, *
     report = placements_report(path, recorded)
     if plot is not None:
         save_png(placement_figure(recorded, f"Placements in {path.resolve().name}"), plot)
-    _show(report, placements_tables(report), as_json=as_json)
+    print_report(report, placements_tables(report), as_json=as_json)
 
 
 def _show_pose_log(path: Path, plot: Path | None, *, as_json: bool) -> None:
@@ -105,11 +108,4 @@ def _show_pose_log(path: Path, plot: Path | None, *, as_json: bool) -> None:
     report = pose_log_report(path, log)
     if plot is not None:
         save_png(pose_log_figure(log), plot)
-    _show(report, pose_log_table(report), as_json=as_json)
-
-
-def _show(report: msgspec.Struct, table: RenderableType, *, as_json: bool) -> None:
-    if as_json:
-        click.echo(msgspec.json.encode(report).decode())
-    else:
-        Console(width=max(Console().width, NARROWEST)).print(table)
+    print_report(report, pose_log_table(report), as_json=as_json)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
 
-from pcmrs.cli.options import json_option
+from pcmrs.cli.options import POSITIVE, OutputFile, json_option, plot_option
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
 from pcmrs.errors import ConfigurationError, DegeneratePointsError
 
@@ -19,16 +18,6 @@ if TYPE_CHECKING:
     from pcmrs.registration import Gate, PointRegistration, RegistrationLimits, RegistrationVerdict
 
 
-@dataclass(frozen=True)
-class Defaults:
-    """Limits of a workflow, mm: what separates the paper's controls from its failures, and the noise behind them."""
-
-    limit_mm: float
-    tre_limit_mm: float
-    sigma_mm: float
-
-
-DEFAULTS = {"ratms": Defaults(4.0, 4.0, 1.86), "femoroplasty": Defaults(2.7, 3.0, 1.03)}
 FARTHEST_TARGET = 1.0  # m from the origin of the image: beyond it, somebody gave mm
 LENGTHS = ("residual_too_large", "tre_too_large")
 """Gates whose value is a length."""
@@ -53,21 +42,17 @@ class Point(click.ParamType[tuple[float, float, float]]):
 @click.argument("plan", type=click.Path(path_type=Path))
 @click.argument("digitized", type=click.Path(path_type=Path))
 @click.option("--target", type=Point(), help="Where the error matters, in m in the image; else amid the landmarks.")
-@click.option(
-    "--workflow", type=click.Choice(list(DEFAULTS)), default="ratms", show_default=True, help="Whose default limits."
-)
-@click.option("--limit-mm", type=float, help="Largest mean distance of the landmarks.")
-@click.option("--tre-limit-mm", type=float, help="Largest predicted error (rms) at the target.")
-@click.option("--sigma-mm", type=float, help="Noise of a digitized landmark per axis.")
+@click.option("--workflow", default="ratms", show_default=True, help="Name or file: whose limits hold by default.")
+@click.option("--limit-mm", type=POSITIVE, help="Largest mean distance of the landmarks.")
+@click.option("--tre-limit-mm", type=POSITIVE, help="Largest predicted error (rms) at the target.")
+@click.option("--sigma-mm", type=POSITIVE, help="Noise of a digitized landmark per axis.")
 @click.option("--unit", type=click.Choice(["m", "mm"]), help="Of CSV columns x, y, z that do not name theirs.")
-@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a picture (PNG).")
-@click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Write an accepted registration (lab YAML)."
-)
+@plot_option
+@click.option("-o", "--output", type=OutputFile(), help="Write an accepted registration (lab YAML).")
 @json_option
 @readable_errors
 def register(plan: Path, digitized: Path, plot: Path | None, output: Path | None, as_json: bool, **given: Any) -> None:
-    r"""Register the landmarks in DIGITIZED (body_ref) to those in PLAN (image), and judge the result.
+    """Register the landmarks in DIGITIZED (body_ref) to those in PLAN (image), and judge the result.
 
     Files: YAML of the lab's software (PLANNED or DIGITIZED, m), 3D Slicer markups (.mrk.json, .fcsv; LPS or RAS as
     declared), CSV with a header such as name,x_mm,y_mm,z_mm, and PCMRS plans (.json). Landmarks are paired by name
@@ -75,19 +60,21 @@ def register(plan: Path, digitized: Path, plot: Path | None, output: Path | None
 
     Exit status 0: accepted, 1: refused, 2: a file cannot be read or does not fit the other.
 
-    \b
     Example: pcmrs register plan.mrk.json dig.yaml --target 0.03,0,0.11 --plot reg.png
     """
     from pcmrs.formats.landmarks import pair_landmarks, read_landmarks
     from pcmrs.registration import judge
 
+    if output is not None and output.resolve() in (plan.resolve(), digitized.resolve()):
+        raise click.UsageError(f"{output} is read, and would be overwritten; name another file with -o.")
     pairs = pair_landmarks(read_landmarks(plan, given["unit"]), read_landmarks(digitized, given["unit"]))
     limits = _limits(**{name: given[name] for name in ("workflow", "limit_mm", "tre_limit_mm", "sigma_mm")})
     try:
         verdict = judge(pairs.planned, pairs.digitized, limits, names=pairs.names, target=given["target"])
     except DegeneratePointsError as error:
-        refusal = {"code": error.code, "text": error.text} | error.fields
-        _say({"accepted": False, "refusal": refusal}, [f"REFUSED: {error.text}"], as_json)
+        file = {"fixed": f"{digitized}: ", "moving": f"{plan}: "}.get(error.fields.get("points", ""), "")
+        refusal = error.fields | {"code": error.code, "text": file + error.text}
+        _say({"accepted": False, "refusal": refusal}, [f"REFUSED: {file}{error.text}"], as_json)
         sys.exit(EXIT_REJECTED)
     place = "at the target" if given["target"] else "at the centroid of the landmarks"
     _say(_as_object(pairs, verdict), _lines(pairs, verdict, place), as_json)
@@ -99,17 +86,20 @@ def register(plan: Path, digitized: Path, plot: Path | None, output: Path | None
 def _limits(
     workflow: str, limit_mm: float | None, tre_limit_mm: float | None, sigma_mm: float | None
 ) -> RegistrationLimits:
+    """What is given, and for the rest what a cell with this workflow is configured with."""
     from pcmrs.registration import RegistrationLimits
+    from pcmrs.settings import read_settings
 
-    default = DEFAULTS[workflow]
     try:
-        return RegistrationLimits(
-            residual=(default.limit_mm if limit_mm is None else limit_mm) / 1000.0,
-            sigma=(default.sigma_mm if sigma_mm is None else sigma_mm) / 1000.0,
-            tre=(default.tre_limit_mm if tre_limit_mm is None else tre_limit_mm) / 1000.0,
-        )
+        default = read_settings(overrides=[f"workflow={workflow}"]).procedure.registration
     except ConfigurationError as error:
         raise click.UsageError(error.text) from None
+    return RegistrationLimits(
+        residual=(limit_mm or default.residual_limit_mm) / 1000.0,
+        sigma=(sigma_mm or default.sigma_mm) / 1000.0,
+        tre=(tre_limit_mm or default.tre_limit_mm) / 1000.0,
+        false_alarm=default.false_alarm,
+    )
 
 
 def _write(

@@ -48,7 +48,8 @@ def readable_errors(function: Callable[P, T]) -> Callable[P, T]:
         except BrokenPipeError:
             raise  # whoever read the output has had enough: click ends in silence
         except OSError as error:
-            click.echo(f"{click.get_current_context().command_path}: {error}", err=True)
+            place = "" if error.filename is None else f"{error.filename}: "
+            click.echo(f"{click.get_current_context().command_path}: {place}{error.strerror or error}", err=True)
             sys.exit(EXIT_FAILED)
         except KeyboardInterrupt:
             sys.exit(130)

@@ -6,7 +6,6 @@ offset, seen from a body that lies anyhow; `judge` decides. What is left out is 
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from importlib.metadata import entry_points
@@ -28,8 +27,6 @@ ALL_GATES = "verdict"
 FIXED_LIMIT = "fixed_limit"
 GATES = ("wrong_unit", "mirrored", "swapped_landmarks", "landmark_outlier", "residual_too_large", "tre_too_large")
 OFFSET = "large_digitization_error"
-TRE_LIMITS = {"ratms": 0.0040, "femoroplasty": 0.0030}
-"""Largest predicted error at the target, m: what the example plans have, 3.1 and 1.2 mm, and room for others."""
 PROGRESS_EVERY = 20
 
 
@@ -63,7 +60,8 @@ class GateRates(msgspec.Struct, frozen=True):
     Attributes:
         gate: Its code, ``verdict`` for all together, or ``fixed_limit`` for a residual limit alone.
         false_rejects: Share of the controls that it refuses.
-        false_accepts: Share of the displaced landmarks that it alone would let pass.
+        false_accepts: Share of the runs with a displaced landmark that it does not refuse. A gate that is not asked,
+            since a wrong unit, side or order was found before, refuses nothing; ``fixed_limit`` is always asked.
     """
 
     workflow: str
@@ -73,7 +71,12 @@ class GateRates(msgspec.Struct, frozen=True):
 
 
 class NoiseUsed(msgspec.Struct, frozen=True):
-    """Simulated errors and limits of one workflow."""
+    """Simulated errors and limits of one workflow.
+
+    Attributes:
+        planning_bias_mm: Simulated, standard deviation per axis, as `noise_mm` of a touch.
+        sigma_mm: What the verdict expects of both together.
+    """
 
     planning_bias_mm: float
     noise_mm: float
@@ -127,16 +130,17 @@ def run_monte_carlo(setups: Sequence[Setup], runs: int) -> MonteCarloReport:
 
 
 def _noise(setup: Setup) -> NoiseUsed:
-    """As the simulated cell of this workflow is configured."""
+    """As this workflow and its simulated cell are configured."""
     settings = read_settings(overrides=[f"workflow={setup.workflow}", *setup.overrides])
+    limits = settings.procedure.registration
     bias_mm, touch_mm = _touch_errors_mm(settings)
     return NoiseUsed(
         planning_bias_mm=bias_mm,
         noise_mm=touch_mm,
-        sigma_mm=math.hypot(bias_mm, touch_mm),
-        residual_limit_mm=settings.procedure.registration.residual_limit_mm,
-        tre_limit_mm=TRE_LIMITS[setup.workflow] * 1e3,
-        false_alarm=0.01,
+        sigma_mm=limits.sigma_mm,
+        residual_limit_mm=limits.residual_limit_mm,
+        tre_limit_mm=limits.tre_limit_mm,
+        false_alarm=limits.false_alarm,
     )
 
 

@@ -31,6 +31,7 @@ def placements_figure(reports: Sequence[PlacementReport]) -> Figure:
     registration.set_ylabel("target registration error, mm")
     for axes in (translation, rotation, registration):
         axes.set_xlabel("seed")
+        axes.set_xlim(reports[0].seed - 0.5, reports[-1].seed + 0.5)  # else one seed gets an axis of hundredths
         axes.set_ylim(bottom=0.0)
         axes.xaxis.get_major_locator().set_params(integer=True)
         axes.legend()

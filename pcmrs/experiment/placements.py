@@ -23,6 +23,8 @@ PATIENCE = 10
 """So often a planner asks again on a machine that is too busy to show poses in time."""
 PAUSE = 0.2
 """Between two of these, s of the machine."""
+NOT_SEEN = ("pose_missing", "pose_stale")
+"""Reasons for which it does."""
 
 
 class Trial(msgspec.Struct, frozen=True):
@@ -112,7 +114,7 @@ async def run_placements(setup: Setup, trials: int) -> PlacementReport:
         await bench.planner.digitize_all()
         progress("registering", 2, steps)
         residual_mm = await bench.planner.register()
-        registration = as_transform(_registered(bench).body_ref_from_image)
+        registration = as_transform(registered(bench).body_ref_from_image)
         done: list[Trial] = []
         treatment: list[Treated] = []
         for number in range(1, trials + 1):
@@ -141,8 +143,8 @@ async def run_placements(setup: Setup, trials: int) -> PlacementReport:
 
 async def _place(bench: Bench, number: int, pose: ToolPose, body_ref_from_image: Transform) -> Trial:
     """Brings the tool to a pose, leaves it there and measures it."""
-    await _once_seen(lambda: bench.planner.plan_pose(pose.position, pose.quat_xyzw))
-    await _once_seen(bench.planner.approach)
+    await once_seen(lambda: bench.planner.plan_pose(pose.position, pose.quat_xyzw))
+    await once_seen(bench.planner.approach)
     placement = await bench.planner.confirm()
     truth = await bench.scene.truth()
     planned = Transform.from_quat_xyzw(pose.position, pose.quat_xyzw)
@@ -162,13 +164,13 @@ async def _place(bench: Bench, number: int, pose: ToolPose, body_ref_from_image:
     )
 
 
-async def _once_seen(ask: Callable[[], Awaitable[None]]) -> None:
+async def once_seen(ask: Callable[[], Awaitable[None]]) -> None:
     """Asks, and asks again where that was refused because the tracker has not shown yet where all is at rest."""
     for _ in range(PATIENCE):
         try:
             return await ask()
         except CommandRefusedError as error:
-            if error.fields["verdict"].reason not in ("pose_missing", "pose_stale"):
+            if error.fields["verdict"].reason not in NOT_SEEN:
                 raise
         await asyncio.sleep(PAUSE)
     return await ask()
@@ -180,7 +182,7 @@ def _actual(truth: SceneTruth, body_ref_from_image: Transform) -> Transform:
     return tracker_from_image.inverse() @ as_transform(truth.tracker_from_coil)
 
 
-def _registered(bench: Bench) -> Registered:
+def registered(bench: Bench) -> Registered:
     """The registration in force, as the journal has it."""
     rows = [stored.row for stored in bench.journal.read(kind="outcome", branch="registration")]
     kept = [row.result["registered"] for row in rows if row.result and row.result.get("registered")]

@@ -37,17 +37,10 @@ def read_lab_landmarks(path: Path) -> tuple[list[Named], Role]:
     return found, LISTS[listed]
 
 
-def read_lab_pose(path: Path) -> Transform:
-    """A registration (body_ref_from_image) or a planned tool pose (image_from_coil).
-
-    Raises:
-        FileFormatError: ``TRANSLATION`` or ``ROTATION`` is missing or is none.
-    """
-    return lab_pose(path, read_yaml(path), "")
-
-
 def lab_pose(path: Path, keys: Mapping[Any, Any], prefix: str) -> Transform:
     """The pose in ``TRANSLATION`` (x y z, m) and ``ROTATION`` (quaternion x y z w) of a mapping.
+
+    In a file of its own it is a registration (body_ref_from_image) or a planned tool pose (image_from_coil).
 
     Args:
         path: For errors.
@@ -62,7 +55,7 @@ def lab_pose(path: Path, keys: Mapping[Any, Any], prefix: str) -> Transform:
     try:
         return Transform.from_quat_xyzw(position, quat_xyzw)
     except GeometryError as error:
-        refuse(path, f"holds no pose in {prefix or 'its keys'}: {error.text}")
+        refuse(path, f"holds no pose in {prefix.rstrip('.') or 'its keys'}: {error.text}")
 
 
 def lab_registration(body_ref_from_image: Transform, *, refined: bool) -> str:

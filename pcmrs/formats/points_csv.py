@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from pcmrs.formats.reading import read_text, refuse
+from pcmrs.formats.reading import read_table, refuse
 from pcmrs.formats.units import Named, Unit, as_ras
 
 EXAMPLE = "name,x_mm,y_mm,z_mm"
@@ -20,19 +19,15 @@ def read_points_csv(path: Path, unit: Unit | None = None) -> list[Named]:
         unit: Of columns called x, y, z; of those that name theirs, it must be the same.
 
     Raises:
-        FileFormatError: There is no header, no unit, two units, or a row that is none.
+        FileFormatError: There is no header, a column of it twice, no unit, two units, or a row that is none.
     """
-    try:
-        rows = [row for row in csv.reader(read_text(path).splitlines()) if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        refuse(path, f"is no CSV: {error}.")
-    if not rows:
+    header, rows = read_table(path)
+    if not header:
         refuse(path, f"is empty, must begin with a header such as {EXAMPLE}.")
-    header = [cell.strip().lower() for cell in rows[0]]
     found = _unit(path, header, unit)
-    axes = [header.index(axis if axis in header else f"{axis}_{found}") for axis in "xyz"]
-    name = next(header.index(column) for column in ("name", "label") if column in header)
-    return [_point(path, number, row, (name, *axes), found) for number, row in enumerate(rows[1:], start=2)]
+    axes = [axis if axis in header else f"{axis}_{found}" for axis in "xyz"]
+    name = "name" if "name" in header else "label"
+    return [_point(path, line, row, (name, *axes), found) for line, row in rows]
 
 
 def _unit(path: Path, header: Sequence[str], given: Unit | None) -> Unit:
@@ -50,9 +45,9 @@ def _unit(path: Path, header: Sequence[str], given: Unit | None) -> Unit:
     return unit
 
 
-def _point(path: Path, number: int, row: Sequence[str], columns: Sequence[int], unit: Unit) -> Named:
+def _point(path: Path, line: int, row: Mapping[str, str], columns: Sequence[str], unit: Unit) -> Named:
     try:
-        name, *point = (row[column].strip() for column in columns)
+        name, *point = (row[column] for column in columns)
         return name, tuple(as_ras([float(value) for value in point], unit, "RAS").tolist())
-    except (IndexError, ValueError):
-        refuse(path, f"holds no name with three numbers in row {number}: {','.join(row)}.", row=number)
+    except (KeyError, ValueError):
+        refuse(path, f"holds no name with three numbers in row {line}: {','.join(row.values())}.", row=line)

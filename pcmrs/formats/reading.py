@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -40,7 +41,7 @@ def read_text(path: Path) -> str:
     try:
         return read_bytes(path, MAX_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        refuse(path, f"is not UTF-8 text: byte {error.start} is 0x{error.object[error.start]:02x}.")
+        refuse(path, f"is not UTF-8 text: byte {error.start} is 0x{error.object[error.start]:02x}; save it as UTF-8.")
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -55,8 +56,34 @@ def read_yaml(path: Path) -> dict[str, Any]:
         reason = " ".join(str(error).split())
         refuse(path, f"is not YAML: {reason}.")
     if not isinstance(found, dict):
-        refuse(path, f"holds no keys but {type(found).__name__}.")
+        refuse(path, "holds no keys with values (KEY: ...): it is empty, or another kind of file.")
     return found
+
+
+def read_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+    """The rows of a CSV file with a header, blank lines passed over.
+
+    Returns:
+        The columns in small letters, and for each row its line and the cells by column; both empty for an empty file.
+
+    Raises:
+        FileFormatError: It is no CSV, a column is there twice, or a row has more cells than the header.
+    """
+    try:
+        reader = csv.reader(read_text(path).splitlines())
+        lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader if any(map(str.strip, cells))]
+    except csv.Error as error:
+        refuse(path, f"is no CSV: {error}.")
+    columns = [cell.lower() for cell in lines[0][1]] if lines else []
+    if len(columns) == 1 and ";" in columns[0]:
+        refuse(path, "has semicolons between its columns; save it with commas there, and points in numbers.")
+    twice = next((name for index, name in enumerate(columns) if name and name in columns[:index]), None)
+    if twice is not None:
+        refuse(path, f"has the column {twice} twice; leave one.", column=twice)
+    for line, cells in lines[1:]:
+        if any(cells[len(columns) :]):
+            refuse(path, f"has more values than columns in row {line}; write numbers as 0.5, not as 0,5.", row=line)
+    return columns, [(line, dict(zip(columns, cells, strict=False))) for line, cells in lines[1:]]
 
 
 class _UniqueKeysLoader(yaml.SafeLoader):

@@ -63,7 +63,7 @@ def read_fcsv(path: Path) -> list[Named]:
     """The points of an ``.fcsv`` file, which are in mm there, as RAS and m.
 
     Raises:
-        FileFormatError: It does not declare its directions or its columns, or a row does not fit them.
+        FileFormatError: It does not declare its directions or its columns, is no CSV, or a row does not fit them.
     """
     lines = read_text(path).splitlines()
     declared = dict(line[1:].split("=", 1) for line in lines if line.startswith("#") and "=" in line)
@@ -74,7 +74,10 @@ def read_fcsv(path: Path) -> list[Named]:
     columns = [column.strip() for column in header.get("columns", "").split(",")]
     if not {"x", "y", "z", "label"} <= set(columns):
         refuse(path, "does not declare its columns, among them x, y, z and label, in a comment line.")
-    rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
+    try:
+        rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
+    except csv.Error as error:
+        refuse(path, f"is no CSV: {error}.")
     return [_fcsv_point(path, number, dict(zip(columns, row, strict=False)), space) for number, row in enumerate(rows)]
 
 

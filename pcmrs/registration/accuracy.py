@@ -8,6 +8,8 @@ Prediction in Rigid Point Registration, IEEE TMI 30 (2011)).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -55,11 +57,17 @@ def predict_tre(
 
 def _noise(noise: float | npt.ArrayLike, weights: npt.ArrayLike | None, count: int) -> tuple[Floats, Floats]:
     """Covariances of the points, and the matrices that weigh their squared differences in the fit, (N, 3, 3) each."""
-    equal = np.ndim(noise) == 0
-    covariances = checked_covariances(np.square(noise) * np.tile(np.eye(3), (count, 1, 1)) if equal else noise, count)
+    covariances = _equal_noise(float(np.asarray(noise)), count) if np.ndim(noise) == 0 else noise
+    covariances = checked_covariances(covariances, count)
     if weights is not None:
         return covariances, np.asarray(weights, dtype=float)[:, None, None] * np.eye(3)
     return covariances, inverse_of(covariances)
+
+
+def _equal_noise(sigma: float, count: int) -> Floats:
+    if not 0.0 < sigma < math.inf:
+        raise GeometryError(f"The noise of the fiducials is {sigma:g} m per axis; give a positive length.", noise=sigma)
+    return np.tile(sigma**2 * np.eye(3), (count, 1, 1))
 
 
 def _motion_covariance(points: Floats, covariances: Floats, precisions: Floats) -> Floats:

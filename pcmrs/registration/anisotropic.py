@@ -8,10 +8,11 @@ Weighting, SPIE Medical Imaging 2009. Here by Gauss-Newton steps on the motion g
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pcmrs.errors import GeometryError
 from pcmrs.registration.rigid import RigidFit, motion_jacobians
-from pcmrs.spatial import Floats, Transform
+from pcmrs.spatial import Floats, Transform, trusted_transform
 
 MAX_STEPS = 100
 SMALL_STEP = 1e-12  # rad and m
@@ -31,15 +32,13 @@ def fit_anisotropic(fixed: Floats, moving: Floats, covariances: Floats, start: R
     """
     inverses = inverse_of(covariances)
     origin = moving.mean(axis=0)  # turning about it keeps rotation and translation apart
-    fixed_from_moving = Transform(start.rotation, start.rotation @ origin + start.translation)
+    rotation, shifted = start.rotation, start.rotation @ origin + start.translation
     for _ in range(MAX_STEPS):
-        turned = (moving - origin) @ fixed_from_moving.rotation.T
-        step = _step(turned, fixed - turned - fixed_from_moving.translation, inverses)
-        motion = Transform.from_rotvec((0.0, 0.0, 0.0), step[:3])
-        rotation = motion.rotation @ fixed_from_moving.rotation
-        fixed_from_moving = Transform(rotation, fixed_from_moving.translation + step[3:])
+        turned = (moving - origin) @ rotation.T
+        step = _step(turned, fixed - turned - shifted, inverses)
+        rotation, shifted = Rotation.from_rotvec(step[:3]).as_matrix() @ rotation, shifted + step[3:]
         if np.abs(step).max() < SMALL_STEP:
-            return fixed_from_moving @ Transform(np.eye(3), -origin)
+            return trusted_transform(rotation, shifted - rotation @ origin)
     text = f"The registration with covariances did not settle in {MAX_STEPS} steps; give noise that is less unequal."
     raise GeometryError(text, steps=MAX_STEPS, last_step=float(np.abs(step).max()))
 

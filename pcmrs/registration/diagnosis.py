@@ -22,11 +22,11 @@ ALL_PERMUTATIONS = 7
 def unit_ratio(planned: Floats, digitized: Floats) -> float:
     """How many times farther apart the digitized landmarks (N, 3) are than the planned ones.
 
-    Of the median distances, so that one wrong landmark does not look like another unit; 1 when the planned ones
-    coincide.
+    Of the median distances, so that one wrong landmark does not look like another unit; 1 where landmarks of a set
+    coincide, which is no matter of units.
     """
-    between = float(np.median(pdist(planned)))
-    return float(np.median(pdist(digitized))) / between if between > 0.0 else 1.0
+    apart, between = float(np.median(pdist(digitized))), float(np.median(pdist(planned)))
+    return apart / between if apart > 0.0 and between > 0.0 else 1.0
 
 
 def explaining_order(planned: Floats, digitized: Floats, sigma: float, false_alarm: float) -> tuple[int, ...] | None:

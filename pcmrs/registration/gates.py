@@ -66,18 +66,21 @@ class Gate:
 
 
 def unit_gate(ratio: float) -> Gate:
-    """Are both sets in one unit? A ratio of 1000 is mm for m."""
-    accepted = 1.0 / UNIT_RATIO < ratio < UNIT_RATIO
+    """Are both sets in one unit? A ratio of 1000 or 1/1000 is mm for m; its value is the ratio or its inverse."""
+    either_way = max(ratio, 1.0 / ratio)
+    accepted = either_way < UNIT_RATIO
     text = (
         f"The digitized landmarks are {ratio:.4g} times as far apart as the planned ones; more than {UNIT_RATIO:g} "
         "times, either way, is another unit."
     )
     if not accepted:
         which = "digitized" if ratio > 1.0 else "planned"
-        thousand = 300.0 < max(ratio, 1.0 / max(ratio, 1e-9)) < 3000.0
+        thousand = 300.0 < either_way < 3000.0
         text += f" The {which} ones look like mm for m: give" if thousand else " Give"
         text += " both in m."
-    return Gate("wrong_unit", accepted, ratio, UNIT_RATIO, text)
+        if ratio < 1.0:
+            text += " If they are, all were digitized at one place: touch each at its own."
+    return Gate("wrong_unit", accepted, either_way, UNIT_RATIO, text)
 
 
 def refused_side_gate(error: MirroredPointsError) -> Gate:

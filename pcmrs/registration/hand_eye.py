@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from pcmrs.errors import GeometryError
 from pcmrs.registration.pose_sets import check_count, check_turning, turning, without_bad_poses
+from pcmrs.registration.rigid import cross_matrices
 from pcmrs.spatial import Floats, Transform
 
 FEWEST = 6
@@ -173,9 +174,8 @@ def _whitened(
     x: Transform, y: Transform, a: Sequence[Transform], b: Sequence[Transform], noise: Floats
 ) -> tuple[Floats, Floats]:
     """Residuals (N, 6) and Jacobian (N, 6, 12) over the noise of rotations and of translations (2,)."""
-    jacobian = np.array([_derivative(y, left, right) for left, right in zip(a, b, strict=True)])
     weights = np.repeat(noise, 3)
-    return _differences(x, y, a, b).reshape(-1, 6) / weights, jacobian / weights[:, None]
+    return _differences(x, y, a, b).reshape(-1, 6) / weights, _derivatives(y, a, b) / weights[:, None]
 
 
 def _differences(x: Transform, y: Transform, a: Sequence[Transform], b: Sequence[Transform]) -> Floats:
@@ -187,18 +187,12 @@ def _differences(x: Transform, y: Transform, a: Sequence[Transform], b: Sequence
     return np.stack((turns.as_rotvec(), shifts), axis=1)
 
 
-def _derivative(y: Transform, a: Transform, b: Transform) -> Floats:
-    """Of one pose's difference by rotation and translation of X, then of Y, (6, 12), where the difference is small."""
-    derivative = np.zeros((6, 12))
-    derivative[:3, :3] = np.eye(3)
-    derivative[:3, 6:9] = -b.rotation.T
-    derivative[3:, 3:6] = a.rotation
-    derivative[3:, 6:9] = y.rotation @ _cross(b.translation)
-    derivative[3:, 9:] = -np.eye(3)
-    return derivative
-
-
-def _cross(vector: Floats) -> Floats:
-    """The matrix of ``vector ×``, (3, 3)."""
-    x, y, z = vector
-    return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+def _derivatives(y: Transform, a: Sequence[Transform], b: Sequence[Transform]) -> Floats:
+    """Of the differences by rotation and translation of X, then of Y, where they are small, (N, 6, 12)."""
+    derivatives = np.zeros((len(a), 6, 12))
+    derivatives[:, :3, :3] = np.eye(3)
+    derivatives[:, :3, 6:9] = [-pose.rotation.T for pose in b]
+    derivatives[:, 3:, 3:6] = [pose.rotation for pose in a]
+    derivatives[:, 3:, 6:9] = y.rotation @ cross_matrices(np.array([pose.translation for pose in b]))
+    derivatives[:, 3:, 9:] = -np.eye(3)
+    return derivatives

@@ -103,6 +103,14 @@ def checked_pairs(fixed: npt.ArrayLike, moving: npt.ArrayLike) -> tuple[Floats, 
     return fixed, moving
 
 
+def checked_point(values: npt.ArrayLike, which: str) -> Floats:
+    """One point as an array (3,), m. Raises `GeometryError` when it is none, or not finite."""
+    point = np.asarray(values, dtype=float)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise GeometryError(f"The {which} is {point.tolist()}; give three finite numbers, in m.", which=which)
+    return point
+
+
 def _points(values: npt.ArrayLike, which: str) -> Floats:
     points = np.asarray(values, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3:

@@ -16,7 +16,7 @@ from pcmrs.spatial import Floats
 MIN_TURN = np.radians(5.0)
 """Least rms rotation about the second axis, rad: below it, noise of the tracker is blown up more than ten times."""
 FALSE_ALARM = 0.01
-"""Probability that a set without a bad pose loses one."""
+"""Probability that a set without a bad pose loses one, by each of two tests that seldom both err."""
 SMALLEST_SHARE = 1e-9
 """Of a residual that the other poses check; less is none."""
 MEDIAN_EFFICIENCY = 0.37

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from pcmrs.errors import GeometryError, RefusalError
 from pcmrs.registration import surface_checks as checks
+from pcmrs.registration.points import checked_point, register_points
 from pcmrs.registration.rigid import motion_jacobians
 from pcmrs.registration.triangles import TriangleSurface
 from pcmrs.spatial import Floats, Transform
@@ -103,30 +104,31 @@ def refine_with_surface(
 
     Raises:
         GeometryError: Shapes are wrong, numbers not finite, or a deviation or `trim` is out of range.
-        DegeneratePointsError: The landmarks do not fix a rigid transform.
+        DegeneratePointsError: The landmarks fix no rotation.
+        MirroredPointsError: A mirror image fits the landmarks far better than any rotation.
         RefusalError: ``too_few_surface_points``, ``surface_far``, ``surface_flat``, ``surface_diverged``,
             ``surface_step_too_large``, ``surface_misfit`` or ``tre_not_lowered``: keep the landmarks' registration.
     """
+    register_points(landmarks_body_ref, landmarks_image)  # refuses what no registration could use
     problem = _Problem(
-        _points(landmarks_image, "planned landmarks"),
-        _points(landmarks_body_ref, "digitized landmarks"),
+        np.asarray(landmarks_image, dtype=float),
+        np.asarray(landmarks_body_ref, dtype=float),
         _positive(sigma, "sigma"),
         TriangleSurface(vertices, faces),
-        _points(points_body_ref, "surface points"),
+        _surface_points(points_body_ref),
         _positive(sigma_surface, "sigma_surface"),
         _fraction(trim),
     )
-    target_image = _points(np.atleast_2d(np.asarray(target, dtype=float)), "target")
-    if problem.landmarks_image.shape != problem.landmarks_body_ref.shape:
-        raise GeometryError("The planned and the digitized landmarks differ in number; give them in pairs.")
+    target_image = checked_point(target, "target")
     checks.check_count(len(problem.points_body_ref), _believed(problem))
     before = _covariance(_landmark_information(problem, registration))
     _check_near(problem, registration, before)
     refined, iterations = _iterate(problem, registration)
     at_end = _linearize(problem, refined)
     checks.check_step(refined @ registration.inverse(), before)
-    checks.check_fit(at_end.rms, sigma_surface * math.sqrt(_kept_information(trim)))
-    covariance = _covariance(at_end.landmark_information + _kept_information(problem.trim) * at_end.surface_information)
+    kept = _kept_information(problem.trim)
+    checks.check_fit(at_end.rms, problem.sigma_surface * math.sqrt(kept))
+    covariance = _covariance(at_end.landmark_information + kept * at_end.surface_information)
     tre_before, tre_after = _tre(registration @ target_image, before), _tre(refined @ target_image, covariance)
     checks.check_gain(tre_before, tre_after)
     return SurfaceRefinement(refined, iterations, at_end.inliers, at_end.rms, tre_before, tre_after, covariance)
@@ -206,21 +208,22 @@ def _kept_information(trim: float) -> float:
 
 
 def _tre(target: Floats, covariance: Floats) -> float:
-    """Rms of the error at a target (1, 3) in body_ref whose registration has this covariance, m."""
-    (jacobian,) = motion_jacobians(target)
+    """Rms of the error at a target (3,) in body_ref whose registration has this covariance, m."""
+    (jacobian,) = motion_jacobians(target[None])
     return float(np.sqrt(np.trace(jacobian @ covariance @ jacobian.T)))
 
 
-def _points(values: npt.ArrayLike, which: str) -> Floats:
+def _surface_points(values: npt.ArrayLike) -> Floats:
     points = np.asarray(values, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-        raise GeometryError(f"The {which} must be finite numbers in shape (N, 3), not {points.shape}.", which=which)
+        text = f"The surface points have shape {points.shape}; give finite points (K, 3), in m."
+        raise GeometryError(text, shape=points.shape)
     return points
 
 
 def _positive(value: float, name: str) -> float:
     if not 0.0 < value < math.inf:
-        raise GeometryError(f"{name} is {value:g} m, must be above 0.", name=name, value=value)
+        raise GeometryError(f"{name} is {value:g} m; give a positive length.", name=name, value=value)
     return value
 
 

@@ -23,7 +23,13 @@ from pcmrs.registration.gates import (
     unit_gate,
 )
 from pcmrs.registration.outliers import MIN_POINTS, mean_shift_test
-from pcmrs.registration.points import PointRegistration, checked_covariances, checked_pairs, register_points
+from pcmrs.registration.points import (
+    PointRegistration,
+    checked_covariances,
+    checked_pairs,
+    checked_point,
+    register_points,
+)
 from pcmrs.spatial import Floats
 
 
@@ -77,11 +83,12 @@ def judge(
             ``limits.sigma`` in every axis.
 
     Raises:
-        GeometryError: Shapes are wrong or a number is not finite.
-        DegeneratePointsError: The landmarks fix no rotation.
+        GeometryError: Shapes are wrong, a number is not finite, or a covariance is not positive definite.
+        DegeneratePointsError: The landmarks, planned or digitized, fix no rotation.
     """
     digitized, planned = checked_pairs(digitized, planned)
     _check_names(names, len(planned))
+    target_image = None if target is None else checked_point(target, "target")
     noise = limits.sigma if covariances is None else checked_covariances(covariances, len(planned))
     sigma = _sigma(noise)
     unit = unit_gate(unit_ratio(planned, digitized))
@@ -97,7 +104,7 @@ def judge(
         return RegistrationVerdict(registration, (unit, side_gate(registration), order), permutation=permutation)
     testable = len(planned) >= MIN_POINTS
     outlier = mean_shift_test(digitized, planned, noise, limits.false_alarm) if testable else None
-    tre = _tre(registration, planned, target, noise)
+    tre = _tre(registration, planned, target_image, noise)
     gates = (
         unit,
         side_gate(registration),
@@ -120,10 +127,8 @@ def _sigma(noise: float | Floats) -> float:
     return noise if isinstance(noise, float) else float(np.sqrt(np.mean(np.diagonal(noise, axis1=1, axis2=2))))
 
 
-def _tre(
-    registration: PointRegistration, planned: Floats, target: npt.ArrayLike | None, noise: float | Floats
-) -> float:
-    """In body_ref, as the covariances are."""
+def _tre(registration: PointRegistration, planned: Floats, target: Floats | None, noise: float | Floats) -> float:
+    """Rms, m, at the target in the image (3,); worked out in body_ref, where the covariances are."""
     body_ref_from_image = registration.fixed_from_moving
-    at = body_ref_from_image @ (planned.mean(axis=0) if target is None else np.asarray(target, dtype=float))
+    at = body_ref_from_image @ (planned.mean(axis=0) if target is None else target)
     return float(predict_tre(body_ref_from_image @ planned, at, noise)[0])

@@ -100,12 +100,6 @@ class PosePredictor:
             raise RefusalError("pose_stale", text, age=age, limit=HORIZON)
         return self._extrapolated(self._pose, time - self._time)
 
-    def covariance(self, time: float) -> Floats:
-        """Of the prediction at a time, for a body at rest: translation (m) before rotation vector (rad), (6, 6)."""
-        filters = (self._translation, self._rotation)
-        variances = [each.predicted(max(time - self._time, 0.0), each.noise.rest)[0, 0] for each in filters]
-        return np.diag(np.repeat(variances, 3))
-
     def _take(self, time: float, pose: Transform, *, predicted: Transform, passed: float) -> bool:
         """Corrects the prediction by a pose, or goes on with the prediction where the pose is an outlier."""
         shift = pose.translation - predicted.translation

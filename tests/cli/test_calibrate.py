@@ -135,6 +135,22 @@ def test_either_a_file_or_live(words: list[str]) -> None:
     assert "either a FILE" in ended.stderr
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("pivot", "poses.csv", "--keep", "kept.csv"), "--keep is for --live only"),
+        (("hand-eye", "poses.csv", "--robot", "panda"), "--robot is for --live only"),
+        (("pivot", "poses.csv", "--limit-mm", "nan"), "nan is not finite"),
+        (("hand-eye", "poses.csv", "--limit-deg", "-1"), "not in the range"),
+        (("pivot", "poses.csv", "-o", "no_such_folder/tip.toml"), "no folder no_such_folder"),
+    ],
+)
+def test_what_would_be_passed_over_or_make_no_sense_is_a_usage_error(words: tuple[str, ...], said: str) -> None:
+    ended = run(*words)
+    assert ended.exit_code == 2
+    assert said in ended.stderr
+
+
 class Cell:
     """A daemon that knows only its state, and devices that publish."""
 

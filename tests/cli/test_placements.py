@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import codecs
 import json
 from pathlib import Path
 from typing import Any
@@ -210,3 +211,33 @@ def test_a_picture_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     ended = _run(_folder(tmp_path), "--plot", str(tmp_path / "none" / "errors.png"))
     assert ended.exit_code == 2
     assert "errors.png" in ended.stderr
+
+
+def test_a_folder_that_is_not_there_is_found_before_the_work(tmp_path: Path) -> None:
+    ended = _run(str(tmp_path / "none.yaml"), "--plot", str(tmp_path / "none" / "errors.png"))
+    assert "make it first" in ended.stderr  # and not that none.yaml is missing
+
+
+@pytest.mark.parametrize("standoff", ["nan", "inf", "2000"])
+def test_a_standoff_must_be_one(standoff: str, tmp_path: Path) -> None:
+    assert "--standoff-mm" in _refused(_folder(tmp_path), "--standoff-mm", standoff)
+
+
+def test_a_byte_order_mark_before_a_pose_log_is_passed_over(tmp_path: Path) -> None:
+    log = _pose_log(tmp_path)
+    plain = _report(str(log))
+    log.write_bytes(codecs.BOM_UTF8 + log.read_bytes())
+    assert _report(str(log)) == plain
+
+
+def test_a_file_of_another_kind_is_told_what_is_read(tmp_path: Path) -> None:
+    (tmp_path / "points.csv").write_text("name,x_mm,y_mm,z_mm\n")
+    assert "points.csv is no saved placement (.yaml, .yml), no journal, and no pose log" in _refused(
+        str(tmp_path / "points.csv")
+    )
+
+
+def test_a_terminal_without_a_degree_sign_gets_a_question_mark(tmp_path: Path) -> None:
+    ended = CliRunner(charset="ascii").invoke(main, ["placements", _folder(tmp_path)])
+    assert ended.exit_code == 0
+    assert "rotation error, ?" in ended.stdout

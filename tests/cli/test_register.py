@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from pcmrs.cli import main
-from pcmrs.formats.lab_yaml import read_lab_pose
+from pcmrs.formats.lab_yaml import lab_pose
+from pcmrs.formats.reading import read_yaml
 from pcmrs.spatial import Floats, Transform, distance, rotation_angle
 
 NAMES = ("nasion", "nose_tip", "left_canthus", "right_canthus", "left_tragus", "right_tragus")
@@ -38,7 +40,7 @@ def test_a_good_registration_is_accepted_and_told_in_full(tmp_path: Path) -> Non
     assert ended.stdout.startswith("accepted\n6 landmarks, paired by name\n")
     for part in (*NAMES, "quaternion w x y z", "mean ", "rms ", "predicted TRE", "at the target", "residual_too_large"):
         assert part in ended.stdout
-    found = read_lab_pose(output)
+    found = lab_pose(output, read_yaml(output), "")
     assert distance(found, TRUTH) < 0.003
     assert rotation_angle(found, TRUTH) < 0.05
 
@@ -110,6 +112,7 @@ def test_landmarks_on_a_line_are_refused_with_their_singular_values(tmp_path: Pa
     said = json.loads(ended.stdout)
     assert said["accepted"] is False
     assert len(said["refusal"]["singular_values"]) == 3
+    assert re.match(rf"{re.escape(str(tmp_path))}.*: The fixed points lie on a line", said["refusal"]["text"])
 
 
 def test_pairing_by_order_is_said(tmp_path: Path) -> None:
@@ -147,9 +150,11 @@ def test_without_a_registration_there_is_no_picture(tmp_path: Path) -> None:
         (("--target", "30,0,110"), "millimetres"),
         (("--target", "0.1,0"), "three numbers"),
         (("--target", "nan,0,0"), "metres"),
-        (("--limit-mm", "0"), "residual is 0 m"),
-        (("--sigma-mm", "nan"), "sigma is nan m"),
-        (("--tre-limit-mm", "inf"), "tre is inf m"),
+        (("--limit-mm", "0"), "--limit-mm"),
+        (("--sigma-mm", "nan"), "nan is not finite"),
+        (("--tre-limit-mm", "inf"), "inf is not finite"),
+        (("--plot", "no_such_folder/reg.png"), "no folder no_such_folder"),
+        (("-o", "."), "is a directory"),
         (("--workflow", "biopsy"), "biopsy"),
     ],
 )
@@ -157,6 +162,14 @@ def test_senseless_options_are_usage_errors(options: tuple[str, ...], text: str,
     ended = register(tmp_path, TRUTH @ PLANNED, *options)
     assert ended.exit_code == 2
     assert text in ended.stderr
+
+
+def test_what_is_read_is_not_overwritten(tmp_path: Path) -> None:
+    plan = write(tmp_path / "plan.csv", PLANNED)
+    before = Path(plan).read_text()
+    ended = CliRunner().invoke(main, ["register", plan, plan, "-o", plan])
+    assert (ended.exit_code, Path(plan).read_text()) == (2, before)
+    assert "would be overwritten" in ended.stderr
 
 
 def test_unreadable_files_end_with_2_and_one_line(tmp_path: Path) -> None:

@@ -11,8 +11,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pcmrs.errors import FileFormatError
-from pcmrs.formats.lab_yaml import lab_registration, read_lab_pose
+from pcmrs.formats.lab_yaml import lab_pose, lab_registration
+from pcmrs.formats.reading import read_yaml
 from pcmrs.spatial import Transform, distance, rotation_angle
+
+
+def read_lab_pose(path: Path) -> Transform:
+    return lab_pose(path, read_yaml(path), "")
 
 
 @pytest.fixture(scope="module")

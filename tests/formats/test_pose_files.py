@@ -108,7 +108,7 @@ def test_all_unreadable_files_of_a_folder_are_named(tmp_path: Path) -> None:
         ("TRANSLATION: {x: -0.0212, y: 0.0891, z: 0.0002}", "TRANSLATION: 5", "MEASURED_POSE.TRANSLATION"),
         (AS_SAVED, AS_SAVED + AS_SAVED, "twice"),  # a second trial appended would hide the first
         (AS_SAVED, "", "holds"),
-        (AS_SAVED, "[" * 5000, "YAML"),
+        (AS_SAVED, "[" * 500, "YAML"),
     ],
 )
 def test_what_is_no_placement_is_refused_with_its_key(tmp_path: Path, old: str, new: str, said: str) -> None:

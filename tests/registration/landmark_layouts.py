@@ -1,6 +1,7 @@
 """Landmark layouts of the tests, in m, and noise that reproduces the published controls."""
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from pcmrs.spatial import Floats, Transform
@@ -32,3 +33,11 @@ def touched(rng: np.random.Generator, planned: Floats, sigma: float) -> Floats:
     """The landmarks as touched, in body_ref."""
     moved: Floats = any_motion(rng) @ (planned + rng.normal(scale=sigma, size=planned.shape))
     return moved
+
+
+def off_by_10_mm(rng: np.random.Generator, runs: int) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Digitized heads (runs, 6, 3) with one landmark off in any direction, and which one."""
+    digitized, index = HEAD + rng.normal(scale=HEAD_SIGMA, size=(runs, 6, 3)), rng.integers(6, size=runs)
+    directions = rng.normal(size=(runs, 3))
+    digitized[np.arange(runs), index] += 0.010 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return digitized, index

@@ -64,7 +64,7 @@ def test_unequal_noise_that_the_fit_knows(layout: str) -> None:
     fiducials, targets = LAYOUTS[layout] @ OBLIQUE.T, TARGETS @ OBLIQUE.T
     rng = np.random.default_rng(7)
     covariances = unequal(rng, len(fiducials))
-    runs = 3000
+    runs = 2000
     fits = [
         register_points(fixed, fiducials, covariances=covariances).fixed_from_moving
         for fixed in noisy(rng, fiducials, covariances, runs)
@@ -73,7 +73,7 @@ def test_unequal_noise_that_the_fit_knows(layout: str) -> None:
         np.array([fit.rotation for fit in fits]), np.array([fit.translation for fit in fits]), targets
     )
     predicted = predict_tre(fiducials, targets, covariances)
-    np.testing.assert_allclose(predicted, measured, rtol=0.04)  # 3,000 runs: 1.2 % of sampling error
+    np.testing.assert_allclose(predicted, measured, rtol=0.04)  # 2,000 runs: 1.5 % of sampling error
     assert (predicted <= predict_tre(fiducials, targets, covariances, weights=np.ones(len(fiducials)))).all()
 
 
@@ -115,8 +115,11 @@ def test_residual_and_target_error_are_uncorrelated() -> None:
 def test_what_cannot_be_predicted_is_refused() -> None:
     with pytest.raises(GeometryError, match="targets"):
         predict_tre(HEAD, (1.0, 2.0), 0.001)
+    for noise in (0.0, -0.001, np.nan):
+        with pytest.raises(GeometryError, match="give a positive length"):
+            predict_tre(HEAD, VERTEX, noise)
     with pytest.raises(GeometryError, match="positive definite"):
-        predict_tre(HEAD, VERTEX, 0.0)
+        predict_tre(HEAD, VERTEX, np.zeros((6, 3, 3)))
     with pytest.raises(GeometryError, match="weights"):
         predict_tre(HEAD, VERTEX, 0.001, weights=[1.0])
     with pytest.raises(DegeneratePointsError):

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from pcmrs.errors import RefusalError
 from pcmrs.spatial import Floats, Transform, distance, rotation_angle
+from pcmrs.spatial.constant_velocity import VelocityFilter
 from pcmrs.spatial.prediction import HORIZON, OUTLIERS, TRANSLATION, PosePredictor
 
 RATE = 60.0
@@ -95,18 +96,19 @@ def test_a_predicted_pose_is_nearer_than_the_last_one_seen(motion: Motion, share
 def test_the_error_is_as_large_as_the_covariance_says() -> None:
     """Monte Carlo with the acceleration that the filter assumes: mean squared error over variance is 1."""
     ratios = []
+    spread = np.linalg.cholesky(np.array(((1 / RATE**3 / 3, 1 / RATE**2 / 2), (1 / RATE**2 / 2, 1 / RATE))))
     for seed in range(20):
-        rng, predictor = np.random.default_rng(seed), PosePredictor()
+        rng, tracked = np.random.default_rng(seed), VelocityFilter(TRANSLATION)
         position, rate = np.zeros(3), np.zeros(3)
-        spread = np.linalg.cholesky(np.array(((1 / RATE**3 / 3, 1 / RATE**2 / 2), (1 / RATE**2 / 2, 1 / RATE))))
+        value = position + rng.normal(scale=TRANSLATION.measurement, size=3)
         for frame in range(180):
-            predictor.update(frame / RATE, measured(Transform(np.eye(3), position), rng))
             disturbed = np.sqrt(TRANSLATION.rest) * spread @ rng.normal(size=(2, 3))
             position, rate = position + rate / RATE + disturbed[0], rate + disturbed[1]
+            value = value + tracked.rate / RATE
             if frame > 60 and frame % 10 == 0:
-                asked = (frame + 1) / RATE
-                squares = (predictor.at(asked).translation - position) ** 2
-                ratios.append(squares / np.diag(predictor.covariance(asked))[:3])
+                ratios.append((value - position) ** 2 / tracked.predicted(1 / RATE, TRANSLATION.rest)[0, 0])
+            seen = position + rng.normal(scale=TRANSLATION.measurement, size=3)
+            value = value + tracked.correct(1 / RATE, seen - value)
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
 
 

@@ -9,6 +9,7 @@ import click
 import numpy as np
 
 from pcmrs.cli.calibrate.options import Asked, calibration_options
+from pcmrs.cli.options import POSITIVE
 from pcmrs.cli.running import readable_errors
 
 if TYPE_CHECKING:
@@ -25,8 +26,10 @@ POSES = 15
 @calibration_options(POSES, fewest=6)
 @click.option("--type", "tool", type=click.Choice(["coil", "drill_guide"]), default="coil", show_default=True)
 @click.option("--robot", default="iiwa14", show_default=True, help="Model of the arm, for --live.")
-@click.option("--limit-mm", type=float, default=2.0, show_default=True, help="Largest rms residual that is accepted.")
-@click.option("--limit-deg", type=float, default=0.5, show_default=True, help="The same of the rotations.")
+@click.option(
+    "--limit-mm", type=POSITIVE, default=2.0, show_default=True, help="Largest rms residual that is accepted."
+)
+@click.option("--limit-deg", type=POSITIVE, default=0.5, show_default=True, help="The same of the rotations.")
 @readable_errors
 def hand_eye(asked: Asked, tool: ToolType, robot: str, limit_mm: float, limit_deg: float) -> None:
     """Find the tool on the flange from postures of the arm in which the tracker sees the tool.

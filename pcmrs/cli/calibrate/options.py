@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from pcmrs.cli.options import Address, address_options, json_option, plot_option
+from pcmrs.cli.options import Address, Finite, OutputFile, address_options, json_option, plot_option, refuse_given
 
 Option = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -89,14 +89,14 @@ def _file_options() -> tuple[Option, ...]:
         click.option("--any-cell", is_flag=True, help="Usable in any cell, not only in --site and --cell."),
         click.option("--serial", default="", help="Serial number of the thing."),
         click.option("--name", default="", help="Name of the thing."),
-        click.option("-o", "--output", type=click.Path(path_type=Path), help="Calibration file to write (TOML)."),
+        click.option("-o", "--output", type=OutputFile(), help="Calibration file to write (TOML)."),
     )
 
 
 def _live_options(count: int, fewest: int) -> tuple[Option, ...]:
     return (
-        click.option("--keep", type=click.Path(path_type=Path), help="Keep the poses of --live in this CSV file."),
-        click.option("--seconds", type=click.FloatRange(1.0), default=300.0, show_default=True, help="Longest --live."),
+        click.option("--keep", type=OutputFile(), help="Keep the poses of --live in this CSV file."),
+        click.option("--seconds", type=Finite(1.0), default=300.0, show_default=True, help="Longest --live."),
         click.option(
             "--poses", type=click.IntRange(fewest), default=count, show_default=True, help="Fewest of --live."
         ),
@@ -109,6 +109,8 @@ def _asked(given: dict[str, Any]) -> Asked:
     file, live, address = given.pop("file"), given.pop("live"), given.pop("address")
     if live == (file is not None):
         raise click.UsageError("give either a FILE of poses or --live.")
+    if not live:
+        refuse_given(("poses", "seconds", "keep", "robot"), "is for --live only: the poses are those of FILE.")
     gather = Live(given.pop("poses"), given.pop("seconds"), given.pop("keep"))
     cell = "" if given.pop("any_cell") else f"{address.site}/{address.cell}"
     about = About(given.pop("name"), given.pop("serial"), cell, given.pop("valid_days"), given.pop("output"))

@@ -9,6 +9,7 @@ import click
 import numpy as np
 
 from pcmrs.cli.calibrate.options import Asked, calibration_options
+from pcmrs.cli.options import POSITIVE
 from pcmrs.cli.running import readable_errors
 
 if TYPE_CHECKING:
@@ -21,7 +22,9 @@ POSES = 60
 
 @click.command()
 @calibration_options(POSES, fewest=10)
-@click.option("--limit-mm", type=float, default=1.0, show_default=True, help="Largest rms residual that is accepted.")
+@click.option(
+    "--limit-mm", type=POSITIVE, default=1.0, show_default=True, help="Largest rms residual that is accepted."
+)
 @readable_errors
 def pivot(asked: Asked, limit_mm: float) -> None:
     """Find the tip of the pointer from poses taken while it rests on one point.

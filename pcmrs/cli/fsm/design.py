@@ -8,8 +8,8 @@ import click
 
 from pcmrs.cli.fsm.files import output_option, read, write
 from pcmrs.cli.fsm.outcome import check_json_output, conclude
-from pcmrs.cli.fsm.progress import search_bar
 from pcmrs.cli.options import json_option
+from pcmrs.cli.progress import search_bar
 
 
 @click.command()

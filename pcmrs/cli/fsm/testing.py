@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+import functools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
-from click.core import ParameterSource
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from pcmrs.cli.fsm.files import file_argument, output_option, refuse, sound, write
-from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.options import Address, address_options, json_option, refuse_given
+from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.errors import ConfigurationError, PcmrsError
 
@@ -29,6 +28,9 @@ if TYPE_CHECKING:
 
 MOST_SHOWN = 20
 """Deviations that are printed; --json has all."""
+
+LIVE_ONLY = ("connect", "endpoint", "site", "cell", "rate", "seed", "overrides", "arguments_file", "time_limit")
+"""Parameters that say something of a cell."""
 
 
 @click.command()
@@ -64,9 +66,10 @@ def test(file: str, live: bool, output: Path | None, as_json: bool, limit: int, 
     everything as it must be, 1: something is otherwise or was not covered.
     """
     if not live:
-        _refuse_live_options()
+        refuse_given(LIVE_ONLY, "is for --live only: without it no cell is tested.")
     blueprint = sound(file)
-    with _progress() as progress:
+    with progress_bar() as show:
+        progress = functools.partial(show, "testing")
         work = _live(file, blueprint, limit, progress, **given) if live else _scripted(blueprint, limit, progress)
         try:
             report, tour = run(work)
@@ -80,15 +83,6 @@ def test(file: str, live: bool, output: Path | None, as_json: bool, limit: int, 
         _show(report)
     if not report.passed:
         raise SystemExit(1)
-
-
-def _refuse_live_options() -> None:
-    """Whoever gives an option for a cell without --live would believe that a cell has been tested."""
-    context = click.get_current_context()
-    for name in ("connect", "endpoint", "site", "cell", "rate", "seed", "overrides", "arguments_file", "time_limit"):
-        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
-            option = next(option for option in context.command.params if option.name == name)
-            raise click.UsageError(f"{option.opts[0]} is for --live only: without it no cell is tested.")
 
 
 async def _scripted(blueprint: Blueprint, limit: int, progress: ShowProgress) -> tuple[TourReport, Sequence[Move]]:
@@ -161,12 +155,3 @@ def _show(report: TourReport) -> None:
             click.echo(f"    {deviation}")
     for left in report.left:
         click.echo(f"not seen ({left.joint_states}×): {left.command}: {left.reason}")
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int], None]]:
-    """A bar on standard error, so that standard output holds the result only."""
-    columns = (TextColumn("testing"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -9,8 +9,8 @@ import click
 import msgspec
 
 from pcmrs.cli.fsm.files import EXIT_UNREADABLE, EXIT_UNSOUND, fetch, printable
-from pcmrs.cli.fsm.progress import search_bar
 from pcmrs.cli.options import json_option
+from pcmrs.cli.progress import search_bar
 from pcmrs.cli.running import readable_errors
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm.finding import unread
