@@ -107,7 +107,7 @@ class Arm:
         """Brakes from the present reference as fast as the settings allow.
 
         Args:
-            reason: Why; None where that is the end that the motion was meant to have.
+            reason: Why, where the reference itself knows no better; None for the end that the motion was meant to have.
         """
         present = self.reference
         if present.alarm is not None:
@@ -115,7 +115,7 @@ class Arm:
         if isinstance(present, Relief):
             self._relief_left -= present.travelled
         if not present.ended:
-            self.stopped = self.stopped or reason
+            self.stopped = self.stopped or present.halt or reason
         stop = brake(present.position.tolist(), present.velocity.tolist(), self._brake_limits)
         self.reference = Reference.along(stop, present)
 
@@ -155,7 +155,7 @@ class Arm:
         """Brakes where the reference or the force on the tool demands it."""
         reference = self.reference
         if reference.halt is not None:
-            self.hold(reference.halt)
+            self.hold()
         if self._guard.exceeded(self.sensor.magnitude) and not isinstance(reference, Relief):
             self.stopped = self.stopped or "force_limit"
             self.reference = Relief(

@@ -80,11 +80,11 @@ class SimRobot:
         self._session += 1
         return ServoSession(session=self._session, deadman=DEADMAN)
 
-    async def end_servo(self) -> MotionResult:
+    async def end_servo(self, session: int) -> MotionResult:
         self._check_connection()
+        if self._servo is None or session != self._session:
+            raise DeviceError(f"The servo session {session} is over; begin another one.", session=session)
         servo, self._servo = self._servo, None
-        if servo is None:
-            raise DeviceError("There is no servo session; begin one first.")
         if self._arm.reference is servo:
             self._arm.hold(None)
         return await self._end()

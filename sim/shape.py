@@ -39,8 +39,8 @@ class Capsule:
     def distance(self, points: Floats) -> Floats:
         """Distances of points (..., 3) from the surface, m, (...,); negative inside."""
         line = self.end - self.start
-        squared = float(line @ line)
-        along = np.clip((points - self.start) @ line / squared, 0.0, 1.0) if squared > 0.0 else np.float64(0.0)
+        squared = max(float(line @ line), np.finfo(float).tiny)  # a ball's line has no length
+        along = np.asarray(np.clip((points - self.start) @ line / squared, 0.0, 1.0))
         distances: Floats = np.linalg.norm(points - self.start - along[..., None] * line, axis=-1) - self.radius
         return distances
 

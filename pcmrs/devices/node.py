@@ -90,6 +90,8 @@ class DeviceNode:
             log.warning("hold_failed", why=why, reason=error.text)
         except TimeoutError:
             log.warning("hold_failed", why=why, reason=f"not confirmed within {HOLD_TIME:g} s")
+        except Exception:  # of a driver: nobody would watch over the robot any more
+            log.exception("hold_failed", why=why)
 
     def _serve(self, name: str, device: Any) -> None:
         methods = {method: get_type_hints(getattr(PROTOCOLS[name], method)) for method in _methods(PROTOCOLS[name])}

@@ -62,14 +62,19 @@ class Robot(Protocol):
 
         Returns:
             ``done`` once the force was within 0.3 N of the asked one for 0.5 s; ``stopped`` with reason
-            ``no_contact`` or ``travel_limit`` at the end of the travel, ``timeout``, ``held`` or ``force_limit``.
+            ``no_contact`` or ``travel_limit`` at the end of the travel, ``joint_limit``, ``timeout``, ``held`` or
+            ``force_limit``.
         """
 
     async def begin_servo(self) -> ServoSession:
         """Opens a session of set points; the robot stands still until the first one comes."""
 
-    async def end_servo(self) -> MotionResult:
-        """Ends the session and returns when the robot stands: ``stopped`` if it had ended by itself before."""
+    async def end_servo(self, session: int) -> MotionResult:
+        """Ends this session, never a later one, and returns when the robot stands.
+
+        Returns:
+            ``stopped`` with the reason if the robot had ended it by itself before.
+        """
 
     def servo(self) -> AbstractAsyncContextManager[ServoStream]:
         """A servo session for as long as the context lasts; leaving it returns when the robot stands."""

@@ -99,8 +99,8 @@ class RemoteRobot(RemoteDevice):
     async def begin_servo(self) -> ServoSession:
         return await self.call("begin_servo", ServoSession)
 
-    async def end_servo(self) -> MotionResult:
-        return await self.call("end_servo", MotionResult)
+    async def end_servo(self, session: int) -> MotionResult:
+        return await self.call("end_servo", MotionResult, session=session)
 
     def servo(self) -> AbstractAsyncContextManager[ServoStream]:
         return servo_session(self, self._put, self._clock)

@@ -54,14 +54,14 @@ async def servo_session(robot: Robot, put: Callable[[JointSetpoint], None], cloc
         DeviceError: The robot refuses, or it had ended the session by itself; field ``reason`` says why.
         UnknownOutcomeError: It does not answer.
     """
-    session = await robot.begin_servo()
+    session = (await robot.begin_servo()).session
     try:
-        yield SetpointSender(session.session, put, clock)
+        yield SetpointSender(session, put, clock)
     except BaseException:
         with suppress(PcmrsError):  # the first error says more; a silent robot brakes by its deadman
-            await robot.end_servo()
+            await robot.end_servo(session)
         raise
-    result = await robot.end_servo()
+    result = await robot.end_servo(session)
     if result.outcome == "stopped":
         text = f"The robot ended the servo session by itself: {result.reason}. Look why before the next one."
         raise DeviceError(text, reason=result.reason)

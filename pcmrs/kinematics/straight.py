@@ -24,7 +24,7 @@ _KNOT_ANGLE = 0.005  # rad
 _FEWEST_KNOTS = 5
 _LOOKS_PER_KNOT = 8
 _ROUNDING = 1e-9  # rad
-_RESERVE = 1.01  # on a stretched motion, whose samples fall on other points of the line
+_RESERVE = 1.01  # on every stretching, so that few are needed
 
 
 def straight_motion(
@@ -61,11 +61,13 @@ def straight_motion(
     along = _postures_along(arm, start_q, line)
     at_knots = along(along.x)
     progress = paced(along.x, tool_way(arm, at_knots, tool), speeds_at(at_knots, limits, allowed), bounds)
-    postures = along(progress.at(sample_times(progress.duration, 1.0, period)))
-    stretch = _overload(postures, period, arm, limits)
-    if stretch > 1.0:
-        postures = along(progress.at(sample_times(progress.duration, _RESERVE * stretch, period)))
-    return JointTrajectory(period=period, positions=postures.tolist())
+    stretch = 1.0
+    while True:  # a stretched motion is sampled at other points of the line, where a joint may be quicker
+        postures = along(progress.at(sample_times(progress.duration, stretch, period)))
+        overload = _overload(postures, period, arm, limits)
+        if overload == 1.0:
+            return JointTrajectory(period=period, positions=postures.tolist())
+        stretch *= _RESERVE * overload
 
 
 class _Line:

@@ -145,11 +145,6 @@ class ZoneModel:
         pinocchio.computeDistances(self._geometry, self._distances)
         return np.array([found.min_distance for found in self._results])
 
-    def nearest(self, q: npt.ArrayLike) -> Clearance:
-        """The pair that has the least to spare at joint positions `q`, rad, (n,)."""
-        distances = self.distances(q)
-        return self.clearance(distances, int(np.argmin(distances - self.limits)))
-
     def clearance(self, distances: Floats, pair: int) -> Clearance:
         """One pair of `distances`, (P,), with its names and its limit."""
         link, zone = self.pairs[pair]
@@ -158,6 +153,14 @@ class ZoneModel:
     def of_zone(self, zone: str) -> npt.NDArray[np.bool_]:
         """Which pairs belong to a zone, (P,)."""
         return np.array([other == zone for _, other in self.pairs])
+
+    def ball(self, zone: str) -> Floats:
+        """A ball around a zone that is a hull, where that is now: x, y, z and radius in the robot's base, m, (4,)."""
+        placed = self._shape(zone)
+        points = np.asarray(placed.geometry.points())
+        middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
+        radius = np.linalg.norm(points - middle, axis=1).max()
+        return np.append(placed.placement.act(middle), radius)
 
     def _shape(self, name: str) -> Any:
         return self._geometry.geometryObjects[self._number[name]]

@@ -72,7 +72,8 @@ class FakeRobot:
     async def begin_servo(self) -> ServoSession:
         return ServoSession(session=4, deadman=0.1)
 
-    async def end_servo(self) -> MotionResult:
+    async def end_servo(self, session: int) -> MotionResult:
+        assert session == 4
         self.setpoints.append(END)
         if self.error is not None:
             raise self.error
@@ -383,10 +384,23 @@ async def test_a_resting_robot_is_left_alone_by_a_silent_daemon(bench: Bench) ->
     assert bench.robot_device.holds == 0
 
 
-async def test_stop_is_heard_by_the_node_itself_even_when_the_hold_fails(bench: Bench) -> None:
-    bench.robot_device.error = DeviceError("The brakes are worn.")
+FAILURES = [DeviceError("The brakes are worn."), OSError("The socket is closed.")]
+
+
+@pytest.mark.parametrize("error", FAILURES)
+async def test_stop_is_heard_by_the_node_itself_even_when_the_hold_fails(bench: Bench, error: Exception) -> None:
+    bench.robot_device.error = error
     bench.node.stop("bus:nurse")
     await settle()
     bench.node.stop("bus:nurse")
     await settle()
     assert bench.robot_device.holds == 2
+
+
+@pytest.mark.parametrize("error", FAILURES)
+async def test_a_hold_that_fails_does_not_end_the_watch_over_a_moving_robot(bench: Bench, error: Exception) -> None:
+    bench.robot_device.error = error
+    bench.robot_device.stream.put_nowait(msgspec.structs.replace(STATE, moving=True))
+    for holds in (1, 2):
+        await bench.clock.advance(BEAT_TIMEOUT + 2 * BEAT_PERIOD)
+        assert bench.robot_device.holds == holds

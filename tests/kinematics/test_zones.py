@@ -104,14 +104,19 @@ def test_the_tool_is_a_disc_that_rests_on_the_tool_point() -> None:
     assert distances["tool", "body"] == pytest.approx(0.02, abs=1e-6)
 
 
+def test_a_ball_holds_the_whole_body_where_it_is() -> None:
+    model, base_from_body = zone_model(), Transform.from_rotvec((0.4, -0.2, 0.3), (0.3, 0.5, 0.0))
+    model.place("body", base_from_body)
+    ball = model.ball("body")
+    np.testing.assert_allclose(ball, (0.4, -0.2, 0.3, 0.1 * np.sqrt(3.0)), atol=1e-12)
+    assert np.all(np.linalg.norm(base_from_body @ CORNERS - ball[:3], axis=1) <= ball[3] + 1e-12)
+
+
 def test_what_overlaps_has_a_negative_distance() -> None:
     model, q = zone_model(), np.zeros(7)
     model.place("body", Transform(np.eye(3), np.array((0.15, 0.0, 0.46))))
     distances = dict(zip(model.pairs, model.distances(q), strict=True))
     assert distances["link_2", "body"] == pytest.approx(0.05 - FACTS.link_radius, abs=1e-5)
-    nearest = model.nearest(q)
-    assert (nearest.zone, nearest.limit) == ("body", 0.03)
-    assert nearest.distance == pytest.approx(0.05 - FACTS.link_radius, abs=1e-5)
 
 
 @settings(max_examples=20, deadline=None)
@@ -149,10 +154,11 @@ def test_neighbours_are_not_watched_and_all_other_links_are() -> None:
 
 def test_an_arm_folded_upon_itself_is_noticed() -> None:
     model = zone_model()
-    assert model.nearest(np.array(FACTS.home)).distance > 0.01
-    nearest = model.nearest((0.0, -1.92, 0.33, 2.09, -1.07, -1.31, 0.24))
-    assert (nearest.link, nearest.zone, nearest.limit) == ("base", "link_7", 0.01)
-    assert nearest.distance < 0.0
+    assert np.all(model.distances(FACTS.home) > model.limits)
+    distances = model.distances((0.0, -1.92, 0.33, 2.09, -1.07, -1.31, 0.24))
+    found = model.clearance(distances, int(np.argmin(distances - model.limits)))
+    assert (found.link, found.zone, found.limit) == ("base", "link_7", 0.01)
+    assert found.distance < 0.0
 
 
 def test_points_without_a_hull_are_refused() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -53,12 +52,12 @@ def derivatives(trajectory: JointTrajectory) -> list[float]:
 
 def fastest(trajectory: JointTrajectory, where: Callable[[Floats], bool]) -> float:
     """Of flange and tool point between two samples for which `where` holds, m/s."""
-    speeds = [0.0]
-    for a, b in itertools.pairwise(np.array(trajectory.positions)):
-        if where(a) and where(b):
-            flanges = ARM.forward(a), ARM.forward(b)
-            speeds += [distance(*flanges), distance(*(flange @ TOOL for flange in flanges))]
-    return max(speeds) / trajectory.period
+    postures = np.array(trajectory.positions)
+    holds = np.array([where(q) for q in postures])
+    flanges = [ARM.forward(q) for q in postures]
+    points = np.array([(flange.translation, flange @ TOOL.translation) for flange in flanges])
+    ways = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
+    return float(ways[holds[1:] & holds[:-1]].max(initial=0.0)) / trajectory.period
 
 
 def assert_keeps_everything(trajectory: JointTrajectory) -> None:

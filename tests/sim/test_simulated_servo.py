@@ -168,7 +168,7 @@ async def test_without_set_points_the_arm_brakes_and_reports_danger(
     assert np.all(ahead < 0.1 * (DEADMAN + 0.03)), "it went on for the deadman's time and braked"
     robot.set_point(at(1000, HOME, session=session.session))
     assert robot.dropped == 1, "the session is over"
-    result = await robot.end_servo()
+    result = await robot.end_servo(session.session)
     assert (result.outcome, result.reason) == ("stopped", "no_set_point")
 
 
@@ -194,7 +194,7 @@ async def test_stale_and_foreign_set_points_are_dropped_and_counted(cell: Device
         robot.set_point(at(number, HOME + 0.1, session=session))
     assert robot.dropped == 5
     await clock.sleep(0.05)
-    await robot.end_servo()
+    await robot.end_servo(first.session)
     second = await robot.begin_servo()
     assert second.session > first.session
     robot.set_point(at(100, HOME + 0.1, session=first.session))
@@ -205,18 +205,43 @@ async def test_stale_and_foreign_set_points_are_dropped_and_counted(cell: Device
 async def test_hold_ends_a_session(cell: Devices, clock: Clock, events: list[DeviceEvent]) -> None:
     robot = cell["robot"]
     await robot.connect()
-    await robot.begin_servo()
+    session = (await robot.begin_servo()).session
     await stream(cell, clock, 0.3)
     held = await robot.hold()
     assert np.abs(held.velocities).max() < 1e-3
-    robot.set_point(at(1000, HOME, session=robot._session))
+    robot.set_point(at(1000, HOME, session=session))
     await clock.sleep(0.3)
     assert np.allclose((await robot.joints()).positions, held.positions, atol=1e-4)
     assert events == []
-    result = await robot.end_servo()
+    result = await robot.end_servo(session)
     assert (result.outcome, result.reason) == ("stopped", "held")
-    with pytest.raises(DeviceError, match="no servo session"):
-        await robot.end_servo()
+    with pytest.raises(DeviceError, match=f"session {session} is over"):
+        await robot.end_servo(session)
+
+
+async def test_whoever_comes_late_does_not_end_the_session_of_another(cell: Devices, clock: Clock) -> None:
+    robot = cell["robot"]
+    await robot.connect()
+    first = (await robot.begin_servo()).session
+    await robot.hold()
+    second = (await robot.begin_servo()).session
+    with pytest.raises(DeviceError, match=f"session {first} is over"):
+        await robot.end_servo(first)
+    await stream(cell, clock, 0.1)
+    assert robot.dropped == 0, "the second session goes on"
+    assert (await robot.end_servo(second)).outcome == "done"
+
+
+async def test_a_session_that_is_left_right_after_a_refused_set_point_has_not_ended_well(
+    cell: Devices, clock: Clock, events: list[DeviceEvent]
+) -> None:
+    robot = cell["robot"]
+    await robot.connect()
+    with pytest.raises(DeviceError, match="jump"):
+        async with robot.servo() as stream_of_setpoints:
+            stream_of_setpoints.send(HOME + 0.3, [0.0] * 7)
+    await clock.sleep(0.05)
+    assert [event.fields["reason"] for event in events] == ["jump"]
 
 
 @pytest.mark.parametrize("by", ["cut", "disconnect"])
@@ -241,11 +266,11 @@ async def test_a_lost_connection_ends_a_session(cell: Devices, clock: Clock, by:
 async def test_nothing_else_moves_the_arm_during_a_session(cell: Devices, clock: Clock) -> None:
     robot = cell["robot"]
     await robot.connect()
-    await robot.begin_servo()
+    session = (await robot.begin_servo()).session
     for call in (lambda: robot.follow(smooth(HOME, HOME + 0.1)), robot.begin_servo):
         with pytest.raises(DeviceError, match="servo session runs"):
             await call()
-    await robot.end_servo()
+    await robot.end_servo(session)
     assert (await robot.follow(smooth(HOME, HOME + 0.1))).outcome == "done"
 
 
