@@ -221,7 +221,7 @@ class PressRequest(Message, frozen=True, kw_only=True, omit_defaults=False):
         direction_in_flange: Unit vector along which to go and press, in the flange's axes.
         travel: Farthest way along it, m, 0.010 at most.
         speed: Greatest speed on it, m/s.
-        timeout: Longest time, s of the cell.
+        timeout: Longest time, s of the cell, 20 at most.
     """
 
     force: float

@@ -15,14 +15,17 @@ from pcmrs.bus.keys import cell_prefix
 from pcmrs.config import as_config, overlaid, read_file, set_values
 from pcmrs.errors import ConfigurationError, PayloadError
 from pcmrs.gateway.settings import GatewayConfig
-from pcmrs.kinematics.arms import ARMS
+from pcmrs.kinematics.arms import ArmFacts
+from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.workflows import find_workflow, read_workflow
 from pcmrs.workflows.settings import ProcedureSettings
 
 DRIVERS = "pcmrs.drivers"
 DRIVER_SETTINGS = "pcmrs.driver_settings"
 
-OF_WORKFLOW = frozenset({"procedure.limits", "procedure.registration", "sim"})
+OF_WORKFLOW = frozenset(
+    {"procedure.body", "procedure.limits", "procedure.registration", "procedure.tool", "procedure.zones", "sim"}
+)
 """Tables whose defaults a workflow may change; patient, calibration and the cell are none of its business."""
 
 
@@ -66,9 +69,16 @@ class DeviceSettings(Table, frozen=True, forbid_unknown_fields=True):
 
 
 class RobotSettings(DeviceSettings, frozen=True, forbid_unknown_fields=True):
-    """The arm: its driver and its model, a name in the table of arms."""
+    """The arm: its driver and its model, a name of `find_arm` or the path of a URDF file.
+
+    Attributes:
+        force_limit: The driver stops the arm when the force on the tool exceeds this, N.
+        relief_mm: Before that it draws the tool back along its axis by so much at most, to relieve the force.
+    """
 
     model: str = "iiwa14"
+    force_limit: Annotated[float, msgspec.Meta(gt=0.0)] = 25.0
+    relief_mm: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.0
 
 
 class JournalSettings(Table, frozen=True, forbid_unknown_fields=True):
@@ -115,8 +125,8 @@ def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Se
     """Reads and checks the whole configuration: what the workflow changes in the defaults, the file, single values.
 
     Args:
-        file: TOML file; a path of a workflow in it is relative to its folder.
-        overrides: ``key=value`` each; a path of a workflow there is relative to the working directory.
+        file: TOML file; the path of a workflow, an arm or a calibration in it is relative to its folder.
+        overrides: ``key=value`` each; such a path there is relative to the working directory.
 
     Raises:
         ConfigurationError: A key is unknown or a value cannot be used; the text says which and what to do.
@@ -140,17 +150,24 @@ def _values(file: Path | None, overrides: Sequence[str]) -> dict[str, Any]:
     values: dict[str, Any] = {}
     if file is not None:
         values = read_file(file)
-        _resolve_workflow(values, file.absolute().parent)
+        _resolve_paths(values, file.absolute().parent)
     set_values(values, overrides)
-    _resolve_workflow(values, Path.cwd())
+    _resolve_paths(values, Path.cwd())
     return values
 
 
-def _resolve_workflow(values: dict[str, Any], folder: Path) -> None:
-    """Makes the path of a workflow absolute; an absolute one stays."""
-    name = values.get("workflow")
-    if isinstance(name, str) and name.endswith(".toml"):
-        values["workflow"] = str(folder / Path(name).expanduser())
+def _resolve_paths(values: dict[str, Any], folder: Path) -> None:
+    """Makes the paths of a workflow, an arm and of calibrations absolute; an absolute one stays."""
+    procedure = values.get("procedure")
+    calibration = procedure.get("calibration") if isinstance(procedure, dict) else None
+    for table, key, ending in (
+        (values, "workflow", ".toml"),
+        (values.get("robot"), "model", ".urdf"),
+        (calibration, "tool_file", ".toml"),
+        (calibration, "pointer_file", ".toml"),
+    ):
+        if isinstance(table, dict) and isinstance(name := table.get(key), str) and name.endswith(ending):
+            table[key] = str(folder / Path(name).expanduser())
 
 
 def _defaults_of(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -185,9 +202,7 @@ def _check_cell(settings: Settings) -> None:
         cell_prefix(settings.cell.site, settings.cell.name)
     except PayloadError as error:
         raise ConfigurationError(f"cell.site and cell.name: {error.text}", **error.fields) from None
-    if settings.robot.model not in ARMS:
-        text = f"robot.model is {settings.robot.model!r}; known arms are {', '.join(ARMS)}."
-        raise ConfigurationError(text, model=settings.robot.model)
+    _check_home(settings.procedure.home, find_arm(settings.robot.model))
     known = {point.name for point in entry_points(group=DRIVERS)}
     for driver in settings.drivers():
         if driver not in known:
@@ -197,6 +212,12 @@ def _check_cell(settings: Settings) -> None:
     if settings.cell.rate != 1.0 and real:
         text = f"cell.rate is {settings.cell.rate:g}, but {', '.join(real)} runs in real time: only 1 is possible."
         raise ConfigurationError(text, rate=settings.cell.rate)
+
+
+def _check_home(home: tuple[float, ...], arm: ArmFacts) -> None:
+    if len(home) not in (0, len(arm.joints)):  # none: the arm's own
+        text = f"procedure.home holds {len(home)} numbers; {arm.name} has {len(arm.joints)} joints."
+        raise ConfigurationError(text, home=list(home))
 
 
 def _check_driver_tables(tables: Mapping[str, Mapping[str, Any]], where: str = "") -> None:

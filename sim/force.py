@@ -11,7 +11,10 @@ from sim.settings import ArmSettings
 
 BLOCK = 4096  # noise drawn at once
 AGAIN = 5.0
-"""A force that has exceeded the limit counts again when it has grown, or first fallen below the limit, by this, N."""
+"""A force that has exceeded the limit counts again when it has grown, or first fallen below the limit, by this, N.
+
+Half the limit is enough to fall by, where that is less.
+"""
 
 
 class ForceSensor:
@@ -70,7 +73,7 @@ class ForceGuard:
 
     def exceeded(self, force: float) -> bool:
         """Whether the limit is exceeded anew."""
-        if force < self.limit - AGAIN:
+        if force < max(self.limit - AGAIN, self.limit / 2.0):
             self._threshold = self.limit
         if force <= self._threshold:
             return False

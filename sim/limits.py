@@ -14,6 +14,7 @@ START_TOLERANCE = 0.02
 PRESS_FORCE = (1.0, 5.0)  # N
 PRESS_TRAVEL = 0.010  # m
 PRESS_SPEED = 0.05  # m/s
+PRESS_TIMEOUT = 20.0  # s
 UNIT_TOLERANCE = 1e-3
 ROUNDING = 1e-6  # relative to a limit, so that a planner may use all of it
 
@@ -46,7 +47,7 @@ def check_press(request: PressRequest) -> None:
         ("force", request.force, *PRESS_FORCE, "N"),
         ("travel", request.travel, 0.0, PRESS_TRAVEL, "m"),
         ("speed", request.speed, 0.0, PRESS_SPEED, "m/s"),
-        ("timeout", request.timeout, 0.0, np.inf, "s"),
+        ("timeout", request.timeout, 0.0, PRESS_TIMEOUT, "s"),
         ("length of the direction", length, 1 - UNIT_TOLERANCE, 1 + UNIT_TOLERANCE, ""),
     ):
         if not (low <= value <= high and value > 0.0):

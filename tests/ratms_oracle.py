@@ -12,19 +12,20 @@ import pcmrs
 
 BLUEPRINT = Path(pcmrs.__file__).parent / "workflows" / "ratms.toml"
 
-Joint = tuple[str, str, str, str, str]
-"""registration, digitization, toolplan, robot, placement"""
+Joint = tuple[str, str, str, str, str, str]
+"""registration, digitization, toolplan, robot, placement, alignment"""
 
 Endings = dict[str, Joint]
 """Name of an ending (a declared outcome, ``failed`` or ``unknown``) to the joint state it commits."""
 
-BRANCHES = ("registration", "digitization", "toolplan", "robot", "placement")
-INITIAL: Joint = ("000", "0", "0", "0", "unknown")
+BRANCHES = ("registration", "digitization", "toolplan", "robot", "placement", "alignment")
+INITIAL: Joint = ("000", "0", "0", "0", "unknown", "0")
 
 USER_OPERATIONS = {
     "registration": [
         "plan_landmarks",
         "register",
+        "refine",
         "use_previous",
         "clear_landmarks",
         "reinit",
@@ -37,15 +38,42 @@ USER_OPERATIONS = {
         "redigitize_one",
         "reuse_previous",
         "reuse_previous_except",
+        "check_landmark",
+        "digitize_surface",
+        "clear_surface_point",
+        "clear_surface",
         "reinit",
     ],
     "toolplan": ["plan", "clear", "reinit"],
     "robot": ["connect", "disconnect", "acknowledge"],
-    "placement": ["locate", "approach", "confirm", "nudge", "back_off", "home", "to_initial", "reinit"],
+    "placement": [
+        "locate",
+        "approach",
+        "confirm",
+        "nudge",
+        "press",
+        "follow",
+        "stop_following",
+        "back_off",
+        "home",
+        "to_initial",
+        "reinit",
+    ],
+    "alignment": ["reinit"],
 }
-EVENT_OPERATIONS = {"robot": ["link_lost"]}
-INTERNAL_OPERATIONS = {"registration": ["digitized", "undigitized"], "robot": ["placement_changed"]}
-MOTIONS = ["approach", "confirm", "nudge", "back_off", "home", "to_initial"]
+EVENT_OPERATIONS = {
+    "registration": ["reference_moved"],
+    "robot": ["link_lost"],
+    "placement": ["following_lost", "watching_lost", "force_limit"],
+    "alignment": ["within", "outside"],
+}
+INTERNAL_OPERATIONS = {
+    "registration": ["digitized", "undigitized"],
+    "robot": ["placement_changed"],
+    "placement": ["alignment_changed"],
+}
+MOTIONS = ["approach", "confirm", "nudge", "press", "follow", "back_off", "home", "to_initial"]
+AT_BODY = ("standoff", "placed", "following")
 
 
 def expected(joint: Joint, branch: str, operation: str) -> Endings | None:
@@ -56,6 +84,7 @@ def expected(joint: Joint, branch: str, operation: str) -> Endings | None:
         "toolplan": _toolplan,
         "robot": _robot,
         "placement": _placement,
+        "alignment": _alignment,
     }[branch](joint, operation)
     if answer is None:
         return None
@@ -86,11 +115,12 @@ def as_dict(joint: Joint) -> dict[str, str]:
 
 def _with_registration(joint: Joint, registration: str) -> Joint:
     """Digitization is 1 exactly where the registration's second digit is; a tool at the head is revoked."""
-    return (registration, registration[1], joint[2], joint[3], _revoked(joint[4]))
+    return _revoked((registration, registration[1], *joint[2:]))
 
 
-def _revoked(placement: str) -> str:
-    return "held" if placement in ("standoff", "placed") else placement
+def _revoked(joint: Joint) -> Joint:
+    """A tool at the body is let go, and aligned with nothing any more."""
+    return (*joint[:4], "held", "0") if joint[4] in AT_BODY else joint
 
 
 def _away(joint: Joint) -> bool:
@@ -102,6 +132,8 @@ def _registration(joint: Joint, operation: str) -> Endings | None:
     target = {
         "plan_landmarks": "100",
         "register": "111" if here in ("110", "111") else None,
+        "refine": "111" if here in ("110", "111") else None,
+        "reference_moved": "100" if here in ("110", "111") else None,
         "use_previous": "111",
         "clear_landmarks": "000",
         "reinit": "000" if _away(joint) else None,
@@ -119,22 +151,30 @@ def _digitization(joint: Joint, operation: str) -> Endings | None:
         return {"partial": joint, "complete": _with_registration(joint, "110")} if registration == "100" else None
     if operation == "redigitize_one":
         return {"done": _with_registration(joint, "100")} if digitized else None
+    if operation in ("check_landmark", "digitize_surface"):
+        # A person's hand is at the body: not while the tool is there, unless it has been stopped.
+        if not digitized or joint[4] not in ("unknown", "retracted", "held"):
+            return None
+        moved = {"moved": _with_registration(joint, "100"), "same": joint}
+        return moved if operation == "check_landmark" else {"done": joint}
+    if operation in ("clear_surface_point", "clear_surface"):
+        return {"done": joint} if digitized else None
     return {"done": _with_registration(joint, "100") if digitized else joint}
 
 
 def _toolplan(joint: Joint, operation: str) -> Endings | None:
     if operation == "reinit" and not _away(joint):
         return None
-    return {"done": (joint[0], joint[1], "1" if operation == "plan" else "0", joint[3], _revoked(joint[4]))}
+    return {"done": _revoked((*joint[:2], "1" if operation == "plan" else "0", *joint[3:]))}
 
 
 def _robot(joint: Joint, operation: str) -> Endings | None:
     connected = joint[3] == "1"
     if operation == "connect":
-        return None if connected else {"done": (*joint[:3], "1", "unknown")}
+        return None if connected else {"done": (*joint[:3], "1", "unknown", "0")}
     if not connected or (operation == "disconnect" and not _away(joint)):
         return None
-    return {"done": joint if operation == "acknowledge" else (*joint[:3], "0", "unknown")}
+    return {"done": joint if operation == "acknowledge" else (*joint[:3], "0", "unknown", "0")}
 
 
 def _placement(joint: Joint, operation: str) -> Endings | None:
@@ -142,12 +182,19 @@ def _placement(joint: Joint, operation: str) -> Endings | None:
     ready = joint[0] == "111" and joint[2] == "1" and connected
 
     def at(placement: str) -> Joint:
-        return (*joint[:4], placement)
+        return (*joint[:4], placement, "0")
 
     if operation == "reinit":
         return {"done": at("unknown")} if _away(joint) else None
     if operation == "locate":
         return {"retracted": at("retracted"), "held": at("held")} if here == "unknown" and connected else None
+    if operation == "force_limit":
+        return {"done": at("held")} if here in AT_BODY else None
+    if operation in ("following_lost", "watching_lost"):
+        watched = "following" if operation == "following_lost" else "placed"
+        return {"done": at("held")} if here == watched else None
+    if operation == "stop_following":
+        return {"done": at("placed")} if here == "following" else None
     motion: Endings | None = None
     if operation == "approach" and here == "retracted" and ready:
         motion = {"done": at("standoff")}
@@ -155,9 +202,21 @@ def _placement(joint: Joint, operation: str) -> Endings | None:
         motion = {"done": at("placed")}
     if operation == "nudge" and here in ("standoff", "placed") and ready:
         motion = {"done": joint}
-    if operation == "back_off" and here in ("standoff", "placed", "held") and connected:
+    if operation == "press" and here == "placed" and ready:
+        motion = {"done": joint}
+    if operation == "follow" and here == "placed" and ready:
+        motion = {"done": at("following")}
+    if operation == "back_off" and here in (*AT_BODY, "held") and connected:
         # Without a valid plan and registration there is no standoff to be at: the arm is clear of the body or not.
         motion = {"retracted": at("retracted"), "held": at("held")} | ({"standoff": at("standoff")} if ready else {})
-    if operation in ("home", "to_initial") and here in ("retracted", "standoff", "placed") and connected:
+    if operation in ("home", "to_initial") and here in ("retracted", *AT_BODY) and connected:
         motion = {"done": at("retracted")}
     return None if motion is None else motion | {"failed": at("held"), "unknown": at("unknown")}
+
+
+def _alignment(joint: Joint, operation: str) -> Endings | None:
+    if operation == "within" and not (joint[4] in ("placed", "following") and joint[5] == "0"):
+        return None
+    if operation == "outside" and joint[5] == "0":
+        return None
+    return {"done": (*joint[:5], "1" if operation == "within" else "0")}

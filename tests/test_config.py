@@ -16,6 +16,7 @@ from pcmrs import settings as settings_module
 from pcmrs.config import as_config, as_table, overlaid, read_file, set_values
 from pcmrs.errors import ConfigurationError
 from pcmrs.settings import Settings, read_settings
+from pcmrs.workflows import read_workflow
 
 
 class Inner(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -59,7 +60,7 @@ def _clashes(a: Any, b: Any) -> bool:
 
 def test_without_anything_the_defaults_hold() -> None:
     assert read_config(Outer) == Outer()
-    assert read_settings() == Settings()
+    assert read_settings() == as_config(Settings, read_workflow("ratms").defaults)
 
 
 def test_single_values_are_over_the_file_and_the_file_over_the_defaults(tmp_path: Path) -> None:

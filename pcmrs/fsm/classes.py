@@ -115,7 +115,9 @@ def _shown(activity: ActivitySpec) -> str:
 def _index(blueprint: Blueprint) -> Iterator[str]:
     yield from ("", "", "STATES: dict[str, list[type[State]]] = {")
     for name, branch in blueprint.branches.items():
-        yield f"    {_literal(name)}: [{', '.join(_state_name(name, state) for state in branch.states)}],"
+        yield f"    {_literal(name)}: ["
+        yield from (f"        {_state_name(name, state)}," for state in branch.states)
+        yield "    ],"
     yield "}"
 
 

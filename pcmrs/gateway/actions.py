@@ -70,7 +70,6 @@ class Actions:
             Action.STOP_TIP: lambda request: self._done(request, services.streams.stop_tip),
             Action.SAVE_PLACEMENT: lambda request: lambda: self._save_placement(request),
             Action.LOG_POSES: lambda request: self._done(request, services.records.log_poses),
-            Action.REFUSE: lambda request: self.rejected(request, "not_available"),
         }
 
     def prepare(self, request: Request) -> Outcome | Job:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto
+from pathlib import PureWindowsPath
 from typing import Any
 
 Value = int | float | str
@@ -40,7 +41,6 @@ class Action(Enum):
     STOP_TIP = auto()
     SAVE_PLACEMENT = auto()
     LOG_POSES = auto()
-    REFUSE = auto()
 
 
 class Second(Enum):
@@ -116,9 +116,16 @@ def _index(values: tuple[Value, ...]) -> dict[str, Any]:
     return {"index": values[0]}
 
 
+def _surface(values: tuple[Value, ...]) -> dict[str, Any]:
+    """The base name of a path on the client's machine, Windows or not: what else is in it is nobody's business here."""
+    return {"surface": PureWindowsPath(str(values[0])).name}
+
+
 _XYZ = (Kind.NUMBER,) * 3
 _INDEX = (Kind.COUNT,)
-_BACK_OFF_UNLESS_RETRACTED = Step("placement", "back_off", only_in=("unknown", "standoff", "placed", "held"))
+_BACK_OFF_UNLESS_RETRACTED = Step(
+    "placement", "back_off", only_in=("unknown", "standoff", "placed", "following", "held")
+)
 _REOPEN_IF_ALL_DIGITIZED = Step("digitization", "redigitize_one", only_in=("1",))
 
 _SPECS = (
@@ -135,10 +142,10 @@ _SPECS = (
     _submit("start_useprevreg", "registration.use_previous", second=Second.RESIDUAL, settles=Plan.LANDMARKS),
     Spec("target_rotxxxxxx", "toolplan", Action.OPEN_POSE, (Kind.NUMBER,) * 4),
     Spec("target_tslxxxxxx", "toolplan", Action.PLAN_POSE, _XYZ),
-    Spec("icp_digitizexxxx", "registration", Action.REFUSE),
-    Spec("icp_clear_prevxx", "registration", Action.REFUSE),
-    Spec("icp_clear_allxxx", "registration", Action.REFUSE),
-    Spec("icp_registerxxxx", "registration", Action.REFUSE, (Kind.PATH,)),
+    _submit("icp_digitizexxxx", "digitization.digitize_surface"),
+    _submit("icp_clear_prevxx", "digitization.clear_surface_point"),
+    _submit("icp_clear_allxxx", "digitization.clear_surface"),
+    _submit("icp_registerxxxx", "registration.refine", payload=(Kind.PATH,), arguments=_surface),
     Spec("tre_startcalcuxx", "gateway", Action.START_TIP),
     Spec("tre_stopcalcuxxx", "gateway", Action.STOP_TIP),
     Spec("get_jnt_angsxxxx", "robot", Action.READ_JOINTS, second=Second.VALUES),

@@ -47,7 +47,7 @@ class Passage:
     distances: Floats
 
     def first_violation(self, zones: ZoneModel, limits: Floats) -> Violation | None:
-        """The first look at which a pair is nearer than its limit, (P,), m."""
+        """The first look at which a pair is nearer than its limit, m, (P,), or (L, P) where that differs by look."""
         return self._first(zones, limits, self.distances < limits)
 
     def first_approach(self, zones: ZoneModel, limits: Floats) -> Violation | None:
@@ -60,8 +60,9 @@ class Passage:
         if not len(looks):
             return None
         look = int(looks[0])
-        pair = int(np.argmin(np.where(broken[look], self.distances[look] - limits, np.inf)))
-        clearance = zones.clearance(self.distances[look], pair)
+        distances, wanted = self.distances[look], np.broadcast_to(limits, self.distances.shape)[look]
+        pair = int(np.argmin(np.where(broken[look], distances - wanted, np.inf)))
+        clearance = Clearance(*zones.pairs[pair], float(distances[pair]), float(wanted[pair]))
         return Violation(clearance, self.postures[look])
 
 

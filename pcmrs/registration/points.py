@@ -205,8 +205,9 @@ def _check_side(fit: RigidFit, squares: Floats, weights: Floats | None, singular
     if ratio > MIRROR_RATIO:
         raise MirroredPointsError(
             f"A mirror image fits the points with {mirrored_rms * 1e3:.2f} mm rms, the best rotation only with "
-            f"{rms * 1e3:.2f} mm, more than {MIRROR_RATIO:g} times as much: an image is flipped (was LPS read as RAS?) "
-            "or left and right points are exchanged. Check the sides, then measure again.",
+            f"{rms * 1e3:.2f} mm, more than {MIRROR_RATIO:g} times as much: an image is flipped (was one axis "
+            "reversed, as where LAS is read as RAS?) or left and right points are exchanged. Check the sides, then "
+            "measure again.",
             rms=rms,
             mirrored_rms=mirrored_rms,
             ratio=ratio,

@@ -22,14 +22,15 @@ from pcmrs.dispatcher import Dispatcher, Workflow
 from pcmrs.errors import ConfigurationError, DeviceError
 from pcmrs.gateway.links import open_gateway
 from pcmrs.journal import Journal
-from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
+from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import BlueprintTag, BodyPose, DeviceEvent, JointState, Snapshot, Verdict
 from pcmrs.service.core import GatewayCore
 from pcmrs.service.hearing import Hearing, awaited
 from pcmrs.service.nodes import NodeProcesses
 from pcmrs.service.publishing import Publishing, answer_queries
 from pcmrs.service.recorder import JournalRecorder
+from pcmrs.service.reference import ReferenceWatch
 from pcmrs.service.resume import migration_for
 from pcmrs.service.watch import RobotWatch
 from pcmrs.settings import Settings
@@ -151,10 +152,12 @@ class Daemon:
 
         bus.subscribe("state/pose/*", BodyPose, take_pose)
         bus.subscribe("state/joints", JointState, take_joints)
+        bus.subscribe("dev/*/event", DeviceEvent, lambda _, event: dispatcher.report_later(event))
         nodes = NodeProcesses(self._settings, lose)
         stack.push_async_callback(nodes.stop)
         await nodes.start()
         self._spawn(watch.run())
+        self._spawn(ReferenceWatch(cell, dispatcher).run())
         await hearing.wait()
 
     def _stopper(self, dispatcher: Dispatcher[Cell, PlacementData]) -> Callable[[str], None]:
@@ -178,14 +181,17 @@ def _open_cell(settings: Settings, bus: Bus, clock: SystemClock) -> Cell:
     procedure = settings.procedure
     # Answers are waited for by the machine's clock: a fast simulation may fall behind its own.
     machine = SystemClock()
-    return Cell(
+    cell = Cell(
+        name=f"{settings.cell.site}/{settings.cell.name}",
         robot=RemoteRobot(bus, machine),
         pointer=RemotePointer(bus, machine, procedure.registration.touch_timeout_s),
         poses=PoseFeed(clock, procedure.max_pose_age),
-        arm=ArmModel(ARMS[settings.robot.model]),
+        arm=ArmModel(find_arm(settings.robot.model)),
         clock=clock,
         settings=procedure,
     )
+    log.info("calibration", **cell.calibrations(), id=cell.calibration_id)
+    return cell
 
 
 def _open_dispatcher(

@@ -15,8 +15,9 @@ from pcmrs.journal import Journal, JournalRow, Kind
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Verdict
 from pcmrs.workflows.data import PlacementData
 
-TAKEN_BACK = {"registration": "previous", "digitization": "previous_digitization"}
-"""Branch to its data that outlives a run of the daemon; only explicit operations use it, after their checks."""
+TAKEN_BACK = {"registration": ("previous", "noise"), "digitization": ("previous_digitization",)}
+"""Branch to its data that outlives a run of the daemon: what only explicit operations use, after their checks, and how
+noisy each pointer has been found."""
 
 
 class JournalRecorder:
@@ -106,17 +107,18 @@ class JournalRecorder:
             JournalError: What an earlier run has left is not of the types that this program knows.
         """
         changes: dict[str, Any] = {}
-        for branch, field in TAKEN_BACK.items():
+        for branch, fields in TAKEN_BACK.items():
             for stored in self._journal.reader.read(kind="outcome", branch=branch):
                 kept = stored.row.result or {}
-                changes |= {field: kept[field]} if kept.get(field) else {}
+                changes |= {field: kept[field] for field in fields if kept.get(field)}
         try:
             previous = msgspec.convert(changes, PlacementData)
         except msgspec.ValidationError as error:
             path = self._journal.reader.path
             text = f"{path} holds registrations that this version cannot read ({error}): give another cell.folder."
             raise JournalError(text, path=str(path)) from None
-        return msgspec.structs.replace(initial, **{field: getattr(previous, field) for field in TAKEN_BACK.values()})
+        kept = {field: getattr(previous, field) for fields in TAKEN_BACK.values() for field in fields}
+        return msgspec.structs.replace(initial, **kept)
 
     def _of_command(self, kind: Kind, command: Command, states: Mapping[str, str], **more: Any) -> JournalRow:
         return self._row(

@@ -9,14 +9,22 @@ from pcmrs.errors import BlueprintError, ConfigurationError
 from pcmrs.fsm import Blueprint, load_blueprint
 from pcmrs.fsm.files.bounded import read_bounded
 from pcmrs.fsm.files.toml import convert, read_toml
+from pcmrs.workflows.alignment import register_alignment
+from pcmrs.workflows.calibration import register_calibration_checks
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.code import Code, load_code, told_with_line
 from pcmrs.workflows.connection import register_connection_operations
+from pcmrs.workflows.contact import register_contact_operations
+from pcmrs.workflows.correction import register_correction_steps
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.find import Place, find_workflow
+from pcmrs.workflows.following import register_following
 from pcmrs.workflows.landmarks import register_landmark_operations
 from pcmrs.workflows.motion import register_motion_steps
 from pcmrs.workflows.placement import register_placement_checks
+from pcmrs.workflows.reference import register_reference_operations
+from pcmrs.workflows.refinement import register_refinement_operations
+from pcmrs.workflows.registering import register_registration_operations
 from pcmrs.workflows.toolplan import register_plan_operations
 
 __all__ = ["Place", "find_workflow", "open_workflow", "placement_registry", "read_workflow"]
@@ -66,6 +74,7 @@ def _registry_with(place: Place, code: Code) -> Registry[Cell, PlacementData]:
         (shared.payloads, registry.payloads),
         (shared.checks, registry.checks),
         (shared.steps, registry.steps),
+        (shared.activities, registry.activities),
     ]
     for before, after in kinds:
         for name in before:
@@ -78,9 +87,17 @@ def _registry_with(place: Place, code: Code) -> Registry[Cell, PlacementData]:
 def placement_registry() -> Registry[Cell, PlacementData]:
     """Checks and steps of the procedures that place a tool on a registered body."""
     registry: Registry[Cell, PlacementData] = Registry()
+    register_calibration_checks(registry)
     register_landmark_operations(registry)
+    register_registration_operations(registry)
+    register_refinement_operations(registry)
+    register_reference_operations(registry)
     register_plan_operations(registry)
     register_connection_operations(registry)
     register_placement_checks(registry)
     register_motion_steps(registry)
+    register_correction_steps(registry)
+    register_alignment(registry)
+    register_following(registry)
+    register_contact_operations(registry)
     return registry

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import msgspec
 import numpy as np
 
+from pcmrs.calibration import Calibration, Kind, read_calibration
 from pcmrs.clock import Clock
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.protocols import Pointer, Robot
-from pcmrs.errors import RefusalError
+from pcmrs.errors import ConfigurationError, FileFormatError, RefusalError
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import JointState
 from pcmrs.spatial import Floats, Frame, FrameGraph, Transform
 from pcmrs.workflows.data import PlacementData, Registered, as_transform
 from pcmrs.workflows.settings import ProcedureSettings
+from pcmrs.workflows.zones import CellZones
 
 
 @dataclass
@@ -27,11 +31,18 @@ class Cell:
 
     Attributes:
         joints: Newest measured joints; None until the robot has been heard.
+        name: ``site/name`` of the cell.
+        tool_calibration: From a file; None where the configuration gives the poses.
+        pointer_calibration: The same of the pointer.
         resting_since: When the arm came to rest, s of the clock; poses captured earlier show it moving.
         initial_joints: Posture that `placement.to_initial` returns to; the home posture until one is remembered.
         base_from_body_ref: Where the body was last seen in the robot's base.
+        base_from_tracker: Where the tracker was by that.
+        body_ref_from_image: The registration that was in force last, also when it has been given up.
         middle_in_body_ref: Centre of the landmarks that were registered last, m, (3,): it stays where it is in the
             body when the registration is given up. None until this cell has seen a registration.
+        watchers: Called with every newly measured joint state.
+        zones: What the arm keeps out of.
     """
 
     robot: Robot
@@ -43,10 +54,15 @@ class Cell:
     joints: JointState | None = None
     resting_since: float = -math.inf
     base_from_body_ref: Transform | None = None
+    base_from_tracker: Transform | None = None
+    body_ref_from_image: Transform | None = None
     middle_in_body_ref: Floats | None = None
     initial_joints: list[float] | None = None
+    watchers: list[Callable[[JointState], None]] = field(default_factory=list)
+    name: str = "lab/cell1"
     flange_from_coil: Transform = field(init=False)
     pointer_from_tip: Transform = field(init=False)
+    zones: CellZones = field(init=False)
 
     def __post_init__(self) -> None:
         calibration = self.settings.calibration
@@ -54,14 +70,32 @@ class Cell:
         self.tool_from_coil = calibration.tool_from_coil.transform()
         self.flange_from_coil = self.flange_from_tool @ self.tool_from_coil
         self.pointer_from_tip = calibration.pointer_from_tip.transform()
+        self.tool_calibration = _calibration("tool", calibration.tool_file)
+        self.pointer_calibration = _calibration("pointer", calibration.pointer_file)
+        if self.tool_calibration is not None:
+            self.flange_from_coil = self.tool_calibration.transform()
+            self.tool_from_coil = self.flange_from_tool.inverse() @ self.flange_from_coil
+        if self.pointer_calibration is not None:
+            self.pointer_from_tip = self.pointer_calibration.transform()
+        self.zones = CellZones(self.arm.facts, self.flange_from_coil, self.settings)
 
     @property
     def calibration_id(self) -> str:
-        """Short hash of the calibrations: what was registered with another one is not comparable."""
-        return hashlib.sha256(msgspec.json.encode(self.settings.calibration)).hexdigest()[:16]
+        """Short hash of the calibrations in use: what was registered with another one is not comparable."""
+        tool, pointer, explicit = self.tool_calibration, self.pointer_calibration, self.settings.calibration
+        used = (
+            tool.content_hash() if tool is not None else (explicit.flange_from_tool, explicit.tool_from_coil),
+            pointer.content_hash() if pointer is not None else explicit.pointer_from_tip,
+        )
+        return hashlib.sha256(msgspec.json.encode(used)).hexdigest()[:16]
+
+    def calibrations(self) -> dict[str, str]:
+        """What is in use, for people: the calibration files, or ``explicit`` for poses of the configuration."""
+        found = {"tool": self.tool_calibration, "pointer": self.pointer_calibration}
+        return {kind: "explicit" if used is None else used.title() for kind, used in found.items()}
 
     def posture(self) -> Floats:
-        """Measured joints at rest, rad, (7,).
+        """Measured joints at rest, rad, (n,).
 
         Raises:
             RefusalError: The robot has not been heard yet.
@@ -70,11 +104,18 @@ class Cell:
             raise RefusalError("joints_unknown", "The robot has not reported its joints yet: connect it first.")
         return np.array(self.joints.positions)
 
+    @property
+    def home(self) -> tuple[float, ...]:
+        """The home posture: as configured, or the arm's own; rad, base to flange."""
+        return self.settings.home or self.arm.facts.home
+
     def update_joints(self, state: JointState) -> None:
         """Takes a newly measured joint state."""
         if state.moving:
             self.resting_since = self.clock.monotonic()
         self.joints = state
+        for watch in tuple(self.watchers):
+            watch(state)
 
     def motion_limits(self) -> MotionLimits:
         """The configured speed limits, within the arm's own."""
@@ -106,14 +147,16 @@ class Cell:
         graph.set(Frame.TRACKER, Frame.BODY_REF, tracked["body_ref"])
         if data.registered is not None:
             graph.set(Frame.BODY_REF, Frame.IMAGE, as_transform(data.registered.body_ref_from_image))
-            self.remember_middle(data.registered)
+            self.remember_registered(data.registered)
         self.base_from_body_ref = graph.get(Frame.ROBOT_BASE, Frame.BODY_REF)
+        self.base_from_tracker = graph.get(Frame.ROBOT_BASE, Frame.TRACKER)
         return graph
 
-    def remember_middle(self, registered: Registered) -> None:
-        """Takes the middle of the body from a registration."""
+    def remember_registered(self, registered: Registered) -> None:
+        """Takes the middle of the body, and where its image is, from a registration."""
         centre: Floats = np.mean([landmark.position for landmark in registered.landmarks], axis=0)
-        self.middle_in_body_ref = as_transform(registered.body_ref_from_image) @ centre
+        self.body_ref_from_image = as_transform(registered.body_ref_from_image)
+        self.middle_in_body_ref = self.body_ref_from_image @ centre
 
     def image_from_coil(self, data: PlacementData) -> Transform:
         """Where the tool is in the image: as the tracker sees it, or by the joints and where the body was last seen.
@@ -132,3 +175,17 @@ class Cell:
     def flange_for(self, robot_base_from_coil: Transform) -> Transform:
         """``robot_base_from_flange`` that brings the coil to the pose."""
         return robot_base_from_coil @ self.flange_from_coil.inverse()
+
+
+def _calibration(kind: Kind, file: str) -> Calibration | None:
+    """The calibration in a configured file; None without one. Raises `ConfigurationError`."""
+    if not file:
+        return None
+    key = f"procedure.calibration.{kind}_file"
+    try:
+        found = read_calibration(Path(file))
+    except FileFormatError as error:
+        raise ConfigurationError(f"{key}: {error.text}", **error.fields) from None
+    if found.kind != kind:
+        raise ConfigurationError(f"{key}: {file} is the calibration of a {found.kind}.", file=file)
+    return found

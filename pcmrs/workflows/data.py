@@ -12,6 +12,7 @@ import numpy.typing as npt
 from pcmrs.dispatcher import ProcedureData
 from pcmrs.fsm import Blueprint, Effect
 from pcmrs.messages import PoseMessage
+from pcmrs.registration import NoiseEstimate
 from pcmrs.spatial import Transform
 
 Point = tuple[float, float, float]
@@ -25,12 +26,17 @@ class Landmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Digitized(msgspec.Struct, frozen=True, kw_only=True):
-    """A complete digitization: for each landmark its point in body_ref, m, and what it rests on."""
+    """A complete digitization: for each landmark its point in body_ref, m, and what it rests on.
+
+    Attributes:
+        reference: ``body_ref_from_witness`` when it began; None where no witness was seen.
+    """
 
     landmarks: tuple[Landmark, ...]
     points: tuple[Point, ...]
     patient: str
     calibration: str
+    reference: PoseMessage | None = None
 
 
 class Registered(msgspec.Struct, frozen=True, kw_only=True):
@@ -41,6 +47,9 @@ class Registered(msgspec.Struct, frozen=True, kw_only=True):
         residual: Mean distance of the landmarks, m.
         patient: Whose head it is.
         calibration: Identity of the pointer's and tool's calibration it was made with.
+        reference: ``body_ref_from_witness`` of its digitization; None where no witness was seen.
+        covariance: Where the surface has refined it: of the small motion ``(rotation vector, translation)`` in body_ref
+            that is between it and the true one, rad and m, (6, 6) row by row; empty otherwise.
     """
 
     id: str
@@ -51,6 +60,8 @@ class Registered(msgspec.Struct, frozen=True, kw_only=True):
     digitized: tuple[Point, ...]
     patient: str
     calibration: str
+    reference: PoseMessage | None = None
+    covariance: tuple[float, ...] = ()
 
 
 class PlacementData(ProcedureData, frozen=True, kw_only=True):
@@ -59,9 +70,12 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
     Attributes:
         landmarks: Planned, in the image, m.
         digitized: For each landmark its point in body_ref, m; None while it is open.
+        reference: ``body_ref_from_witness`` when the first of them was digitized; None where no witness was seen.
+        surface: Points touched on the skin, in body_ref, m, in order.
         previous_digitization: The last complete digitization.
         registered: The registration in force.
         previous: The last accepted registration, in force or not.
+        noise: What accepted registrations have left over, by pointer.
         plan: ``image_from_coil`` of the accepted tool plan.
         nudge_translation: Sum of nudges since the approach, m, in the tool frame.
         nudge_rotation_zyx: Sum of rotations since the approach, rad.
@@ -70,9 +84,12 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
 
     landmarks: tuple[Landmark, ...] = ()
     digitized: tuple[Point | None, ...] = ()
+    reference: PoseMessage | None = None
+    surface: tuple[Point, ...] = ()
     previous_digitization: Digitized | None = None
     registered: Registered | None = None
     previous: Registered | None = None
+    noise: dict[str, NoiseEstimate] = msgspec.field(default_factory=dict)
     plan: PoseMessage | None = None
     nudge_translation: Point = (0.0, 0.0, 0.0)
     nudge_rotation_zyx: Point = (0.0, 0.0, 0.0)
@@ -94,9 +111,11 @@ def settle(data: PlacementData, states: Mapping[str, str], effects: Sequence[Eff
     changes: dict[str, object] = {}
     registration = states.get("registration", "111")
     if registration == "000":
-        changes |= {"landmarks": (), "digitized": ()}
+        changes |= {"landmarks": (), "digitized": (), "reference": None}
     if any(effect.branch == "digitization" and effect.operation == "reinit" for effect in effects):
-        changes["digitized"] = tuple(None for _ in data.landmarks) if registration != "000" else ()
+        changes |= {"digitized": _all_open(data) if registration != "000" else (), "reference": None}
+    if registration not in ("110", "111"):
+        changes["surface"] = ()
     if registration != "111":
         changes |= {"registered": None, "registration_id": None}
     if states.get("toolplan", "1") != "1":
@@ -104,6 +123,10 @@ def settle(data: PlacementData, states: Mapping[str, str], effects: Sequence[Eff
     if states.get("placement") in ("unknown", "retracted"):
         changes["approached"] = None
     return msgspec.structs.replace(data, **changes) if changes else data
+
+
+def _all_open(data: PlacementData) -> tuple[None, ...]:
+    return tuple(None for _ in data.landmarks)
 
 
 def as_transform(pose: PoseMessage) -> Transform:

@@ -1,8 +1,9 @@
-"""Moving the tool, correcting its pose by the tracker, and measuring where it is."""
+"""Moving the tool, and measuring where it is."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, TypeVar
 
 import numpy as np
@@ -10,22 +11,59 @@ import numpy as np
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
-from pcmrs.kinematics.trajectory import straight_motion
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Frame, Transform, distance, mean_transform, rotation_angle
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.connection import where_clear
 from pcmrs.workflows.data import PlacementData, as_transform
+from pcmrs.workflows.guard import follow_guarded
 from pcmrs.workflows.paths import along_axis
-from pcmrs.workflows.placement import NOTHING, at_present_plan, nudges_with, planned, target
+from pcmrs.workflows.placement import (
+    NOTHING,
+    at_present_plan,
+    home_grows_distance,
+    initial_grows_distance,
+    nudges_with,
+    planned,
+    retreat_possible,
+    target,
+)
 
 Run = AnyRun[Cell, PlacementData]
 P = TypeVar("P", bound=PlacementData)
 
+FRAMES_TIME = 1.0
+"""A frame of an arm at rest comes within this, s, or nobody sees where it is."""
+
+MEASURING_TIME = 10.0
+"""All frames of a measurement come within this, s."""
+
 
 async def follow_prepared(run: Run) -> None:
     """Follows the trajectory that the check has planned, and lets the arm come to rest."""
-    await _follow(run, run.prepared)
+    await follow(run, run.prepared)
+
+
+async def back_off_anew(run: Run) -> None:
+    """Plans the way back again where the arm followed the body until now."""
+    await _plan_anew(run, retreat_possible)
+
+
+async def home_anew(run: Run) -> None:
+    """Plans the way home again where the arm followed the body until now."""
+    await _plan_anew(run, home_grows_distance)
+
+
+async def initial_anew(run: Run) -> None:
+    """Plans the way to the initial posture again where the arm followed the body until now."""
+    await _plan_anew(run, initial_grows_distance)
+
+
+async def _plan_anew(run: Run, plan: Callable[[Run], None]) -> None:
+    """The check has seen an arm that moved on after it: now it stands."""
+    if run.states["placement"] == "following":
+        await _seen_at_rest(run)
+        plan(run)
 
 
 def remember_approach(run: Run) -> None:
@@ -40,31 +78,6 @@ def remember_nudge(run: Run) -> None:
     run.keep(nudge_translation=translation, nudge_rotation_zyx=rotation)
 
 
-async def correct_from_tracker(run: Run) -> None:
-    """Corrects the command once by what the tracker sees: geometry and joint errors stay the same so near.
-
-    Raises:
-        RefusalError: The correction is too large to be one.
-    """
-    cell, limits = run.cell, run.cell.settings.placement
-    commanded: JointTrajectory = run.prepared
-    image_from_measured = await measure_coil(run)
-    measured_from_desired = image_from_measured.inverse() @ target(run.data, limits.confirm_offset)
-    shift = float(np.linalg.norm(measured_from_desired.translation)) * 1000.0
-    turn = math.degrees(float(np.linalg.norm(measured_from_desired.rotvec)))
-    run.result |= {"correction_mm": shift, "correction_deg": turn}
-    if shift > limits.correction_limit_mm or turn > limits.correction_limit_deg:
-        text = (
-            f"The tracker sees the tool {shift:.2f} mm and {turn:.2f}° from where it should be; the limits are "
-            f"{limits.correction_limit_mm:g} mm and {limits.correction_limit_deg:g}°. Check the calibration."
-        )
-        raise RefusalError("correction_too_large", text, shift_mm=shift, turn_deg=turn)
-    end = commanded.positions[-1]
-    goal = cell.flange_for(cell.arm.forward(end) @ cell.flange_from_coil @ measured_from_desired)
-    way = straight_motion(cell.arm, end, goal, cell.motion_limits(), flange_from_tool=cell.flange_from_coil)
-    await _follow(run, way)
-
-
 async def measure_placement(run: Run) -> None:
     """Measures the pose of the tool and its errors against the plan, both by the tracker.
 
@@ -73,7 +86,8 @@ async def measure_placement(run: Run) -> None:
     """
     offset = run.cell.settings.placement.confirm_offset
     measured, plan = await measure_coil(run), target(run.data, offset) @ along_axis(-offset)
-    run.result |= {"planned": as_result(planned(run.data)), **errors_of(measured, plan, offset)}
+    told = {"planned": as_result(planned(run.data)), "confirm_offset": offset}
+    run.result |= {**told, **errors_of(measured, plan, offset)}
 
 
 def errors_of(measured: Transform, expected: Transform, offset: float = 0.0) -> dict[str, Any]:
@@ -88,6 +102,7 @@ def errors_of(measured: Transform, expected: Transform, offset: float = 0.0) -> 
 
 async def find_where_retreat_ended(run: Run) -> None:
     """At the standoff of the plan in force, clear of the body, or neither: then it is held where it is."""
+    await _seen_at_rest(run)
     run.outcome = "standoff" if _at_standoff(run) else where_clear(run)
 
 
@@ -97,16 +112,23 @@ async def measure_coil(run: AnyRun[Cell, P]) -> Transform:
     registered = run.data.registered
     if registered is None:
         raise RefusalError("not_registered", "There is no registration to measure the tool in the image by.")
-    frames = await cell.poses.collect(["coil", "body_ref"], placement.frames, timeout=5.0)
+    frames = await cell.poses.collect(["coil", "body_ref"], placement.frames, timeout=MEASURING_TIME)
     image_from_body_ref = as_transform(registered.body_ref_from_image).inverse()
     return mean_transform([image_from_body_ref @ frame["body_ref"].inverse() @ frame["coil"] for frame in frames])
 
 
-async def _follow(run: Run, trajectory: JointTrajectory) -> None:
-    ended = await run.cell.robot.follow(trajectory)
+async def follow(run: Run, trajectory: JointTrajectory) -> None:
+    """Follows a trajectory past the zones, and lets the arm come to rest. Raises `RefusalError` where it was held."""
+    ended = await follow_guarded(run.cell, trajectory)
     if ended.outcome != "done":
         raise RefusalError("motion_stopped", f"The motion was stopped: {ended.reason or 'held'}.")
     await run.clock.sleep(run.cell.settings.placement.settle_time)
+
+
+async def _seen_at_rest(run: Run) -> None:
+    """The tracker's frames of the arm at rest may still be on their way, or never come."""
+    with suppress(RefusalError):
+        await run.cell.poses.collect(["coil", "body_ref"], 1, timeout=FRAMES_TIME)
 
 
 def _at_standoff(run: Run) -> bool:
@@ -130,5 +152,7 @@ def register_motion_steps(registry: Registry[Cell, PlacementData]) -> None:
     """Registers the names that blueprints use for these steps."""
     for step in (remember_approach, remember_nudge):
         registry.step(step)
-    for world_step in (follow_prepared, correct_from_tracker, measure_placement, find_where_retreat_ended):
+    for replanning in (back_off_anew, home_anew, initial_anew):
+        registry.world_step(replanning)
+    for world_step in (follow_prepared, measure_placement, find_where_retreat_ended):
         registry.world_step(world_step)

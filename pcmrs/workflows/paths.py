@@ -38,7 +38,7 @@ def middle_of_body(cell: Cell, data: PlacementData) -> Floats:
         text = "Where the body is has not been seen yet: show the tool and the body's reference to the tracker."
         raise RefusalError("body_unknown", text)
     if data.registered is not None:
-        cell.remember_middle(data.registered)
+        cell.remember_registered(data.registered)
     if cell.middle_in_body_ref is None:
         return cell.base_from_body_ref.translation
     return cell.base_from_body_ref @ cell.middle_in_body_ref

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import islice
 
 import msgspec
 import numpy as np
@@ -10,10 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
-from pcmrs.errors import RefusalError, UnreachableError
-from pcmrs.kinematics.trajectory import concatenate, joint_motion, straight_motion
+from pcmrs.errors import PcmrsError, RefusalError, UnreachableError
+from pcmrs.kinematics.trajectory import concatenate
 from pcmrs.messages import JointTrajectory
-from pcmrs.spatial import Frame, Transform
+from pcmrs.spatial import Floats, Frame, Transform
+from pcmrs.workflows.accuracy import check_tre
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, as_transform
 from pcmrs.workflows.paths import (
@@ -23,11 +25,15 @@ from pcmrs.workflows.paths import (
     check_passes_clear,
     length_until_clear,
 )
-from pcmrs.workflows.toolplan import check_reachable
+from pcmrs.workflows.toolplan import standoff_postures
+from pcmrs.workflows.ways import check_away, check_towards, joint_way, straight_way
 
 Run = AnyRun[Cell, PlacementData]
 
 NOTHING: Point = (0.0, 0.0, 0.0)
+
+WAYS = 3
+"""So many postures at the standoff are tried: each takes some 50 ms to plan, in which nothing else happens."""
 
 SHORT_OF_LIMIT = 0.005
 """So far before the place where the arm cannot follow a line any more, it stops following it, m."""
@@ -45,24 +51,41 @@ class Nudge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def approach_possible(run: Run) -> None:
-    """Plans the way to the standoff, and refuses one that passes the body or a target out of reach."""
-    cell = run.cell
-    goal = check_reachable(run, planned(run.data))
-    trajectory = joint_motion(cell.arm, cell.posture(), goal, cell.motion_limits())
-    check_passes_clear(cell, trajectory, run.data)
-    run.prepared = trajectory
+    """Plans the way to the standoff, by another posture where the first is refused.
+
+    Refuses where the registration is not accurate enough there, each way passes a zone or the body, or the target is
+    out of reach.
+    """
+    check_tre(run.cell, run.data, planned(run.data).translation)
+    refused: list[PcmrsError] = []
+    for posture in islice(standoff_postures(run, planned(run.data)), WAYS):
+        try:
+            run.prepared = _approach_by(run, posture)
+            return
+        except (RefusalError, UnreachableError) as error:
+            refused.append(error)
+    raise refused[0]
 
 
 def confirm_possible(run: Run) -> None:
     """Plans the straight way along the tool's axis to the target."""
-    run.prepared = straight_to(run, target(run.data, run.cell.settings.placement.confirm_offset))
+    run.prepared = _straight_to(run, target(run.data, run.cell.settings.placement.confirm_offset))
 
 
 def nudge_possible(run: Run) -> None:
     """Plans the straight way to the nudged pose, and refuses a sum of nudges that is too large."""
     limits = run.cell.settings.placement
     translation, rotation = nudges_with(run)
-    length, angle = math.dist(NOTHING, translation), nudge_of(NOTHING, rotation).rotvec
+    check_nudges(run, translation, rotation)
+    height = limits.standoff if run.states["placement"] == "standoff" else limits.confirm_offset
+    nudged = msgspec.structs.replace(run.data, nudge_translation=translation, nudge_rotation_zyx=rotation)
+    run.prepared = _straight_to(run, target(nudged, height))
+
+
+def check_nudges(run: Run, translation: Point, rotation_zyx: Point) -> None:
+    """Refuses a sum of nudges that is too large, m and rad. Raises `RefusalError`."""
+    limits = run.cell.settings.placement
+    length, angle = math.dist(NOTHING, translation), nudge_of(NOTHING, rotation_zyx).rotvec
     turned = math.degrees(float(np.linalg.norm(angle)))
     if length * 1000.0 > limits.nudge_limit_mm or turned > limits.nudge_limit_deg:
         text = (
@@ -70,9 +93,6 @@ def nudge_possible(run: Run) -> None:
             f"{limits.nudge_limit_mm:g} mm and {limits.nudge_limit_deg:g}°. Plan another pose instead."
         )
         raise RefusalError("nudge_too_large", text, translation=length, rotation_deg=turned)
-    height = limits.standoff if run.states["placement"] == "standoff" else limits.confirm_offset
-    nudged = msgspec.structs.replace(run.data, nudge_translation=translation, nudge_rotation_zyx=rotation)
-    run.prepared = straight_to(run, target(nudged, height))
 
 
 def retreat_possible(run: Run) -> None:
@@ -88,16 +108,17 @@ def retreat_possible(run: Run) -> None:
     run.prepared = straight if complete else _then_home(run, straight, checked_later=middle_known)
     if middle_known:
         check_only_grows(cell, run.prepared, run.data, BY_HAND)
+    check_away(cell, run.data, run.prepared)
 
 
 def home_grows_distance(run: Run) -> None:
     """Plans the way to the home posture; it may only lead away from the body."""
-    run.prepared = _retreat_to(run, list(run.cell.settings.home))
+    run.prepared = _retreat_to(run, list(run.cell.home))
 
 
 def initial_grows_distance(run: Run) -> None:
     """Plans the way to the initial posture; it may only lead away from the body."""
-    run.prepared = _retreat_to(run, run.cell.initial_joints or list(run.cell.settings.home))
+    run.prepared = _retreat_to(run, run.cell.initial_joints or list(run.cell.home))
 
 
 def planned(data: PlacementData) -> Transform:
@@ -126,12 +147,30 @@ def nudges_with(run: Run) -> tuple[Point, Point]:
     return (x, y, z), (rz, ry, rx)
 
 
-def straight_to(run: Run, image_from_coil: Transform) -> JointTrajectory:
-    """The straight way of the coil from where it is to a pose in the image."""
+def _approach_by(run: Run, posture: Floats) -> JointTrajectory:
+    """The way to a posture at the standoff, from which the target can be reached."""
     cell = run.cell
     base_from_image = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE)
-    goal = cell.flange_for(base_from_image @ image_from_coil)
-    return straight_motion(cell.arm, cell.posture(), goal, cell.motion_limits(), flange_from_tool=cell.flange_from_coil)
+    way = joint_way(run, cell.posture(), posture)
+    check_passes_clear(cell, way, run.data)
+    base_from_target = base_from_image @ planned(run.data)
+    check_towards(cell, run.data, way, base_from_target)
+    _line_to(run, posture, base_from_target @ along_axis(cell.settings.placement.confirm_offset), base_from_target)
+    return way
+
+
+def _straight_to(run: Run, image_from_coil: Transform) -> JointTrajectory:
+    """The straight way of the coil from where it is to a pose in the image."""
+    base_from_image = run.cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE)
+    base_from_target = base_from_image @ planned(run.data)
+    return _line_to(run, run.cell.posture(), base_from_image @ image_from_coil, base_from_target)
+
+
+def _line_to(run: Run, start: Floats, base_from_coil: Transform, base_from_target: Transform) -> JointTrajectory:
+    """The straight way of the coil from joint positions to a pose near the target of the plan."""
+    way = straight_way(run, start, base_from_coil, near=True)
+    check_towards(run.cell, run.data, way, base_from_target)
+    return way
 
 
 def _retreat_to(run: Run, posture: list[float]) -> JointTrajectory:
@@ -139,10 +178,11 @@ def _retreat_to(run: Run, posture: list[float]) -> JointTrajectory:
     cell = run.cell
     way = None if run.states["placement"] == "retracted" else _back_off(run)[0]
     start = cell.posture() if way is None else way.positions[-1]
-    trajectory = joint_motion(cell.arm, start, posture, cell.motion_limits())
+    trajectory = joint_way(run, start, posture)
     trajectory = trajectory if way is None else concatenate(way, trajectory)
     check_only_grows(cell, trajectory, run.data)
     check_ends_clear(cell, trajectory, run.data)
+    check_away(cell, run.data, trajectory)
     return trajectory
 
 
@@ -163,7 +203,7 @@ def _back_off(run: Run) -> tuple[JointTrajectory, bool]:
 def _then_home(run: Run, straight: JointTrajectory, *, checked_later: bool) -> JointTrajectory:
     """On home from the end of a straight way that was cut short; the straight way alone where that is refused."""
     cell = run.cell
-    home = joint_motion(cell.arm, straight.positions[-1], cell.settings.home, cell.motion_limits())
+    home = joint_way(run, straight.positions[-1], cell.home)
     if not checked_later:
         try:
             check_only_grows(cell, home, run.data, BY_HAND)
@@ -175,19 +215,10 @@ def _then_home(run: Run, straight: JointTrajectory, *, checked_later: bool) -> J
 
 
 def _straight_away(run: Run, length: float) -> JointTrajectory:
-    """Straight along the tool's +z axis. Raises `UnreachableError` where a joint would leave its limits on the way."""
+    """Straight along the tool's +z axis. Raises `UnreachableError` where the arm cannot follow it to its end."""
     cell = run.cell
     base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
-    goal = cell.flange_for(base_from_coil @ along_axis(length))
-    way = straight_motion(cell.arm, cell.posture(), goal, cell.motion_limits(), flange_from_tool=cell.flange_from_coil)
-    # Between two knots of the line a joint that comes to rest at its limit can swing beyond it.
-    postures = np.array(way.positions)
-    beyond = np.any((postures < cell.arm.lower) | (postures > cell.arm.upper), axis=1)[1:]
-    if np.any(beyond):
-        reached = cell.arm.forward(postures[1 + np.argmax(beyond)]) @ cell.flange_from_coil
-        parameter = float(np.linalg.norm(reached.translation - base_from_coil.translation)) / length
-        raise UnreachableError("A joint would leave its limits on the straight way.", parameter=parameter)
-    return way
+    return straight_way(run, cell.posture(), base_from_coil @ along_axis(length))
 
 
 def _length_of_retreat(run: Run) -> float:

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from collections.abc import Iterator
+from typing import TypeVar
 
 import msgspec
 import numpy as np
 
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
-from pcmrs.errors import RefusalError
+from pcmrs.errors import PcmrsError, RefusalError, UnreachableError
 from pcmrs.kinematics.inverse import inverse
-from pcmrs.spatial import Frame, Transform
+from pcmrs.spatial import Floats, Frame, Transform
+from pcmrs.workflows.accuracy import check_tre
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, as_message
 from pcmrs.workflows.paths import along_axis
+from pcmrs.workflows.ways import arrange, check_postures
+from pcmrs.workflows.zones import BODY
 
 Run = AnyRun[Cell, PlacementData]
 P = TypeVar("P", bound=PlacementData)
 
+SAME_POSTURE = 0.05
+"""Postures that differ by less in every joint are one, rad."""
+SEED_TURNS = (0.0, 0.8, -0.8, 1.6, -1.6)
+"""So far joints 1 and 3 are turned against each other to look for postures from there, rad: the elbow swings."""
 FARTHEST_TARGET = 1.0
 """A target farther than this from the origin of the image (m) was probably given in mm."""
 
@@ -51,26 +59,58 @@ def pose_of(asked: ToolPose) -> Transform:
 
 
 def accept_pose(run: AnyRun[Cell, P], pose: Transform) -> None:
-    """Prepares a pose as the plan; refuses it where it is known to be out of the arm's reach."""
+    """Prepares a pose as the plan; refuses where the arm cannot reach it, or the registration is too inaccurate."""
     if run.states.get("registration") == "111" and run.states.get("robot") == "1" and _all_seen(run):
-        check_reachable(run, pose)
+        next(standoff_postures(run, pose))
+    tre = check_tre(run.cell, run.data, pose.translation)
+    run.result |= {} if tre is None else {"tre": tre}
     run.prepared = pose
 
 
-def check_reachable(run: AnyRun[Cell, P], image_from_coil: Transform) -> Any:
-    """Joints at the standoff of a planned pose, rad, (7,).
+def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Iterator[Floats]:
+    """Joints at the standoff of a planned pose, rad, (n,), that keep out of the zones there and at the target.
+
+    The one nearest to the present posture comes first; then those with the elbow to either side. All of them keep the
+    forearm away from the body where that takes no long detour.
 
     Raises:
         UnreachableError: Standoff or target cannot be reached within the joint limits.
-        RefusalError: Tool or body are not seen.
+        RefusalError: Tool or body are not seen, or every posture found is in a zone.
     """
     cell, placement = run.cell, run.cell.settings.placement
-    base_from_image = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE)
-    standoff = cell.flange_for(base_from_image @ image_from_coil @ along_axis(placement.standoff))
-    target = cell.flange_for(base_from_image @ image_from_coil @ along_axis(placement.confirm_offset))
-    posture = inverse(cell.arm, standoff, cell.posture())
-    inverse(cell.arm, target, posture)
-    return posture
+    base_from_coil = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE) @ image_from_coil
+    arrange(cell, run.data)
+    standoff = cell.flange_for(base_from_coil @ along_axis(placement.standoff))
+    target = cell.flange_for(base_from_coil @ along_axis(placement.confirm_offset))
+    body = _ball_around_body(cell)
+    found: list[Floats] = []
+    refused: list[PcmrsError] = []
+    for seed in _seeds(cell):
+        try:
+            posture = inverse(cell.arm, standoff, seed, keep_away=body)
+            check_postures(cell, posture, inverse(cell.arm, target, posture, keep_away=body))
+        except (UnreachableError, RefusalError) as error:
+            refused.append(error)
+            continue
+        if all(np.abs(posture - other).max() > SAME_POSTURE for other in found):
+            found.append(posture)
+            yield posture
+    if not found:
+        raise refused[0]
+
+
+def _ball_around_body(cell: Cell) -> Floats | None:
+    """Where `arrange` has placed the body: x, y, z and radius in the robot's base, m, (4,); None without a surface."""
+    model = cell.zones.model
+    return model.ball(BODY) if model.of_zone(BODY).any() else None
+
+
+def _seeds(cell: Cell) -> Iterator[Floats]:
+    present = cell.posture()
+    aside = np.zeros(len(present))
+    aside[[0, 2]] = 1.0, -1.0
+    for turn in SEED_TURNS:
+        yield np.clip(present + turn * aside, cell.arm.lower, cell.arm.upper)
 
 
 def keep_plan(run: Run) -> None:

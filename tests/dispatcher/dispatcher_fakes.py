@@ -308,7 +308,7 @@ def _routes() -> dict[Joint, Route]:
 
 ROUTES = _routes()
 
-PLACED: Joint = ("111", "1", "1", "1", "placed")
-STANDOFF: Joint = ("111", "1", "1", "1", "standoff")
-RETRACTED: Joint = ("111", "1", "1", "1", "retracted")
-HELD: Joint = ("111", "1", "1", "1", "held")
+PLACED: Joint = ("111", "1", "1", "1", "placed", "0")
+STANDOFF: Joint = ("111", "1", "1", "1", "standoff", "0")
+RETRACTED: Joint = ("111", "1", "1", "1", "retracted", "0")
+HELD: Joint = ("111", "1", "1", "1", "held", "0")

@@ -57,7 +57,7 @@ async def test_a_rejection_that_cannot_be_written(bench: Bench) -> None:
     bench.recorder.failing.add("decision")
     verdict = await bench.do("registration.register")
     assert (verdict.decision, bench.holds) == ("rejected", 1)
-    await check_fail_stop(bench, ("000", "0", "0", "0", "unknown"))
+    await check_fail_stop(bench, ("000", "0", "0", "0", "unknown", "0"))
 
 
 async def test_a_failing_recall_runs_nothing(bench: Bench) -> None:

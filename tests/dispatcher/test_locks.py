@@ -16,7 +16,7 @@ from pcmrs.dispatcher import Run
 from pcmrs.dispatcher.lanes import MAX_WAITING
 from pcmrs.messages import Verdict
 
-PLANNED = ("100", "0", "0", "0", "unknown")
+PLANNED = ("100", "0", "0", "0", "unknown", "0")
 
 
 def code(verdict: Verdict) -> str:
@@ -37,7 +37,7 @@ async def test_disjoint_operations_are_in_their_steps_at_once(worldly_bench: Ben
     tasks = [await worldly_bench.begin(name) for name in names]
     await settle()
     assert [(await task).decision for task in tasks] == ["accepted"] * 3
-    assert worldly_bench.joint == ("110", "1", "1", "1", "unknown")
+    assert worldly_bench.joint == ("110", "1", "1", "1", "unknown", "0")
 
 
 async def test_the_journal_has_the_states_after_each_of_two_parallel_commits(bench: Bench) -> None:
@@ -193,7 +193,7 @@ async def test_a_commit_waits_for_the_motion_that_it_would_revoke_under_way(benc
     at_home.set()
     assert (await homing).state == "retracted"
     assert (await digitizing).decision == "accepted"
-    assert bench.joint == ("110", "1", "1", "1", "retracted")
+    assert bench.joint == ("110", "1", "1", "1", "retracted", "0")
     assert (await bench.do("toolplan.clear")).decision == "accepted"
 
 
@@ -208,4 +208,4 @@ async def test_stop_ends_both_when_a_commit_waits_for_a_motion(bench: Bench) -> 
     assert await bench.dispatcher.stop("test:user")
     assert (await homing).decision == "failed"
     assert (await digitizing).decision == "accepted"
-    assert bench.joint == ("110", "1", "1", "1", "held")
+    assert bench.joint == ("110", "1", "1", "1", "held", "0")

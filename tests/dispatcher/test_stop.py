@@ -138,7 +138,7 @@ async def test_stop_rejects_what_waits(bench: Bench) -> None:
         verdict = await task
         assert (verdict.decision, code(verdict)) == ("rejected", "stopped")
     assert (await running).decision == "failed"
-    assert bench.joint == ("100", "0", "0", "0", "unknown")
+    assert bench.joint == ("100", "0", "0", "0", "unknown", "0")
     assert not gate.is_set()
 
 
@@ -221,7 +221,7 @@ async def test_an_acknowledgement_does_not_answer_a_later_stop(bench: Bench) -> 
     assert not bench.dispatcher.snapshot().latched
 
 
-@pytest.mark.parametrize("event_code", ["reference_moved", "force_limit"])
+@pytest.mark.parametrize("event_code", ["hold_not_confirmed", "force_limit"])
 async def test_a_danger_event_goes_the_way_of_stop(bench: Bench, event_code: str) -> None:
     await bench.go(STANDOFF)
     bench.script.hang("placement.confirm")
@@ -232,13 +232,25 @@ async def test_a_danger_event_goes_the_way_of_stop(bench: Bench, event_code: str
     assert [row[1] for row in bench.recorder.rows if row[0] == "event"] == [event_code]
 
 
+async def test_a_moved_reference_stops_and_takes_the_registration_back(bench: Bench) -> None:
+    await bench.go(STANDOFF)
+    bench.script.hang("placement.confirm")
+    task = await bench.begin("placement.confirm")
+    moved = DeviceEvent(device="tracker", code="reference_moved", text="By 3 mm.", danger=True)
+    await bench.dispatcher.report(moved)
+    assert code(await task) == "reference_moved"
+    assert bench.joint[:2] == ("100", "0")
+    assert bench.joint[4] == "held"
+    assert bench.dispatcher.snapshot().latched
+
+
 async def test_a_lost_link_stops_and_disconnects(bench: Bench) -> None:
     await bench.go(PLACED)
     bench.script.hang("placement.nudge")
     task = await bench.begin("placement.nudge")
     await bench.dispatcher.report(DeviceEvent(device="robot", code="link_lost", text="Silent.", danger=True))
     assert (await task).decision == "failed"
-    assert bench.joint == ("111", "1", "1", "0", "unknown")
+    assert bench.joint == ("111", "1", "1", "0", "unknown", "0")
     assert bench.dispatcher.snapshot().latched
     assert bench.recorder.commands[-1].source == "device:robot"
 

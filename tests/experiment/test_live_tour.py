@@ -32,7 +32,8 @@ TURNS = 40
 
 NOTHING: Mapping[str, Any] = {}
 
-EMPTY = {payload: cast(dict[str, Any], {}) for payload in ("landmarks", "landmark_index", "tool_pose", "nudge")}
+PAYLOADS = ("landmarks", "landmark_index", "surface_points", "surface_name", "tool_pose", "nudge", "press")
+EMPTY = {payload: cast(dict[str, Any], {}) for payload in PAYLOADS}
 
 
 class Dice(Script):

@@ -45,8 +45,9 @@ def mutants() -> Iterator[tuple[str, Blueprint]]:
     yield "no revocation", changed(lambda branches: branches["placement"].update(revocations=[]))
     for by in ("registration", "toolplan"):
         yield f"no revocation by {by}", revoked(by=[other for other in ("registration", "toolplan") if other != by])
-    for state in ("standoff", "placed"):
-        yield f"{state} not revoked", revoked(**{"from": [each for each in ("standoff", "placed") if each != state]})
+    at_body = ("standoff", "placed", "following")
+    for state in at_body:
+        yield f"{state} not revoked", revoked(**{"from": [each for each in at_body if each != state]})
 
 
 def revoked(**keys: list[str]) -> Blueprint:

@@ -9,8 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 from ratms_mutants import FILE
 
-from pcmrs.cli import main
-from pcmrs.cli.fsm import progress
+from pcmrs.cli import main, progress
 from pcmrs.cli.fsm.verify import verify
 from pcmrs.fsm.finding import Finding
 
@@ -24,7 +23,7 @@ def run(*arguments: str | Path, given: bytes | None = None) -> Result:
 def test_a_sound_workflow_takes_one_line() -> None:
     result = run(FILE)
     assert result.exit_code == 0
-    assert result.stdout == f"{FILE}: sound: 34 joint states, 1448 transitions, 7 properties\n"
+    assert result.stdout == f"{FILE}: sound: 37 joint states, 1668 transitions, 10 properties\n"
     assert result.stderr == ""
 
 
@@ -48,7 +47,7 @@ def test_the_worst_file_decides_how_it_ends_and_all_are_looked_at() -> None:
         (str(files[1]), True, False),
         (str(files[2]), False, False),
     ]
-    assert (found[0]["joint_states"], found[0]["transitions"]) == (34, 1448)
+    assert (found[0]["joint_states"], found[0]["transitions"]) == (37, 1668)
     assert [finding["code"] for finding in found[1]["findings"]] == ["deadlock"]
     assert found[1]["findings"][0]["commands"] == ["door.open"]
 
@@ -56,7 +55,7 @@ def test_the_worst_file_decides_how_it_ends_and_all_are_looked_at() -> None:
 def test_the_limit_can_be_set_and_standard_input_read() -> None:
     result = run("--limit", "33", "-", given=FILE.read_bytes())
     assert result.exit_code == 1
-    assert "<stdin>:9:2: too_many_states: There are more than 33 joint states" in result.stdout
+    assert "<stdin>:12:2: too_many_states: There are more than 33 joint states" in result.stdout
 
 
 @pytest.mark.parametrize("given", [b"", b"\xff", b"id = 1", b"[" * 10_000])

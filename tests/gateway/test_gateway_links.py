@@ -225,8 +225,37 @@ async def test_confirm_returns_the_measured_pose_and_its_errors(cell: Any) -> No
     assert reply == "1_accepted_placement_retracted_0.1_0.2_0.3_0_0_0_1_0.25_0.0572958;"
 
 
-async def test_surface_refinement_is_not_available(cell: Any) -> None:
-    assert await cell.ask("icp_registerxxxx_/m/a_b.stl_#1;") == "1_rejected_registration_000_not_available;"
+@pytest.mark.parametrize(
+    ("command", "operation", "arguments"),
+    [
+        ("icp_digitizexxxx", "digitization.digitize_surface", {}),
+        ("icp_clear_prevxx", "digitization.clear_surface_point", {}),
+        ("icp_clear_allxxx", "digitization.clear_surface", {}),
+        ("icp_registerxxxx_/m/a_b.stl", "registration.refine", {"surface": "a_b.stl"}),
+        (r"icp_registerxxxx_C:\lab data\skin_2.ply", "registration.refine", {"surface": "skin_2.ply"}),
+        ("icp_registerxxxx_../../etc/passwd", "registration.refine", {"surface": "passwd"}),
+        ("icp_registerxxxx_/", "registration.refine", {"surface": ""}),
+    ],
+)
+async def test_surface_commands_drive_their_operations(
+    cell: Any, command: str, operation: str, arguments: dict[str, Any]
+) -> None:
+    branch, name = operation.split(".")
+    cell.core.results["refine"] = {"landmarks": {"residual": 0.002}, "tre": 0.001}
+    assert await cell.ask(f"{command}_#1;") == f"1_accepted_{branch}_{cell.core.branches[branch]};"
+    (asked,) = cell.core.commands
+    assert (asked.branch, asked.operation, asked.arguments) == (branch, name, arguments)
+
+
+async def test_a_refinement_is_acknowledged_and_returns_no_second_datagram(cell: Any) -> None:
+    assert await cell.tell("icp_registerxxxx_/m/a_b.stl;") == "ack"
+    await settle(cell)
+    assert cell.replies.received.empty()
+
+
+async def test_a_refused_refinement_is_told_with_its_reason(cell: Any) -> None:
+    cell.core.refusals["refine"] = "unknown_surface"
+    assert await cell.ask("icp_registerxxxx_/m/no.stl_#1;") == "1_rejected_registration_000_unknown_surface;"
 
 
 async def test_a_daemon_that_breaks_is_answered_for(cell: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -211,6 +211,24 @@ def test_an_accepted_way_does_not_violate_when_looked_at_ten_times_finer(seed: i
         assert model.distances(violation.posture).min() <= violation.clearance.distance + 1e-9
 
 
+def test_limits_may_differ_from_look_to_look() -> None:
+    model = zone_model()
+    way = np.array(FACTS.home) + np.linspace(0.0, 1.0, 60)[:, None] * np.eye(7)[0]
+    model.place("body", ARM.forward(way[-1]) @ FLANGE_FROM_TOOL)
+    passage = look_at(model, FACTS, TOOL_REACH, way)
+    pair = model.pairs.index(("tool", "body"))
+    limits = np.full(passage.distances.shape, -np.inf)
+    limits[: len(limits) // 3, pair] = 0.05
+    assert passage.distances[: len(limits) // 3, pair].min() > 0.05
+    assert passage.distances[-1, pair] < 0.0
+    assert passage.first_violation(model, limits) is None, "so near it comes only where it may"
+    limits[-3:, pair] = 0.02
+    violation = passage.first_violation(model, limits)
+    assert violation is not None
+    assert (violation.clearance.link, violation.clearance.zone, violation.clearance.limit) == ("tool", "body", 0.02)
+    np.testing.assert_array_equal(violation.posture, passage.postures[-3])
+
+
 def test_a_retreat_may_begin_too_near_but_only_leads_out() -> None:
     model = zone_model()
     turns = np.linspace(0.0, 1.0, 60)

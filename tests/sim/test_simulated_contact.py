@@ -126,6 +126,14 @@ def test_a_limit_counts_once_and_again_only_when_the_force_grows_on() -> None:
     assert [guard.exceeded(force) for force in course] == [False, True, False, False, False, False, True, False, True]
 
 
+@pytest.mark.parametrize("limit", [1.0, 3.0, 5.0, 6.0, 25.0])
+def test_a_limit_of_any_size_counts_again_after_the_force_has_fallen(limit: float) -> None:
+    guard = ForceGuard(limit)
+    fallen = max(limit - AGAIN, limit / 2)
+    course = [1.01 * limit, 1.01 * fallen, 1.01 * limit, 0.99 * fallen, limit, 1.01 * limit]
+    assert [guard.exceeded(force) for force in course] == [True, False, False, False, False, True]
+
+
 def towards_head(way: float) -> Floats:
     """A posture with the tool `way` (m) farther along its axis, from home."""
     model = ArmModel(FACTS)

@@ -130,6 +130,9 @@ async def test_the_result_has_the_force(clock: Clock) -> None:
         {"speed": 0.0},
         {"speed": 0.2},
         {"timeout": -1.0},
+        {"timeout": float("inf")},
+        {"timeout": float("nan")},
+        {"timeout": 20.1},
         {"direction_in_flange": (0.0, 0.0, 0.5)},
     ],
 )

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from workflow_bench import LANDMARKS, WorkflowBench, open_bench
 
 from pcmrs.cli import main
+from pcmrs.config import as_config
 from pcmrs.errors import BlueprintError, ConfigurationError
 from pcmrs.settings import Settings, read_settings
 from pcmrs.workflows import find_workflow, open_workflow, read_workflow
@@ -196,7 +197,8 @@ def test_defaults_of_a_workflow_lie_between_the_built_in_ones_and_the_file(tmp_p
     assert settings.sim == {"seed": 5}
     assert settings.procedure.limits == {"brightness": 2.0}
     assert read_settings(None, [f"workflow={file}"]).procedure.registration.samples == 7
-    assert read_settings() == Settings(), "the defaults of a workflow are nobody else's"
+    shipped = as_config(Settings, read_workflow("ratms").defaults)
+    assert read_settings() == shipped, "the defaults of a workflow are nobody else's"
 
 
 @pytest.mark.parametrize(
@@ -206,10 +208,10 @@ def test_defaults_of_a_workflow_lie_between_the_built_in_ones_and_the_file(tmp_p
         ("defaults.procedure.placement.frames = 0", ("frames",)),
         ("defaults.procedure.max_pose_age = inf", ("max_pose_age", "finite")),
         ("defaults.sim.sed = 5", ("sed",)),
-        ("defaults.cell.folder = '/elsewhere'", ("cell", "may change procedure.limits")),
-        ("defaults.procedure.patient = 'bob'", ("procedure.patient", "may change procedure.limits")),
-        ("defaults.procedure.placement.standoff = 0.2", ("procedure.placement", "may change procedure.limits")),
-        ("defaults.gateway.host = '0.0.0.0'", ("gateway", "may change procedure.limits")),
+        ("defaults.cell.folder = '/elsewhere'", ("cell", "may change procedure.body")),
+        ("defaults.procedure.patient = 'bob'", ("procedure.patient", "may change procedure.body")),
+        ("defaults.procedure.placement.standoff = 0.2", ("procedure.placement", "may change procedure.body")),
+        ("defaults.gateway.host = '0.0.0.0'", ("gateway", "may change procedure.body")),
         ("defaults.procedure.limits.brightness = 'much'", ("procedure.limits", "float")),
     ],
 )

@@ -43,17 +43,18 @@ async def test_a_plan_of_no_pose_is_refused(bench: WorkflowBench) -> None:
     assert verdict.reason.fields["limit"] == 1.0
 
 
-async def test_an_unreachable_pose_is_refused_as_soon_as_it_can_be_known(bench: WorkflowBench) -> None:
+async def test_an_unreachable_pose_is_refused_as_soon_as_it_can_be_known() -> None:
     far: dict[str, Any] = {"position": [0.0, 0.9, 0.9], "quat_xyzw": POSES[0]["quat_xyzw"]}
-    await bench.accept("toolplan.plan", **far)
-    await bench.connect()
-    await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
-    await bench.accept("digitization.digitize_all")
-    await bench.accept("registration.register")
-    await bench.refuse("placement.approach", "unreachable")
-    await bench.refuse("toolplan.plan", "unreachable", **far)
-    await bench.accept("toolplan.plan", **POSES[0])
-    await bench.accept("placement.approach")
+    async with open_bench({"registration": {"tre_limit_mm": 100.0}}) as bench:
+        await bench.accept("toolplan.plan", **far)
+        await bench.connect()
+        await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+        await bench.accept("digitization.digitize_all")
+        await bench.accept("registration.register")
+        await bench.refuse("placement.approach", "unreachable")
+        await bench.refuse("toolplan.plan", "unreachable", **far)
+        await bench.accept("toolplan.plan", **POSES[0])
+        await bench.accept("placement.approach")
 
 
 async def test_poses_on_all_sides_of_the_head_are_placed_from_home(bench: WorkflowBench) -> None:
@@ -73,7 +74,7 @@ async def test_the_tool_may_go_home_from_the_target_and_backs_off_on_its_way(ben
     await bench.to_placed()
     assert (await bench.accept(f"placement.{name}")).state == "retracted"
     assert bench.cell.joints is not None
-    assert bench.cell.joints.positions == pytest.approx(bench.cell.settings.home, abs=2e-3)
+    assert bench.cell.joints.positions == pytest.approx(bench.cell.home, abs=2e-3)
 
 
 async def test_to_initial_returns_to_the_remembered_joints(bench: WorkflowBench) -> None:

@@ -18,6 +18,7 @@ async def test_every_step_of_the_procedure_once(bench: WorkflowBench) -> None:
         "toolplan": "1",
         "robot": "1",
         "placement": "retracted",
+        "alignment": "0",
     }
     assert registered.result is not None
     assert 0.0 < registered.result["residual"] < registered.result["limit"]

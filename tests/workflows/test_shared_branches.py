@@ -15,21 +15,44 @@ SHARED = ("registration", "digitization", "toolplan", "robot", "placement")
 
 PLACEMENT = ("approach", "confirm", "nudge", "back_off", "home", "to_initial", "reinit")
 PLANNING = {
-    "registration": ("plan_landmarks", "register", "use_previous", "clear_landmarks", "clear_digitization"),
-    "digitization": ("digitize_all", "digitize_one", "redigitize_one", "reuse_previous", "reuse_previous_except"),
+    "registration": ("plan_landmarks", "register", "refine", "use_previous", "clear_landmarks", "clear_digitization"),
+    "digitization": (
+        *("digitize_all", "digitize_one", "redigitize_one", "reuse_previous", "reuse_previous_except"),
+        *("check_landmark", "digitize_surface", "clear_surface_point", "clear_surface"),
+    ),
     "toolplan": ("plan", "clear"),
 }
 NOT_IN_BONE = (
     *(f"placement.operations.{name}" for name in PLACEMENT),
     *(f"{branch}.operations.{name}" for branch, names in PLANNING.items() for name in (*names, "reinit")),
     "registration.operations.clear_registration",
+    "registration.operations.reference_moved",
     "robot.operations.disconnect",
+)
+
+# A bone is fixed: the guide does not follow it, and is checked by the treatment's own operations.
+NOT_FOLLOWED = (
+    "placement.states",
+    "placement.revocations",
+    "placement.activities",
+    "placement.emits.following",
+    "placement.parent.compatible.following",
+    *(f"placement.operations.{name}" for name in ("follow", "stop_following", "following_lost", "watching_lost")),
+    "placement.operations.alignment_changed",
+    "placement.operations.force_limit.from",
+    *(
+        f"placement.operations.{name}.{field}"
+        for name in ("back_off", "home", "to_initial")
+        for field in ("from", "steps")
+    ),
 )
 
 MEANT = {
     "grid_mapping": {"toolplan.operations.aim"},
     "femoroplasty": {
         "toolplan.operations.plan_trajectory",
+        "placement.operations.press",  # a guide is drilled through, not pressed
+        *NOT_FOLLOWED,
         *(f"{name}.requires.treatment" for name in NOT_IN_BONE),
         *(f"{name}.refusal" for name in NOT_IN_BONE),
     },

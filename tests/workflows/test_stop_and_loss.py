@@ -132,7 +132,7 @@ async def test_backing_off_leads_home_where_a_joint_limit_cuts_the_straight_way_
         coil, body = as_transform(truth.tracker_from_coil), as_transform(truth.tracker_from_body_ref)
         arm, flange_from_coil = bench.cell.arm, bench.cell.flange_from_coil
         base_from_coil = arm.forward(at_limit["arm"]["home"]) @ flange_from_coil
-        home_in_coil = (base_from_coil.inverse() @ arm.forward(bench.cell.settings.home) @ flange_from_coil).translation
+        home_in_coil = (base_from_coil.inverse() @ arm.forward(bench.cell.home) @ flange_from_coil).translation
         away_from_home = -0.2 * home_in_coil / np.linalg.norm(home_in_coil)
         x, y, z = (coil @ away_from_home - body.translation).tolist()
         await bench.scene.move_body((x, y, z))
@@ -141,4 +141,4 @@ async def test_backing_off_leads_home_where_a_joint_limit_cuts_the_straight_way_
         assert bench.states["placement"] == "held", "the tool is 200 mm from the body"
         assert (await bench.accept("placement.back_off")).state == "retracted"
         assert bench.cell.joints is not None
-        assert bench.cell.joints.positions == pytest.approx(bench.cell.settings.home, abs=2e-3)
+        assert bench.cell.joints.positions == pytest.approx(bench.cell.home, abs=2e-3)

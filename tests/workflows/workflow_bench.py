@@ -38,8 +38,13 @@ AT_REST = 1e-3
 QUICK_SIM: dict[str, Any] = {"digitization": {"reach_time": 0.05, "rest_time": 0.05}}
 QUICK_PROCEDURE: dict[str, Any] = {
     "registration": {"samples": 4},
-    "motion": {"joint_speed_fraction": 1.0, "joint_acceleration": 5.0, "linear_velocity": 0.5},
-    "placement": {"frames": 4, "settle_time": 0.1},
+    "motion": {
+        "joint_speed_fraction": 1.0,
+        "joint_acceleration": 5.0,
+        "linear_velocity": 0.5,
+        "near_velocity": 0.25,
+    },
+    "placement": {"frames": 4, "settle_time": 0.1, "tolerance_mm": 0.5, "tolerance_deg": 0.2},
 }
 
 

@@ -23,6 +23,12 @@ Table = dict[str, Any]
 NUDGES: list[Table] = [{"translation": [0.0, 0.0, 0.001]}, {"translation": [0.0, 0.0, -0.001]}]
 """Away from the body and back."""
 
+PRESSES: list[Table] = [{}, {"force": 1.0}]
+"""With the configured force, and with the least."""
+
+ENOUGH_POINTS = 30
+"""Of the skin, so that a registration can be refined by them."""
+
 DEPTH = 0.03
 """Of a trajectory from the planned pose into the body, m."""
 
@@ -67,10 +73,13 @@ def plan_arguments(plan: Plan) -> dict[str, Table | list[Table]]:
     return {
         "landmarks": {"landmarks": msgspec.to_builtins(plan.landmarks)},
         "landmark_index": [{"index": index} for index in range(len(plan.landmarks))],
+        "surface_points": {"points": ENOUGH_POINTS},
+        "surface_name": {},
         "tool_pose": msgspec.to_builtins(pose),
         "trajectory": {"entry": list(pose.position), "target": inwards.tolist()},
         "confirmation": dict(CONFIRMED),
         "nudge": NUDGES,
+        "press": PRESSES,
     }
 
 

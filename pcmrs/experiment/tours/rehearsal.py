@@ -8,6 +8,8 @@ from contextlib import asynccontextmanager
 from functools import partial
 from typing import Any
 
+from msgspec.structs import replace
+
 from pcmrs.dispatcher import Dispatcher, NoArguments, ProcedureData, Registry, Run, Workflow
 from pcmrs.errors import DeviceError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm.behaviour import Joint, joint_of
@@ -105,13 +107,15 @@ class Forgetful:
 
 
 def scripted(blueprint: Blueprint, script: Script, *, outside: bool) -> Workflow[None, ProcedureData]:
-    """The workflow with every check and step in the script's hands.
+    """The workflow with every check and step in the script's hands, and nothing that goes on by itself.
 
     Args:
         blueprint: The workflow.
         script: Says what they do.
         outside: The steps touch the world outside, so that they are tasks with deadlines.
     """
+    still = {name: replace(branch, activities={}) for name, branch in blueprint.branches.items()}
+    blueprint = replace(blueprint, branches=still)
     registry: Registry[None, ProcedureData] = Registry()
     specs = [spec for branch in blueprint.branches.values() for spec in branch.operations.values()]
     for spec in specs:

@@ -1,0 +1,54 @@
+"""Watching whether the reference moves against the witness, and what it means when it does."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+
+from pcmrs.dispatcher import Dispatcher
+from pcmrs.messages import DeviceEvent
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.reference import Shift, moved_by, moved_text
+
+PERIOD = 0.1
+"""Between two looks, s of the cell."""
+
+RESTS_ON_IT = ("110", "111")
+"""States of the registration that a moved reference makes worthless."""
+
+Report = Callable[[DeviceEvent], Awaitable[None]]
+
+
+class ReferenceWatch:
+    """Reports a moved reference as danger: motion is held and latched, the registration given up.
+
+    Where the workflow refuses that for now, as with a drill in the bone, it is reported again once the joint state has
+    changed: the registration must not come to count again.
+
+    Args:
+        cell: Its tracked poses, limits and clock.
+        dispatcher: Of the procedure; reports go there.
+    """
+
+    def __init__(self, cell: Cell, dispatcher: Dispatcher[Cell, PlacementData]) -> None:
+        self._cell = cell
+        self._procedure = dispatcher.procedure
+        self._report: Report = dispatcher.report
+
+    async def run(self) -> None:
+        """Looks until cancelled."""
+        told: dict[str, str] = {}
+        while True:
+            shift = moved_by(self._cell, self._procedure.data)
+            joint = self._procedure.joint()
+            if shift is None:
+                told = {}
+            elif joint != told and joint.get("registration") in RESTS_ON_IT:
+                await self._report(self._event(shift))
+                told = self._procedure.joint()
+            await self._cell.clock.sleep(PERIOD)
+
+    def _event(self, shift: Shift) -> DeviceEvent:
+        fields = {"translation": shift.translation, "rotation": shift.rotation}
+        text = moved_text(shift, self._cell)
+        return DeviceEvent(device="tracker", code="reference_moved", text=text, danger=True, fields=fields)

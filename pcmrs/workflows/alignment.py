@@ -1,0 +1,145 @@
+"""Whether the tool is near enough to its planned pose to treat: watched frame by frame, by the tracker."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pcmrs.devices.poses import Sighting
+from pcmrs.dispatcher import Activity as AnyActivity
+from pcmrs.dispatcher import Registry
+from pcmrs.dispatcher import Run as AnyRun
+from pcmrs.errors import RefusalError
+from pcmrs.spatial import Transform
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.correction import size_of
+from pcmrs.workflows.data import PlacementData, as_transform
+from pcmrs.workflows.placement import target
+from pcmrs.workflows.settings import AlignmentSettings
+
+Activity = AnyActivity[Cell, PlacementData]
+Run = AnyRun[Cell, PlacementData]
+Exposure = dict[str, Sighting]
+"""One frame of the tracker that shows tool and body."""
+
+BODIES = ("coil", "body_ref")
+WATCHING = {"placed": "watch_alignment", "following": "follow_head"}
+"""The activity that watches in each state of the placement."""
+LOOK_EVERY = 0.02
+"""Shorter than a frame of the tracker, s."""
+SHOW_EVERY = 0.5
+"""Each showing publishes a snapshot, s."""
+ASK_EVERY = 0.25
+"""An event that was not taken is posted again after this, s."""
+
+
+class AlignmentGate:
+    """Opens after an error was small for a while, closes after it was large for a while: in between it stays.
+
+    Args:
+        settings: Both thresholds and times.
+
+    Attributes:
+        open: Whether the tool counts as aligned; at first it does not.
+    """
+
+    def __init__(self, settings: AlignmentSettings) -> None:
+        self._settings = settings
+        self._within_since: float | None = None
+        self._beyond_since: float | None = None
+        self.open = False
+
+    def update(self, time: float, error: tuple[float, float] | None) -> bool:
+        """Takes the error at a time (s): translation in mm and rotation in degrees, or None where nothing is seen."""
+        limits = self._settings
+        within = error is not None and error[0] <= limits.on_mm and error[1] <= limits.on_deg
+        beyond = error is None or error[0] > limits.off_mm or error[1] > limits.off_deg
+        self._within_since = _since(self._within_since, time) if within else None
+        self._beyond_since = _since(self._beyond_since, time) if beyond else None
+        if self._within_since is not None and time - self._within_since >= limits.on_time:
+            self.open = True
+        if self._beyond_since is not None and time - self._beyond_since >= limits.off_time:
+            self.open = False
+        return self.open
+
+
+def _since(begun: float | None, time: float) -> float:
+    return time if begun is None else begun
+
+
+class AlignmentWatch:
+    """Follows the tracker's frames, posts ``within`` and ``outside``, and shows the error in the snapshot.
+
+    The error is that of the newest frame, tool against body in the same exposure: it is as old as the tracker's
+    latency, and its noise counts as error.
+
+    Args:
+        act: On whose behalf.
+    """
+
+    def __init__(self, act: Activity) -> None:
+        self._act = act
+        self._gate = AlignmentGate(act.cell.settings.alignment)
+        self._error: tuple[float, float] | None = None
+        self._seen = self._asked = self._shown = -math.inf
+
+    def take(self, frame: Exposure, measured_from_desired: Transform) -> None:
+        """Takes the error of a frame."""
+        self._error, self._seen = size_of(measured_from_desired), frame["coil"].captured
+
+    def look(self, **values: Any) -> None:
+        """Decides on what is known now; `values` are shown beside the error."""
+        act, now = self._act, self._act.clock.monotonic()
+        if now - self._seen > act.cell.settings.following.longest_gap:
+            self._error = None
+        aligned = self._gate.update(now, self._error)
+        if aligned != (act.states["alignment"] == "1") and now - self._asked >= ASK_EVERY:
+            self._asked = now
+            act.post("alignment", "within" if aligned else "outside")
+        if now - self._shown >= SHOW_EVERY:
+            self._shown = now
+            error_mm, error_deg = self._error or (None, None)
+            act.show(error_mm=_rounded(error_mm), error_deg=_rounded(error_deg), **values)
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 2)
+
+
+def desired_in_body_ref(cell: Cell, data: PlacementData) -> Transform | None:
+    """``body_ref_from_coil`` as planned and nudged; None where there is no registration or plan any more."""
+    if data.registered is None or data.plan is None:
+        return None
+    return as_transform(data.registered.body_ref_from_image) @ target(data, cell.settings.placement.confirm_offset)
+
+
+def measured_from_desired(frame: Exposure, body_ref_from_coil: Transform) -> Transform:
+    """What the tool's pose is wrong by in a frame, along its own axes."""
+    tracker_from_desired = frame["body_ref"].tracker_from_body @ body_ref_from_coil
+    return frame["coil"].tracker_from_body.inverse() @ tracker_from_desired
+
+
+async def watch_alignment(act: Activity) -> None:
+    """Watches a tool that stands at the body, until it is told to end; a hidden tool or body is no alignment."""
+    watch, number = AlignmentWatch(act), 0
+    while True:
+        desired = desired_in_body_ref(act.cell, act.data)
+        for frame in act.cell.poses.frames_after(number, BODIES)[-1:]:
+            number = frame["coil"].frame_number
+            if desired is not None:
+                watch.take(frame, measured_from_desired(frame, desired))
+        watch.look()
+        await act.clock.sleep(LOOK_EVERY)
+
+
+def seen_by_present_watch(run: Run) -> None:
+    """Refuses an event that has waited until another activity watches: what it tells was seen before."""
+    if run.command.source != f"activity:{WATCHING[run.states['placement']]}":
+        text = f"{run.command.source} does not watch the tool any more: it is {run.states['placement']}."
+        raise RefusalError("not_watching", text, source=run.command.source)
+
+
+def register_alignment(registry: Registry[Cell, PlacementData]) -> None:
+    """Registers the names that blueprints use for this activity and check."""
+    registry.check(seen_by_present_watch)
+    registry.activity(watch_alignment)

@@ -1,0 +1,119 @@
+"""Pressing the tool gently on the body, along its own axis."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from pcmrs.dispatcher import Registry
+from pcmrs.dispatcher import Run as AnyRun
+from pcmrs.errors import RefusalError
+from pcmrs.messages import JointTrajectory, MotionResult, PressRequest
+from pcmrs.spatial import Frame
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData, Point, as_point
+from pcmrs.workflows.guard import guarded
+from pcmrs.workflows.paths import along_axis
+from pcmrs.workflows.placement import check_nudges, nudge_of, planned
+from pcmrs.workflows.settings import PressForce
+from pcmrs.workflows.ways import check_towards, straight_way
+
+Run = AnyRun[Cell, PlacementData]
+
+LEAST_TRAVEL = 0.001
+"""Less is not worth pressing, m."""
+
+ROUNDING = 1e-4
+"""So far a press stays short of the deepest place, m: the joints are measured."""
+
+ENDINGS = {
+    "no_contact": "The tool met nothing on its way of {travel:.1f} mm. Plan or nudge it nearer to the body.",
+    "travel_limit": "After {travel:.1f} mm the force was {force:.1f} N, not {asked:g} N. Look at what gives way.",
+    "timeout": "When the time was up the force was {force:.1f} N, not steadily {asked:g} N. Look at the tool.",
+    "force_limit": "The force on the tool exceeded the robot's limit, and the arm was held. Look at the tool.",
+}
+"""What is said where the robot did not press as asked, by its reason."""
+
+
+class Press(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Arguments of `press`: the force, N; the configured one where it is left out."""
+
+    force: PressForce | None = None
+
+
+def press_possible(run: Run) -> None:
+    """Prepares a press; refuses it where its whole travel would pass a zone, or exceed what nudges may add up to."""
+    cell, contact = run.cell, run.cell.settings.contact
+    base_from_target = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE) @ planned(run.data)
+    base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
+    travel = _allowed_travel(cell, float((base_from_target.inverse() @ base_from_coil.translation)[2]))
+    check_nudges(run, _nudged_by(run.data, travel), run.data.nudge_rotation_zyx)
+    way = straight_way(run, cell.posture(), base_from_coil @ along_axis(-travel), near=True)
+    check_towards(cell, run.data, way, base_from_target)
+    request = PressRequest(
+        force=contact.force if run.payload.force is None else run.payload.force,
+        direction_in_flange=as_point(-cell.flange_from_coil.rotation[:, 2]),
+        travel=travel,
+        speed=contact.speed,
+        timeout=contact.timeout,
+    )
+    run.prepared = request, way
+
+
+async def press_gently(run: Run) -> None:
+    """Presses, and tells the force and how far the tool went. That way is a nudge: the pressed pose is the aim now.
+
+    Raises:
+        RefusalError: Nothing was there, or the force was not reached or too great.
+    """
+    cell = run.cell
+    request, way = run.prepared
+    async with guarded(cell, way):
+        ended = await cell.robot.press(request)
+    travel = _travel(cell, way, ended)
+    run.result |= {"force": ended.force, "asked": request.force, "travel": travel}
+    if ended.outcome != "done":
+        raise _not_pressed(request, ended, travel)
+    run.keep(nudge_translation=_nudged_by(run.data, travel))
+    await run.clock.sleep(cell.settings.placement.settle_time)
+
+
+def _allowed_travel(cell: Cell, height: float) -> float:
+    """The configured travel, or as much as is left of the depth, of a tool `height` (m) above the target, m."""
+    contact, limit = cell.settings.contact, cell.settings.zones.depth_limit
+    left = height + limit - ROUNDING
+    if left < LEAST_TRAVEL:
+        text = (
+            f"The tool is {-height * 1000:.1f} mm beyond the target, and may go no deeper than {limit * 1000:g} mm. "
+            "Nudge it away from the body, or plan another pose."
+        )
+        raise RefusalError("too_deep", text, height=height, limit=limit)
+    return min(contact.travel, left)
+
+
+def _nudged_by(data: PlacementData, travel: float) -> Point:
+    """The sum of nudges after a way towards the body along the axis of the nudged tool, m."""
+    return as_point(nudge_of(data.nudge_translation, data.nudge_rotation_zyx) @ np.array([0.0, 0.0, -travel]))
+
+
+def _travel(cell: Cell, way: JointTrajectory, ended: MotionResult) -> float:
+    """How far the tool went along its axis towards the body, by the joints, m."""
+    before = cell.arm.forward(way.positions[0]) @ cell.flange_from_coil
+    after = cell.arm.forward(ended.positions) @ cell.flange_from_coil
+    return -float((before.inverse() @ after.translation)[2])
+
+
+def _not_pressed(request: PressRequest, ended: MotionResult, travel: float) -> RefusalError:
+    force = 0.0 if ended.force is None else ended.force
+    reason = ended.reason or "held"
+    text = ENDINGS.get(reason, f"The press was stopped: {reason}.")
+    told = text.format(travel=travel * 1000.0, force=force, asked=request.force)
+    code = reason if reason in ENDINGS else "motion_stopped"
+    return RefusalError(code, told, force=force, asked=request.force, travel=travel, limit=request.travel)
+
+
+def register_contact_operations(registry: Registry[Cell, PlacementData]) -> None:
+    """Registers the names that blueprints use for pressing."""
+    registry.payload("press", Press)
+    registry.check(press_possible)
+    registry.world_step(press_gently)

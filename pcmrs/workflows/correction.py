@@ -1,0 +1,89 @@
+"""The closed loop of a placement: the command is corrected by the tracker until the tool is where it should be."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pcmrs.dispatcher import Registry
+from pcmrs.dispatcher import Run as AnyRun
+from pcmrs.errors import RefusalError
+from pcmrs.spatial import Transform
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.motion import follow, measure_coil
+from pcmrs.workflows.placement import target
+from pcmrs.workflows.settings import PlacementSettings
+from pcmrs.workflows.ways import straight_way
+
+Run = AnyRun[Cell, PlacementData]
+
+
+async def correct_from_tracker(run: Run) -> None:
+    """Corrects the command by what the tracker sees until that is within tolerance: the arm errs alike so near.
+
+    Each round measures at rest and moves the command, not the measured pose, by what is left; all are in the result.
+
+    Raises:
+        RefusalError: A correction is too large to be one, or the rounds do not bring the tool within tolerance.
+    """
+    cell, limits = run.cell, run.cell.settings.placement
+    commanded = run.prepared.positions[-1]
+    rounds: list[dict[str, float]] = []
+    run.result["corrections"] = rounds
+    while True:
+        image_from_measured = await measure_coil(run)
+        measured_from_desired = image_from_measured.inverse() @ target(run.data, limits.confirm_offset)
+        shift_mm, turn_deg = size_of(measured_from_desired)
+        rounds.append({"shift_mm": shift_mm, "turn_deg": turn_deg})
+        check_correctable(measured_from_desired, limits)
+        if _decided(rounds, limits):
+            return
+        goal = cell.arm.forward(commanded) @ cell.flange_from_coil @ measured_from_desired
+        correction = straight_way(run, commanded, goal, near=True)
+        await follow(run, correction)
+        commanded = correction.positions[-1]
+
+
+def check_correctable(measured_from_desired: Transform, limits: PlacementSettings) -> None:
+    """Refuses a correction that is too large to be one. Raises `RefusalError`."""
+    shift_mm, turn_deg = size_of(measured_from_desired)
+    if shift_mm > limits.correction_limit_mm or turn_deg > limits.correction_limit_deg:
+        text = (
+            f"The tracker sees the tool {_told(shift_mm, turn_deg)} from where it should be; the limits are "
+            f"{limits.correction_limit_mm:g} mm and {limits.correction_limit_deg:g}°. Check the calibration, and "
+            "whether the body has moved."
+        )
+        raise RefusalError("correction_too_large", text, shift_mm=shift_mm, turn_deg=turn_deg)
+
+
+def size_of(measured_from_desired: Transform) -> tuple[float, float]:
+    """Translation in mm and rotation in degrees."""
+    shift, turn = np.linalg.norm(measured_from_desired.translation), np.linalg.norm(measured_from_desired.rotvec)
+    return float(shift) * 1000.0, math.degrees(float(turn))
+
+
+def _told(shift_mm: float, turn_deg: float) -> str:
+    return f"{shift_mm:.2f} mm and {turn_deg:.2f}°"
+
+
+def _decided(rounds: list[dict[str, float]], limits: PlacementSettings) -> bool:
+    """Whether the tool is within tolerance after these rounds. Raises `RefusalError` where no other is worth it."""
+    last, before = rounds[-1], rounds[-2:][0]
+    if last["shift_mm"] <= limits.tolerance_mm and last["turn_deg"] <= limits.tolerance_deg:
+        return True
+    grows = last["shift_mm"] > before["shift_mm"] + limits.tolerance_mm
+    if grows or last["turn_deg"] > before["turn_deg"] + limits.tolerance_deg or len(rounds) > limits.corrections:
+        text = (
+            f"After {len(rounds) - 1} corrections the tracker sees the tool {_told(**last)} from where it should be; "
+            f"the tolerance is {limits.tolerance_mm:g} mm and {limits.tolerance_deg:g}°. Look whether the body keeps "
+            "still, then back off."
+        )
+        raise RefusalError("not_converged", text, corrections=rounds)
+    return False
+
+
+def register_correction_steps(registry: Registry[Cell, PlacementData]) -> None:
+    """Registers the names that blueprints use for these steps."""
+    registry.world_step(correct_from_tracker)

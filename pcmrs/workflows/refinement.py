@@ -1,0 +1,147 @@
+"""Points of the skin, and the registration that they refine."""
+
+from __future__ import annotations
+
+from pathlib import PureWindowsPath
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from pcmrs.dispatcher import Registry
+from pcmrs.dispatcher import Run as AnyRun
+from pcmrs.errors import ConfigurationError, RefusalError
+from pcmrs.formats.mesh import Mesh
+from pcmrs.registration.surface import refine_with_surface
+from pcmrs.workflows.accuracy import learn_noise
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData, Point, as_point
+from pcmrs.workflows.reference import check_reference
+from pcmrs.workflows.registering import judge_landmarks, put_in_force
+from pcmrs.workflows.surface import read_surface
+from pcmrs.workflows.touching import touch
+
+Run = AnyRun[Cell, PlacementData]
+
+
+class SurfacePoints(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Arguments of `digitize_surface`: how many points, one after the other."""
+
+    points: Annotated[int, msgspec.Meta(ge=1, le=100)] = 1
+
+
+class SurfaceName(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Arguments of `refine`: the file of the surface, by its base name; None for the configured one."""
+
+    surface: str | None = None
+
+
+async def digitize_surface_points(run: Run) -> None:
+    """Has points of the skin touched; all of them, or none is kept."""
+    count, points = run.payload.points, list[Point]()
+    before = len(run.data.surface)
+    for number in range(count):
+        run.progress(number / count)
+        touched = await touch(run, run.cell.pointer.touch_surface(), f"point {before + number + 1} of the skin")
+        check_reference(run.cell, run.data.reference, touched.since)
+        points.append(as_point(touched.point))
+    run.keep(surface=(*run.data.surface, *points))
+    _tell_count(run)
+
+
+def surface_point_there(run: Run) -> None:
+    """Refuses where no point of the skin is left to clear."""
+    if not run.data.surface:
+        raise RefusalError("no_surface_points", "No point of the skin has been digitized: there is none to clear.")
+
+
+def drop_last_surface_point(run: Run) -> None:
+    """Takes back the point touched last."""
+    run.keep(surface=run.data.surface[:-1])
+    _tell_count(run)
+
+
+def drop_surface_points(run: Run) -> None:
+    """Takes back all points of the skin."""
+    run.keep(surface=())
+    _tell_count(run)
+
+
+def surface_refines(run: Run) -> None:
+    """Registers the landmarks, refines that by the points of the skin, and refuses what is not better at the target.
+
+    Raises:
+        RefusalError: A gate of the landmarks' registration does not pass, there is no such surface, or one of
+            `refine_with_surface`, such as ``tre_not_lowered``.
+    """
+    fit, told = judge_landmarks(run)
+    data, settings = run.data, run.cell.settings.registration
+    mesh = _surface(run)
+    landmarks = np.array([landmark.position for landmark in data.landmarks])
+    refined = refine_with_surface(
+        fit.fixed_from_moving,
+        landmarks,
+        data.complete_digitization(),
+        told["sigma"],
+        mesh.vertices,
+        mesh.faces,
+        np.array(data.surface).reshape(-1, 3),
+        settings.surface_sigma_mm / 1000.0,
+        told["target"]["position"],
+        settings.surface_trim,
+    )
+    run.result |= {
+        "landmarks": told,
+        "tre_before": refined.tre_before,
+        "tre": refined.tre_after,
+        "target": told["target"],
+        "points": len(data.surface),
+        "inliers": int(refined.inliers.sum()),
+        "surface_rms": refined.rms,
+    }
+    run.prepared = fit, refined
+
+
+def keep_refined_registration(run: Run) -> None:
+    """Puts the refined registration in force; the noise is what the landmarks alone have left over."""
+    fit, refined = run.prepared
+    noise = learn_noise(run.cell, run.data, fit.distances)
+    put_in_force(run, refined.body_ref_from_image, noise=noise, covariance=refined.covariance.ravel().tolist())
+
+
+def _surface(run: Run) -> Mesh:
+    """The surface asked for, or the configured one.
+
+    A path that a client gives is one of its own machine, Windows or not: only the base name says anything here.
+    """
+    settings, asked = run.cell.settings, run.payload.surface
+    if asked is not None:
+        name = PureWindowsPath(asked).name
+        if not name:
+            raise RefusalError("unknown_surface", f"{asked!r} names no file of a surface.", surface=asked)
+        if name != PureWindowsPath(settings.body.surface).name:
+            body = msgspec.structs.replace(settings.body, surface=name)
+            settings = msgspec.structs.replace(settings, body=body)
+    try:
+        mesh = read_surface(settings)
+    except ConfigurationError as error:
+        raise RefusalError("unknown_surface", error.text, **error.fields) from None
+    if mesh is None:
+        text = "There is no surface of the body to refine by: set procedure.body.surface, or name one."
+        raise RefusalError("unknown_surface", text)
+    return mesh
+
+
+def _tell_count(run: Run) -> None:
+    run.result["points"] = len(run.data.surface)
+
+
+def register_refinement_operations(registry: Registry[Cell, PlacementData]) -> None:
+    """Registers the names that blueprints use for these checks and steps."""
+    registry.payload("surface_points", SurfacePoints)
+    registry.payload("surface_name", SurfaceName)
+    for check in (surface_point_there, surface_refines):
+        registry.check(check)
+    registry.world_step(digitize_surface_points)
+    for step in (drop_last_surface_point, drop_surface_points, keep_refined_registration):
+        registry.step(step)

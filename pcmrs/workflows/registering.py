@@ -1,0 +1,147 @@
+"""Registering the digitized landmarks, and taking an earlier registration back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from pcmrs.dispatcher import Registry
+from pcmrs.dispatcher import Run as AnyRun
+from pcmrs.errors import RefusalError
+from pcmrs.registration import Gate, PointRegistration, RegistrationVerdict, judge
+from pcmrs.spatial import Transform
+from pcmrs.workflows.accuracy import learn_noise, limits_in_force
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData, Point, Registered, as_message, as_point
+from pcmrs.workflows.landmarks import check_same_head
+from pcmrs.workflows.reference import LATELY, check_reference
+
+Run = AnyRun[Cell, PlacementData]
+
+
+def registration_accepted(run: Run) -> None:
+    """Registers, and refuses what does not pass every gate of the verdict."""
+    run.prepared, told = judge_landmarks(run)
+    run.result |= told
+
+
+def judge_landmarks(run: Run) -> tuple[PointRegistration, dict[str, Any]]:
+    """The registration of the digitized landmarks, and what to tell of it.
+
+    The target is the planned pose while a plan is in force, otherwise the centroid of the landmarks.
+
+    Raises:
+        RefusalError: A gate does not pass: its name is the code.
+    """
+    data, limits = run.data, limits_in_force(run.cell, run.data)
+    planned = np.array([landmark.position for landmark in data.landmarks])
+    names = [landmark.name for landmark in data.landmarks]
+    target = _planned_position(run)
+    verdict = judge(planned, data.complete_digitization(), limits, names=names, target=target)
+    registration = verdict.registration
+    if registration is None or not verdict.accepted:
+        raise _refused(verdict, names)
+    at, position = ("centroid", as_point(planned.mean(axis=0))) if target is None else ("plan", target)
+    return registration, {
+        "residual": registration.residual,
+        "rms": registration.rms,
+        "distances": registration.distances.tolist(),
+        "limit": limits.residual,
+        "tre": verdict.tre,
+        "target": {"at": at, "position": position},
+        "sigma": limits.sigma,
+        "gates": [_told(gate) for gate in verdict.gates],
+        "witness": data.reference is not None,
+    }
+
+
+def _planned_position(run: Run) -> Point | None:
+    """Of the plan in force, in the image, m; None where none is."""
+    plan = run.data.plan
+    return plan.position if plan is not None and run.states.get("toolplan", "1") == "1" else None
+
+
+def keep_registration(run: Run) -> None:
+    """Puts the registration in force, and learns from what it has left over."""
+    fit = run.prepared
+    noise = learn_noise(run.cell, run.data, fit.distances)
+    put_in_force(run, fit.fixed_from_moving, noise=noise)
+
+
+def put_in_force(run: Run, body_ref_from_image: Transform, *, noise: dict[str, Any], covariance: Any = ()) -> None:
+    """Makes a registration of the present digitization the one in force."""
+    data = run.data
+    fixed, moving = np.array(data.complete_digitization()), np.array([each.position for each in data.landmarks])
+    distances = np.linalg.norm(body_ref_from_image @ moving - fixed, axis=1)
+    registered = Registered(
+        id=f"registration-{run.command.id}",
+        body_ref_from_image=as_message(body_ref_from_image),
+        residual=float(distances.mean()),
+        rms=float(np.sqrt(np.mean(distances**2))),
+        landmarks=data.landmarks,
+        digitized=data.complete_digitization(),
+        patient=run.cell.settings.patient,
+        calibration=run.cell.calibration_id,
+        reference=data.reference,
+        covariance=tuple(covariance),
+    )
+    run.keep(registered=registered, registration_id=registered.id, previous=registered, noise=noise)
+
+
+def previous_registration_fits(run: Run) -> None:
+    """Refuses a previous registration of another patient or calibration, or of a reference that has moved since."""
+    previous = _previous(run)
+    check_same_head(run, previous.patient, previous.calibration)
+    check_reference(run.cell, previous.reference, run.clock.monotonic() - LATELY)
+
+
+def take_previous_registration(run: Run) -> None:
+    """Puts the previous registration in force, with the landmarks it rests on."""
+    previous = _previous(run)
+    registered = msgspec.structs.replace(previous, id=f"registration-{run.command.id}")
+    run.keep(
+        registered=registered,
+        registration_id=registered.id,
+        previous=registered,
+        landmarks=previous.landmarks,
+        digitized=previous.digitized,
+        reference=previous.reference,
+        surface=(),
+    )
+    run.result |= {"residual": previous.residual, "witness": previous.reference is not None}
+
+
+def _previous(run: Run) -> Registered:
+    previous = run.data.previous
+    if previous is None:
+        raise RefusalError("no_previous_registration", "No registration was accepted before: register first.")
+    return previous
+
+
+def _told(gate: Gate) -> dict[str, Any]:
+    return {"name": gate.name, "accepted": gate.accepted, "value": gate.value, "limit": gate.limit}
+
+
+def _refused(verdict: RegistrationVerdict, names: list[str]) -> RefusalError:
+    """The refusal of the first gate that does not pass; its fields are the values of it and of the registration."""
+    gate = next(gate for gate in verdict.gates if not gate.accepted)
+    fields: dict[str, Any] = {"value": gate.value, "limit": gate.limit}
+    fields["gates"] = [_told(each) for each in verdict.gates]
+    if verdict.registration is not None:
+        worst = names[int(np.argmax(verdict.registration.distances))]
+        fields |= {"residual": verdict.registration.residual, "worst": worst}
+    if verdict.suspect is not None:
+        fields["suspect"] = names[verdict.suspect]
+    if verdict.permutation is not None:
+        fields["order"] = [names[index] for index in verdict.permutation]
+    return RefusalError(gate.name, gate.text, **fields)
+
+
+def register_registration_operations(registry: Registry[Cell, PlacementData]) -> None:
+    """Registers the names that blueprints use for these checks and steps."""
+    for check in (registration_accepted, previous_registration_fits):
+        registry.check(check)
+    for step in (keep_registration, take_previous_registration):
+        registry.step(step)

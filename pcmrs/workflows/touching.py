@@ -1,0 +1,75 @@
+"""Touching something with the pointer: where its tip was, and how still it was held."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from pcmrs.dispatcher import Run as AnyRun
+from pcmrs.errors import PcmrsError, RefusalError
+from pcmrs.registration import spread_of
+from pcmrs.spatial import Floats
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData
+
+Run = AnyRun[Cell, PlacementData]
+
+FRAMES_TIME = 5.0
+"""The frames of a touch come within this, s, or pointer or reference are not seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Touched:
+    """One touch.
+
+    Attributes:
+        point: Mean of the tip over the frames, in body_ref, m, (3,).
+        spread: Root mean square distance of the frames from it, m.
+        since: When the first frame was captured at the earliest, s of the clock.
+    """
+
+    point: Floats
+    spread: float
+    since: float
+
+
+async def touch(run: Run, asked: Awaitable[None], what: str) -> Touched:
+    """Waits until the person holds the tip on something, and measures where it is.
+
+    Args:
+        run: The operation.
+        asked: The request to the pointer; it ends when the person says so.
+        what: Is touched, for texts.
+
+    Raises:
+        RefusalError: It is not touched in time, pointer or reference are not seen, or the samples spread too far.
+    """
+    cell, settings = run.cell, run.cell.settings.registration
+    try:
+        async with run.clock.timeout(settings.touch_timeout_s):
+            await asked
+        since = run.clock.monotonic()
+        frames = await cell.poses.collect(["body_ref", "pointer"], settings.samples, timeout=FRAMES_TIME)
+    except TimeoutError:
+        text = f"{what} was not touched within {settings.touch_timeout_s:g} s; ask for it again."
+        raise RefusalError("not_touched", text, limit=settings.touch_timeout_s) from None
+    finally:
+        with suppress(PcmrsError):  # the touch's own failure is the one to report
+            await cell.pointer.release()
+    tip = cell.pointer_from_tip.translation
+    tips = np.array([frame["body_ref"].inverse() @ (frame["pointer"] @ tip) for frame in frames])
+    return Touched(tips.mean(axis=0), _held_still(spread_of(tips), settings.spread_limit_mm, what), since)
+
+
+def _held_still(spread: float, limit_mm: float, what: str) -> float:
+    limit = limit_mm / 1000.0
+    if not spread <= limit:
+        text = (
+            f"The samples of {what} spread {spread * 1000:.2f} mm, the limit is {limit_mm:.2f} mm. Hold the pointer "
+            "still and touch it again."
+        )
+        raise RefusalError("spread_too_large", text, spread=spread, limit=limit)
+    return spread

@@ -1,0 +1,135 @@
+"""Ways past the zones: refused where they come too near, and slower near the body."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from pcmrs.dispatcher import Run as AnyRun
+from pcmrs.errors import RefusalError
+from pcmrs.kinematics.pace import Allowed
+from pcmrs.kinematics.passage import Violation
+from pcmrs.kinematics.trajectory import joint_motion, straight_motion
+from pcmrs.messages import JointTrajectory
+from pcmrs.spatial import Floats, Transform
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData
+
+P = TypeVar("P", bound=PlacementData)
+
+ELSEWHERE = "Go home first, or plan another pose."
+BACK = "Bring the arm away by hand, with the robot's own controls."
+
+
+def check_towards(cell: Cell, data: PlacementData, trajectory: JointTrajectory, base_from_target: Transform) -> None:
+    """Accepts a way to the body; `base_from_target` is the planned pose of the tool.
+
+    Raises:
+        RefusalError: It passes a zone, comes near the body away from the target, or to the target beside the cone or
+            too deep.
+    """
+    arrange(cell, data)
+    passage = cell.zones.look_at(trajectory.positions)
+    points = np.array([cell.arm.forward(q) @ cell.flange_from_coil.translation for q in passage.postures])
+    limits = cell.zones.limits_towards(base_from_target, points)
+    _refuse(passage.first_violation(cell.zones.model, limits), ELSEWHERE)
+    _check_inside_cone(cell, passage.postures, points, base_from_target)
+
+
+def check_away(cell: Cell, data: PlacementData, trajectory: JointTrajectory) -> None:
+    """Accepts a way back: where it begins too near to a zone, it may only lead out.
+
+    Raises:
+        RefusalError: It leads into a zone.
+    """
+    arrange(cell, data)
+    passage = cell.zones.look_at(trajectory.positions)
+    _refuse(passage.first_approach(cell.zones.model, cell.zones.retreat_limits), BACK)
+
+
+def check_postures(cell: Cell, *postures: Floats) -> None:
+    """Refuses postures in a zone, rad, (n,) each; the zones are where `arrange` has placed them last."""
+    for posture in postures:
+        _refuse(cell.zones.look_at([posture]).first_violation(cell.zones.model, cell.zones.limits), ELSEWHERE)
+
+
+def arrange(cell: Cell, data: PlacementData) -> None:
+    """Places body and lines of sight where they are seen now, or were seen last."""
+    with suppress(RefusalError):
+        cell.frames(data)
+    if data.registered is not None:
+        cell.remember_registered(data.registered)
+    if cell.base_from_tracker is not None and cell.base_from_body_ref is not None:
+        cell.zones.model.look_from(cell.base_from_tracker.translation, cell.base_from_body_ref.translation)
+    if cell.base_from_body_ref is not None and cell.body_ref_from_image is not None:
+        cell.zones.place_body(cell.base_from_body_ref @ cell.body_ref_from_image)
+
+
+def joint_way(run: AnyRun[Cell, P], start: npt.ArrayLike, goal: npt.ArrayLike) -> JointTrajectory:
+    """All joints together from rest to rest, rad, (n,), slower near the body.
+
+    Raises:
+        UnreachableError: `goal` breaks a joint limit.
+    """
+    cell = run.cell
+    arrange(cell, run.data)
+    limits, coil, allowed = cell.motion_limits(), cell.flange_from_coil, _allowed(cell)
+    return joint_motion(cell.arm, start, goal, limits, flange_from_tool=coil, allowed=allowed)
+
+
+def straight_way(
+    run: AnyRun[Cell, P], start: npt.ArrayLike, base_from_coil: Transform, *, near: bool = False
+) -> JointTrajectory:
+    """The tool straight from joint positions, rad, (n,), to a pose, slower near the body, or slow all the way.
+
+    Raises:
+        UnreachableError: The arm cannot follow the line to its end.
+    """
+    cell = run.cell
+    arrange(cell, run.data)
+    limits, motion = cell.motion_limits(), cell.settings.motion
+    if near:
+        limits = replace(limits, linear_velocity=min(limits.linear_velocity, motion.near_velocity))
+    goal, coil = cell.flange_for(base_from_coil), cell.flange_from_coil
+    return straight_motion(cell.arm, start, goal, limits, flange_from_tool=coil, allowed=_allowed(cell))
+
+
+def _allowed(cell: Cell) -> Allowed:
+    motion = cell.settings.motion
+
+    def allowed(postures: Floats) -> Floats:
+        near = cell.zones.near_body(postures, motion.near_distance)
+        return np.where(near, motion.near_velocity, motion.linear_velocity)
+
+    return allowed
+
+
+def _refuse(violation: Violation | None, advice: str) -> None:
+    if violation is None:
+        return
+    found = violation.clearance
+    joints_deg = np.degrees(violation.posture).round(1).tolist()
+    text = (
+        f"{found.link} would be {found.distance * 1000:.0f} mm from {found.zone}, the limit is "
+        f"{found.limit * 1000:.0f} mm, with the joints at {joints_deg}°. {advice}"
+    )
+    fields = {"link": found.link, "zone": found.zone, "distance": found.distance, "limit": found.limit}
+    raise RefusalError("zone_violated", text, **fields, joints_deg=joints_deg)
+
+
+def _check_inside_cone(cell: Cell, postures: Floats, points: Floats, base_from_target: Transform) -> None:
+    excess = cell.zones.cone.excess(base_from_target, points)
+    worst = int(np.argmax(excess))
+    if excess[worst] > 0.0:
+        x, y, z = (base_from_target.inverse() @ points[worst]).tolist()
+        zones, joints_deg = cell.settings.zones, np.degrees(postures[worst]).round(1).tolist()
+        text = (
+            f"The tool point would be {np.hypot(x, y) * 1000:.0f} mm beside the planned axis, {z * 1000:.0f} mm above "
+            f"the target, {excess[worst] * 1000:.0f} mm outside the cone of {zones.cone_half_angle_deg:g}° in which "
+            f"the tool comes to the body, with the joints at {joints_deg}°. {ELSEWHERE}"
+        )
+        raise RefusalError("outside_cone", text, excess=float(excess[worst]), height=z, joints_deg=joints_deg)

@@ -1,0 +1,105 @@
+"""The zones of a cell: laid out by its settings, placed by what is seen of body and tracker."""
+
+from __future__ import annotations
+
+from math import hypot, radians
+
+import numpy as np
+import numpy.typing as npt
+
+from pcmrs.kinematics.arms import ArmFacts
+from pcmrs.kinematics.collision import box, hull
+from pcmrs.kinematics.cone import ApproachCone
+from pcmrs.kinematics.passage import BOUND, Passage, look_at
+from pcmrs.kinematics.zones import SIGHT_OF_BODY, SIGHT_OF_TOOL, ToolShape, Zone, ZoneModel
+from pcmrs.spatial import Floats, Transform
+from pcmrs.workflows.settings import ProcedureSettings, ToolSettings, ZoneSettings
+from pcmrs.workflows.surface import read_surface
+
+BODY = "body"
+
+
+class CellZones:
+    """What the arm keeps out of in one cell.
+
+    Args:
+        facts: The arm.
+        flange_from_coil: Where the tool is.
+        settings: Of the procedure.
+
+    Attributes:
+        model: Computes the distances.
+        limits: Distance that each pair of `model` keeps, m, (P,); tool and mount may touch the body.
+        limits_afar: The same away from the target, where these keep off the body as all links do.
+        retreat_limits: The same on the way back, for which nothing need be seen.
+        cone: Through which the tool comes to its target.
+
+    Raises:
+        ConfigurationError: The body's surface is not there, or another patient's.
+        FileFormatError: It is no mesh.
+        GeometryError: It encloses nothing.
+    """
+
+    def __init__(self, facts: ArmFacts, flange_from_coil: Transform, settings: ProcedureSettings) -> None:
+        zones = settings.zones
+        self._facts = facts
+        self._tool_reach = _tool_reach(flange_from_coil, zones.tool)
+        self.model = ZoneModel(
+            facts,
+            flange_from_coil,
+            ToolShape(zones.tool.radius, zones.tool.half_length),
+            _zones(settings),
+            link_margin=zones.link_margin,
+            sight_radius=zones.sight_radius,
+        )
+        for fixed in zones.boxes:
+            self.model.place(fixed.name, Transform.identity())
+        self.limits = self.model.limits
+        sights = self.model.of_zone(SIGHT_OF_TOOL) | self.model.of_zone(SIGHT_OF_BODY)
+        self.retreat_limits = np.where(sights, -np.inf, self.limits)
+        self._of_body = self.model.of_zone(BODY)
+        self.limits_afar = np.where(self._of_body, zones.body_margin, self.limits)
+        self.cone = _cone(zones, settings.placement.nudge_limit_mm / 1000.0)
+
+    def place_body(self, base_from_image: Transform) -> None:
+        """Takes where the body is; without a surface that matters to nothing."""
+        if self._of_body.any():
+            self.model.place(BODY, base_from_image)
+
+    def look_at(self, positions: npt.ArrayLike) -> Passage:
+        """A motion past the zones: joint positions rad, (N, n)."""
+        return look_at(self.model, self._facts, self._tool_reach, positions)
+
+    def limits_towards(self, base_from_target: Transform, points: Floats) -> Floats:
+        """Distance that each pair keeps with the tool at points (L, 3) in the base on its way to a target, m, (L, P).
+
+        The tool may touch the body as near to the target as the cone holds.
+        """
+        near = np.linalg.norm(points - base_from_target.translation, axis=1) < self.cone.height
+        return np.where(near[:, None], self.limits, self.limits_afar)
+
+    def near_body(self, postures: Floats, distance: float) -> npt.NDArray[np.bool_]:
+        """At which joint positions rad, (K, n), arm or tool are nearer to the body than `distance`, m, (K,)."""
+        if not self._of_body.any():
+            return np.zeros(len(postures), dtype=bool)
+        nearest = np.array([self.model.distances(q)[self._of_body].min() for q in postures])
+        return nearest - BOUND < distance
+
+
+def _tool_reach(flange_from_tool: Transform, tool: ToolSettings) -> float:
+    """No point of the tool is farther from the flange, whichever way its axis points, m."""
+    return float(np.linalg.norm(flange_from_tool.translation)) + hypot(tool.radius, 2.0 * tool.half_length)
+
+
+def _zones(settings: ProcedureSettings) -> list[Zone]:
+    margins = settings.zones
+    found = [Zone(b.name, box(b.size, b.pose.transform()), margins.box_margin) for b in margins.boxes]
+    surface = read_surface(settings)
+    if surface is not None:
+        found.append(Zone(BODY, hull(surface.vertices), margins.body_margin, tool_may_touch=True))
+    return found
+
+
+def _cone(zones: ZoneSettings, radius: float) -> ApproachCone:
+    """As wide at the target as nudges may add up to, since they belong to the plan."""
+    return ApproachCone(radians(zones.cone_half_angle_deg), zones.cone_height, radius, zones.depth_limit)

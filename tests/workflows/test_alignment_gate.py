@@ -1,0 +1,86 @@
+"""When the tool counts as aligned: two thresholds, each for its time, and nothing in between changes it."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pcmrs.workflows.alignment import AlignmentGate
+from pcmrs.workflows.settings import AlignmentSettings
+
+LIMITS = AlignmentSettings()
+PERIOD = 0.02
+
+Error = tuple[float, float] | None
+WITHIN: Error = (0.9, 1.9)
+BETWEEN: Error = (1.2, 2.5)
+FAR: Error = (1.6, 0.0)
+TURNED: Error = (0.0, 3.1)
+
+errors = st.none() | st.tuples(st.floats(0.0, 3.0), st.floats(0.0, 6.0))
+courses = st.lists(st.tuples(errors, st.integers(1, 40)), max_size=12)
+
+
+def run(gate: AlignmentGate, stretches: list[tuple[Error, int]]) -> tuple[list[Error], list[bool]]:
+    """Errors and answers at every look, each error for a number of looks."""
+    seen = [error for error, looks in stretches for _ in range(looks)]
+    return seen, [gate.update(number * PERIOD, error) for number, error in enumerate(seen)]
+
+
+def within(error: Error) -> bool:
+    return error is not None and error[0] <= LIMITS.on_mm and error[1] <= LIMITS.on_deg
+
+
+def beyond(error: Error) -> bool:
+    return error is None or error[0] > LIMITS.off_mm or error[1] > LIMITS.off_deg
+
+
+@given(courses)
+def test_it_opens_and_closes_only_after_its_time_and_then_always(stretches: list[tuple[Error, int]]) -> None:
+    seen, answers = run(AlignmentGate(LIMITS), stretches)
+    on, off = round(LIMITS.on_time / PERIOD), round(LIMITS.off_time / PERIOD)
+    before = False
+    for number, answer in enumerate(answers):
+        # One look more or less, since times are sums of floats.
+        settled = all(map(within, seen[max(0, number - on + 1) : number + 1])) and number >= on - 1
+        surely_within = number > on and all(map(within, seen[number - on - 1 : number + 1]))
+        lost = all(map(beyond, seen[max(0, number - off + 1) : number + 1])) and number >= off - 1
+        surely_lost = number > off and all(map(beyond, seen[number - off - 1 : number + 1]))
+        if answer and not before:
+            assert settled
+        if before and not answer:
+            assert lost
+        assert answer or not surely_within
+        assert not answer or not surely_lost
+        before = answer
+
+
+@given(st.lists(st.tuples(st.floats(1.0, 1.5), st.floats(2.0, 3.0)), max_size=100), st.booleans())
+def test_between_the_thresholds_it_stays_as_it_is(between: list[tuple[float, float]], opened: bool) -> None:
+    gate = AlignmentGate(LIMITS)
+    _, before = run(gate, [(WITHIN, 60)] if opened else [(None, 60)])
+    assert before[-1] == opened
+    outside = [error for error in between if not within(error)]
+    assert all(gate.update(2.0 + number * PERIOD, error) == opened for number, error in enumerate(outside))
+
+
+@pytest.mark.parametrize("lost", [FAR, TURNED, None])
+def test_each_of_distance_angle_and_sight_closes_it(lost: Error) -> None:
+    _, answers = run(AlignmentGate(LIMITS), [(WITHIN, 30), (lost, 8), (BETWEEN, 50), (WITHIN, 30)])
+    assert answers[29]
+    assert answers[31], "not at once"
+    assert not answers[37]
+    assert not answers[87], "not by an error between the thresholds"
+    assert answers[117]
+
+
+def test_a_moment_beyond_does_not_close_it() -> None:
+    _, answers = run(AlignmentGate(LIMITS), [(WITHIN, 30), (FAR, 4), (WITHIN, 1), (FAR, 4), (BETWEEN, 30)])
+    assert all(answers[26:])
+
+
+def test_settings_that_would_flicker_are_refused() -> None:
+    with pytest.raises(msgspec.ValidationError, match="must not be smaller"):
+        msgspec.convert({"on_mm": 2.0}, AlignmentSettings)
