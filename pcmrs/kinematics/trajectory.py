@@ -58,7 +58,7 @@ def joint_motion(
     arm.check_limits(goal)
     begin, end = joint_array(start, arm.joints), joint_array(goal, arm.joints)
     farthest = float(np.abs(end - begin).max())
-    if farthest == 0.0:
+    if farthest <= JOIN_TOLERANCE:  # already there
         return JointTrajectory(period=period, positions=[begin.tolist()])
     places = np.linspace(0.0, 1.0, 1 + ceil(farthest / _PLACE_DISTANCE))
     postures = begin + places[:, None] * (end - begin)

@@ -23,8 +23,9 @@ HORIZON = 0.2
 """A pose is extrapolated so far at most, s: longer than tracker latency and some lost frames."""
 
 TRANSLATION = Noise(measurement=3e-5, rest=2e-6, motion=3e-3, rate=0.1)
-ROTATION = Noise(measurement=np.radians(0.02), rest=2e-4, motion=0.3, rate=1.0)
-"""As translations with a lever arm of 0.1 m, about the distance of a head's middle from the axis it nods about."""
+ROTATION = Noise(measurement=np.radians(0.02), rest=3e-5, motion=0.3, rate=1.0)
+"""In motion as translations with a lever arm of 0.1 m, about the distance of a head's middle from where it nods about.
+At rest less: breathing hardly turns a head, and the noise of a rotation shakes what follows it far from its origin."""
 
 
 class PosePredictor:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from collections import deque
 
+import numpy as np
+
 from pcmrs.errors import RefusalError
 from pcmrs.spatial import Transform
 from pcmrs.spatial.prediction import PosePredictor
 from pcmrs.workflows.alignment import Exposure
 from pcmrs.workflows.settings import FollowingSettings
 
+SLOW = 1e-6
+"""No limit for what is slower, m/s."""
 STAMPS = 256
 """Frames by which the clocks of tracker and cell are compared: over four seconds two clocks drift by less than 1 ms."""
 
@@ -57,7 +61,9 @@ class BodyTrack:
         if not settings.compensated:
             return newest["body_ref"].exposed
         # The quickest of many frames tells how the two clocks differ; others were on their way for longer.
-        return time - min(self._delays) + settings.lead
+        ahead = time - min(self._delays) + settings.lead - newest["body_ref"].exposed
+        speed = float(np.linalg.norm(self._predictor.velocity))
+        return newest["body_ref"].exposed + min(ahead, settings.farthest_lead / max(speed, SLOW))
 
     def pose(self, stamp: float) -> Transform:
         """``tracker_from_body_ref`` at a time of `stamp`. Raises `RefusalError`: see `PosePredictor.at`."""

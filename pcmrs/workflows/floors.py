@@ -18,9 +18,12 @@ class Floors:
     """
 
     def __init__(self, cell: Cell, positions: npt.ArrayLike) -> None:
-        self._model = cell.zones.model
-        planned = cell.zones.look_at(positions).distances.min(axis=0)
-        self._floors = np.minimum(cell.zones.limits, planned) - cell.settings.zones.drift_limit
+        zones = cell.zones
+        self._model = zones.model
+        planned = zones.look_at(positions).distances.min(axis=0)
+        # A tool that is planned to come near the body may touch it; any other keeps off it.
+        limits = np.where(planned < zones.limits_afar, zones.limits, zones.limits_afar)
+        self._floors = np.minimum(limits, planned) - cell.settings.zones.drift_limit
 
     def passed(self, positions: npt.ArrayLike) -> RefusalError | None:
         """Why an arm with its joints there, rad, (n,), is to be held, if it is."""

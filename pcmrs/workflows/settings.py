@@ -199,6 +199,8 @@ class FollowingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
         period: Between two set points, s.
         lead: From a set point until the arm is there, s: so far ahead the body's pose is predicted, beyond the
             tracker's latency.
+        farthest_lead: The body is predicted so far ahead at most, m: what breathes or drifts goes less meanwhile, and
+            where a body that jerks will stop nobody knows.
         compensated: Whether it is predicted at all; otherwise the tool goes where the body was.
         smoothing_time: Time constant in which the tool goes to its place on the body, while it moves with it, s: it
             keeps the tracker's noise from shaking the arm.
@@ -213,6 +215,7 @@ class FollowingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
     period: Annotated[float, msgspec.Meta(gt=0.0, le=0.016)] = 0.010
     lead: NotNegative = 0.010
+    farthest_lead: Positive = 0.0005
     compensated: bool = True
     smoothing_time: Positive = 0.05
     longest_gap: Annotated[float, msgspec.Meta(gt=0.0, le=0.2)] = 0.15
@@ -277,7 +280,8 @@ class ZoneSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         tool: What the flange carries.
         boxes: What stands fixed in the cell.
-        body_margin: Distance of every link from the convex hull of the body's surface, m; the tool may touch it.
+        body_margin: Distance of every link from the convex hull of the body's surface, m; the tool may touch it within
+            `cone_height` of the target, which has to be more than this.
         box_margin: Distance of links and tool from every box, m.
         link_margin: Distance of links that are no neighbours from each other, m.
         sight_radius: How far links stay from what the tracker sees the tool and the body's reference along, m.

@@ -74,7 +74,7 @@ def test_every_injected_error_is_rejected_where_the_paper_says() -> None:
     ("words", "said"),
     [
         (("placements", "--workflow", "no_such"), "There is no experiment with 'no_such'"),
-        (("placements", "--trials", "1"), "at least 2 trials"),
+        (("placements", "--trials", "1"), "1 is not in the range x>=2"),
         (("placements", "--plan", "/no/such/file"), "cannot be read"),
         (("failures", "--plan", "examples/ratms_plan.json"), "name it with --workflow"),
         (("failures", "--set", "robot.wheels=4", "--rate", "9"), "wheels"),

@@ -40,8 +40,9 @@ def test_every_way_an_operation_can_end_has_a_row(path: Path) -> None:
         for operation in spec.operations.values()
     )
     revocations = sum(len(spec.revocations) for spec in blueprint.branches.values())
+    activities = sum(len(spec.activities) for spec in blueprint.branches.values())
     found = rows(table(blueprint))
-    assert len(found) == endings + revocations
+    assert len(found) == endings + revocations + activities
     assert sum(row["operation"] == "revoked" for row in found) == revocations
 
 

@@ -36,8 +36,9 @@ def test_a_call_that_is_none_is_refused_in_one_line(daemon: ServeProcess, words:
 
 def test_the_state_has_its_keys(daemon: ServeProcess) -> None:
     state = json.loads(daemon.pcmrs("state", "--json").stdout)
-    assert set(state) == {"sequence", "branches", "flags", "running", "latched", "plan", "registration", "blueprint"}
-    assert list(state["branches"]) == ["registration", "digitization", "toolplan", "robot", "placement"]
+    keys = {"sequence", "branches", "flags", "running", "activities", "latched", "plan", "registration", "blueprint"}
+    assert set(state) == keys
+    assert list(state["branches"]) == ["registration", "digitization", "toolplan", "robot", "placement", "alignment"]
     assert state["blueprint"]["id"] == "ratms"
     text = daemon.pcmrs("state").stdout
     assert "registration" in text

@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 from daemon_process import PATIENCE, ServeProcess, own_settings, running_daemon
-from driving import accepted, register, until, until_shown
+from driving import accepted, register, until
 
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.devices.remote import RemoteScene
+from pcmrs.messages import JointState
 from pcmrs.workflows.data import as_transform
 
 LIMIT = 8.0
@@ -34,13 +35,16 @@ class Bedside:
 
     Attributes:
         alarms: Fields of every ``force_limit`` that came, in order.
+        moving: Set while the arm moves.
     """
 
     def __init__(self, client: Client, scene: RemoteScene) -> None:
         self.client = client
         self.scene = scene
         self.alarms: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
+        self.moving = asyncio.Event()
         client.listen("state/event", dict, self._hear)
+        client.listen("state/joints", JointState, self._see)
 
     async def place(self) -> None:
         """From wherever the coil is to its place at the head."""
@@ -69,6 +73,12 @@ class Bedside:
 
     async def force(self) -> float:
         return (await self.scene.truth()).contact_force
+
+    def _see(self, state: JointState) -> None:
+        if state.moving:
+            self.moving.set()
+        else:
+            self.moving.clear()
 
     def _hear(self, event: dict[str, Any]) -> None:
         if event.get("code") == "force_limit":
@@ -112,7 +122,8 @@ async def test_a_head_that_leans_on_the_coil_stops_and_latches(bedside: Bedside)
 async def test_too_much_force_ends_a_press(bedside: Bedside) -> None:
     await accepted(bedside.client, "placement.nudge", translation=[0.0, 0.0, 0.008])
     press = asyncio.create_task(bedside.client.call("placement.press", {"force": 1.0}))
-    await until_shown(bedside.client, lambda snapshot: any(r.operation == "press" for r in snapshot.running))
+    async with asyncio.timeout(PATIENCE):
+        await bedside.moving.wait()
     await bedside.push(0.025)
     verdict = await press
     assert (verdict.decision, verdict.state) == ("failed", "held")

@@ -76,6 +76,17 @@ def test_joint_motion_to_where_the_arm_is_stays_there() -> None:
     assert np.ptp(joint_motion(ARM, READY, READY, LIMITS).positions, axis=0).max() == 0.0
 
 
+@given(exponent=st.floats(-17.0, -2.0), joint=st.integers(0, 6))
+@settings(max_examples=60)
+def test_no_way_is_too_short(exponent: float, joint: int) -> None:
+    """The arm comes to rest beside its goal by what is left of its control: it may be sent there again."""
+    goal = np.array(READY)
+    goal[joint] += 10.0**exponent
+    for trajectory in (joint_motion(ARM, READY, goal, LIMITS), straight_motion(ARM, READY, ARM.forward(goal), LIMITS)):
+        assert np.abs(np.array(trajectory.positions) - READY).max() <= 1.01 * 10.0**exponent + 1e-12
+        assert distance(ARM.forward(trajectory.positions[-1]), ARM.forward(goal)) < 2e-6
+
+
 def test_joint_motion_beyond_a_limit_is_refused() -> None:
     with pytest.raises(UnreachableError, match="joint_1"):
         joint_motion(ARM, READY, ARM.upper + 0.1, LIMITS)

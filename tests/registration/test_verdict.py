@@ -195,7 +195,7 @@ def test_a_flipped_image_is_named(case: Case) -> None:
         gate = refused(verdict)
         assert gate.name == "mirrored"
         assert gate.value > gate.limit
-        assert "LPS" in gate.text
+        assert "LAS" in gate.text
         assert verdict.registration is None
 
 

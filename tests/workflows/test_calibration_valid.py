@@ -32,6 +32,7 @@ RESTING_ON_IT = {
     "digitization.check_landmark",
     "digitization.digitize_surface",
 }
+WITH_A_COIL = {"placement.press", "placement.follow"}
 TOOL = PoseMessage(position=(0.0, 0.0, 0.15), quat_wxyz=(0.0, 1.0, 0.0, 0.0))
 TIP = PoseMessage(position=(0.0, 0.0, -0.15), quat_wxyz=(1.0, 0.0, 0.0, 0.0))
 
@@ -53,8 +54,15 @@ def calibrated(folder: Path, kind: str, **given: Any) -> dict[str, Any]:
     return {"calibration": {f"{kind}_file": str(folder / f"{kind}.toml")}}
 
 
-@pytest.mark.parametrize("name", ["ratms", "femoroplasty", "grid_mapping"])
-def test_what_rests_on_a_calibration_asks_whether_it_is_valid(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("ratms", RESTING_ON_IT | WITH_A_COIL),
+        ("grid_mapping", RESTING_ON_IT | WITH_A_COIL),
+        ("femoroplasty", RESTING_ON_IT),
+    ],
+)
+def test_what_rests_on_a_calibration_asks_whether_it_is_valid(name: str, expected: set[str]) -> None:
     blueprint: Blueprint = read_workflow(name)
     asking = {
         f"{branch}.{operation}"
@@ -62,7 +70,7 @@ def test_what_rests_on_a_calibration_asks_whether_it_is_valid(name: str) -> None
         for operation, found in spec.operations.items()
         if "calibration_valid" in found.checks
     }
-    assert asking == RESTING_ON_IT
+    assert asking == expected
 
 
 async def test_a_valid_file_takes_the_place_of_the_poses(tmp_path: Path) -> None:

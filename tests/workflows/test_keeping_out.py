@@ -249,6 +249,25 @@ async def test_a_motion_that_a_body_comes_into_is_held_and_the_way_back_stays_op
     assert (await bench.accept("placement.back_off")).state == "standoff"
 
 
+async def test_an_approach_is_held_where_the_body_comes_to_the_tool(bench: WorkflowBench) -> None:
+    await bench.register()
+    async with bench.moving("placement.approach") as approach:
+        cell = bench.cell
+        assert cell.base_from_tracker is not None
+        assert cell.base_from_body_ref is not None
+        assert cell.body_ref_from_image is not None
+        middle = cell.base_from_body_ref @ cell.body_ref_from_image @ CENTRE
+        point = cell.arm.forward(cell.posture()) @ cell.flange_from_coil @ np.array((0.0, 0.0, -SEMI_AXES[2]))
+        await move_body(bench, cell.base_from_tracker.rotation.T @ (point - middle))
+        verdict = await approach
+    told = reason(verdict)
+    assert verdict.reason is not None
+    assert (verdict.decision, verdict.reason.code, verdict.state) == ("failed", "zone_entered", "held")
+    assert told["link"] in ("tool", "mount")
+    assert told["distance"] < told["limit"] == pytest.approx(0.025)
+    assert bench.speed() < 1e-2
+
+
 async def test_a_tool_too_near_may_back_off_but_not_approach() -> None:
     async with open_bench() as bench:
         await bench.to_placed()

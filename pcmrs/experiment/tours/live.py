@@ -1,7 +1,9 @@
 """A tour through a running cell on simulated devices: every command over the bus, every answer compared.
 
 How an operation ends is up to the cell, so the tour looks after each verdict where it is and goes to the
-nearest joint state in which something is left to see. Steps fail because Stop is pressed while they run.
+nearest joint state in which something is left to see. Steps fail because Stop is pressed while they run. What the
+cell does by itself in between, as its activities and devices have it, is seen too: a command is compared with what
+must come of it in the joint state that it met.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import msgspec
 
 from pcmrs.client import Client
 from pcmrs.experiment.tours.arguments import Arguments
+from pcmrs.experiment.tours.faults import FAULTS, fault
 from pcmrs.experiment.tours.observer import Observer
 from pcmrs.experiment.tours.record import Record, Seen
 from pcmrs.fsm.behaviour import Joint
@@ -33,10 +36,8 @@ REPORTED_WITHIN = 15.0
 SHOWN_WITHIN = 1.0
 """What a cell has done is shown within so many seconds."""
 
-FAULTS = {"link_lost": "cut_robot"}
-"""Events that the simulated scene can bring about, and by which of its faults."""
-
-NO_FAULT = "a device reports it, and no fault of the simulation makes one do so here"
+NO_FAULT = "the cell reports it by itself, and the tour has no fault of the simulation that makes it do so here"
+NOT_REPORTED = "nothing in the cell reports it"
 NEVER_SILENT = "no simulated device falls silent in the middle of an operation"
 NOT_REACHED = "no way found into the joint states"
 OUT_OF_TIME = "the time was up"
@@ -97,6 +98,8 @@ class LiveTour:
             state = await self._make(move, state)
             progress(len(seen.made), len(seen.wanted) - len(seen.left))
         seen.left |= {move: reason or why for move, reason in self._record.agenda.rest().items()}
+        for move in seen.made & seen.left.keys():
+            del seen.left[move]  # given up, and come by itself
         return seen
 
     def _next(self, state: Snapshot) -> Move | None:
@@ -122,22 +125,35 @@ class LiveTour:
         self._record.seen.tour.append(move)
         verdict = await (self._provoke(move) if move.asker == "device" else self._command(move))
         if verdict is None:
-            self._record.agenda.missed(move, "no device reports it")
+            self._record.agenda.missed(move, NOT_REPORTED)
             return await self._observer.settled()
-        self._judged.add(verdict.id)
         after = await self._observer.settled(verdict.sequence)
+        await self._shown(lambda: self._observer.has(verdict))
+        move, sequence = self._met(move, verdict, before.sequence)
+        self._judged.add(verdict.id)
         shown = self._observer.joint_at(verdict) or self._led_to(move, verdict, tuple(after.branches.values()))
         if verdict.decision == "rejected":
-            self._record.rejected(move, verdict, before.sequence, shown)
+            self._record.rejected(move, verdict, sequence, shown)
         else:
             self._record.ended(move, verdict, shown, ran=move.name in self._observer.ran)
         await self._follow(move, shown, tuple(after.branches.values()))
         return after
 
+    def _met(self, move: Move, verdict: Verdict, sequence: int) -> tuple[Move, int]:
+        """The command where it met the cell, which may have gone on by itself, and the number of the commit before."""
+        others = self._observer.verdicts_beside({*self._judged, verdict.id})
+        earlier = [other for other in others if _precedes(other, verdict)]
+        joint = self._take(*self._unasked(move.before, earlier), earlier)
+        if joint == move.before:
+            return move, max([sequence, *(other.sequence for other in earlier)])
+        self._record.agenda.missed(move, "the cell goes on by itself")
+        there = [other for other in self._moves[joint] if (other.name, other.asker) == (move.name, move.asker)]
+        return min(there, key=lambda other: other.ending != move.ending), max(other.sequence for other in earlier)
+
     def _led_to(self, move: Move, verdict: Verdict, end: Joint) -> Joint:
         """Where a decision led whose snapshot was overtaken by the next: from there the rest must lead to the end."""
         endings = (other.after for other in self._record.same(move) if other.decision == verdict.decision)
-        return next((joint for joint in endings if self._unasked(joint)[1] == end), end)
+        return next((joint for joint in endings if self._goes_on(joint) == end), end)
 
     async def _command(self, move: Move) -> Verdict:
         payload = self._blueprint.branches[move.branch].operations[move.operation].payload
@@ -161,38 +177,47 @@ class LiveTour:
 
     async def _provoke(self, move: Move) -> Verdict | None:
         """Makes a simulated device report, and mends it; None when nothing was reported in time."""
-        fault = FAULTS[move.operation]
-        await self._client.request_device("scene", fault, {"cut": True})
-        try:
-            async with asyncio.timeout(REPORTED_WITHIN):
-                return await self._observer.verdict_on(move.branch, move.operation, self._judged)
-        except TimeoutError:
-            return None
-        finally:
-            await self._client.request_device("scene", fault, {"cut": False})
+        async with fault(self._client, move.operation):
+            with suppress(TimeoutError):
+                async with asyncio.timeout(REPORTED_WITHIN):
+                    return await self._observer.verdict_on(move.branch, move.operation, self._judged)
+        return None
 
     async def _follow(self, move: Move, joint: Joint, end: Joint) -> None:
         """What a step has submitted or a device reported is seen too; nothing else may have moved the cell."""
-        with suppress(TimeoutError):
-            async with asyncio.timeout(SHOWN_WITHIN):
-                await self._observer.shows(lambda: self._unasked(joint)[1] == end)
-        unasked, reached = self._unasked(joint)
-        self._judged |= {verdict.id for verdict in self._observer.verdicts_beside(self._judged)}
-        self._record.saw(unasked)
-        self._record.seen.events += sum(made.asker == "device" for made in unasked)
+        await self._shown(lambda: self._goes_on(joint) == end)
+        others = self._observer.verdicts_beside(self._judged)
+        reached = self._take(*self._unasked(joint, others), others)
         if reached != end:
             self._record.judge(move, "then something that nobody asked for", end, "")
         elif end != joint:
             self._record.agenda.missed(move, "the cell goes on by itself")
 
-    def _unasked(self, joint: Joint) -> tuple[list[Move], Joint]:
-        """The moves since, as far as they are as they must be, and where they lead."""
+    async def _shown(self, condition: Callable[[], bool]) -> None:
+        """Waits until a condition on what has been shown holds, but not for long."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(SHOWN_WITHIN):
+                await self._observer.shows(condition)
+
+    def _take(self, unasked: list[Move], joint: Joint, verdicts: list[Verdict]) -> Joint:
+        """These verdicts have been looked at, and the moves seen in them led to `joint`."""
+        self._judged |= {verdict.id for verdict in verdicts}
+        self._record.saw(unasked)
+        self._record.seen.events += sum(made.asker == "device" for made in unasked)
+        return joint
+
+    def _goes_on(self, joint: Joint) -> Joint:
+        """Where the verdicts that nobody asked for lead."""
+        return self._unasked(joint, self._observer.verdicts_beside(self._judged))[1]
+
+    def _unasked(self, joint: Joint, verdicts: list[Verdict]) -> tuple[list[Move], Joint]:
+        """The moves of verdicts that nobody asked for, as far as they are as they must be, and where they lead."""
         found: list[Move] = []
-        for verdict in self._observer.verdicts_beside(self._judged):
-            what = (verdict.branch, verdict.operation, verdict.decision, self._observer.joint_at(verdict))
+        for verdict in verdicts:
+            what, shown = (verdict.branch, verdict.operation, verdict.decision), self._observer.joint_at(verdict)
             there = self._moves.get(joint, []) if verdict.decision != "rejected" else []
             for move in there:
-                if (move.branch, move.operation, move.decision, move.after) == what:
+                if (move.branch, move.operation, move.decision) == what and shown in (None, move.after):
                     found.append(move)
                     joint = move.after
                     break
@@ -216,3 +241,9 @@ def _needs_arguments(name: str, move: Move) -> bool:
 
 def _provoked(move: Move) -> bool:
     return move.operation in FAULTS and move.decision == "accepted"
+
+
+def _precedes(other: Verdict, verdict: Verdict) -> bool:
+    """Whether it was committed before; a rejection has the number of the newest commit that it met."""
+    met = other.sequence == verdict.sequence and verdict.decision == "rejected"
+    return other.decision != "rejected" and (other.sequence < verdict.sequence or met)

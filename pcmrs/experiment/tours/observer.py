@@ -39,6 +39,10 @@ class Observer:
         shown = self._snapshots.get(verdict.sequence)
         return None if shown is None else tuple(shown.branches.values())
 
+    def has(self, verdict: Verdict) -> bool:
+        """Whether a verdict has been shown, and with it all before it."""
+        return verdict.id in self._verdicts
+
     def verdicts_beside(self, known: Container[str]) -> list[Verdict]:
         """Verdicts on commands that are not among the known ones, in order."""
         return [verdict for command_id, verdict in self._verdicts.items() if command_id not in known]
