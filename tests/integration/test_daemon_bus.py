@@ -161,7 +161,7 @@ async def test_the_streams_carry_joints_and_poses(daemon: ServeProcess) -> None:
 
     def take_pose(_key: str, pose: BodyPose) -> None:
         poses[pose.body] = pose
-        if len(poses) == 3 and joints:
+        if len(poses) == 4 and joints:
             complete.set()
 
     async with daemon.bus() as bus:
@@ -171,6 +171,7 @@ async def test_the_streams_carry_joints_and_poses(daemon: ServeProcess) -> None:
             await complete.wait()
     assert poses["coil"].valid
     assert poses["body_ref"].valid
+    assert poses["witness"].valid
     assert not poses["pointer"].valid
     assert poses["pointer"].reason
 
