@@ -81,6 +81,7 @@ class AlignmentWatch:
         self._act = act
         self._gate = AlignmentGate(act.cell.settings.alignment)
         self._error: tuple[float, float] | None = None
+        self._asked_for: bool | None = None
         self._seen = self._asked = self._shown = -math.inf
 
     def take(self, frame: Exposure, measured_from_desired: Transform) -> None:
@@ -93,8 +94,9 @@ class AlignmentWatch:
         if now - self._seen > act.cell.settings.following.longest_gap:
             self._error = None
         aligned = self._gate.update(now, self._error)
-        if aligned != (act.states["alignment"] == "1") and now - self._asked >= ASK_EVERY:
-            self._asked = now
+        anew = aligned != self._asked_for  # only repeats wait: the gate closes at once after it has opened
+        if aligned != (act.states["alignment"] == "1") and (anew or now - self._asked >= ASK_EVERY):
+            self._asked, self._asked_for = now, aligned
             act.post("alignment", "within" if aligned else "outside")
         if now - self._shown >= SHOW_EVERY:
             self._shown = now

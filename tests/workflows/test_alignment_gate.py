@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import msgspec
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.workflows.alignment import AlignmentGate
-from pcmrs.workflows.settings import AlignmentSettings
+from pcmrs.spatial import Transform
+from pcmrs.workflows.alignment import AlignmentGate, AlignmentWatch
+from pcmrs.workflows.settings import AlignmentSettings, ProcedureSettings
 
 LIMITS = AlignmentSettings()
 PERIOD = 0.02
@@ -84,3 +89,32 @@ def test_a_moment_beyond_does_not_close_it() -> None:
 def test_settings_that_would_flicker_are_refused() -> None:
     with pytest.raises(msgspec.ValidationError, match="must not be smaller"):
         msgspec.convert({"on_mm": 2.0}, AlignmentSettings)
+
+
+def test_what_has_just_opened_closes_without_delay_and_only_repeats_wait() -> None:
+    now = 0.0
+    posted: list[tuple[float, str]] = []
+    act: Any = SimpleNamespace(
+        cell=SimpleNamespace(settings=ProcedureSettings()),
+        clock=SimpleNamespace(monotonic=lambda: now),
+        states={"alignment": "0"},
+        post=lambda _branch, operation: posted.append((now, operation)),
+        show=lambda **_: None,
+    )
+    watch = AlignmentWatch(act)
+
+    def look(error_mm: float) -> None:
+        frame: Any = {"coil": SimpleNamespace(captured=now)}
+        watch.take(frame, Transform(np.eye(3), np.array((error_mm / 1000.0, 0.0, 0.0))))
+        watch.look()
+
+    for number in range(33):
+        now = number / 64
+        look(0.1)
+    assert posted == [(0.5, "within")]
+    act.states["alignment"] = "1"
+    for number in range(33, 60):
+        now = number / 64
+        look(5.0)
+    # At the first frame after 0.1 s; not taken, it is asked again after a quarter of a second.
+    assert posted[1:] == [(40 / 64, "outside"), (56 / 64, "outside")]
