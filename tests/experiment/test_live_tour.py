@@ -30,6 +30,9 @@ RATMS = load_blueprint(Path(pcmrs.__file__).parent / "workflows" / "ratms.toml")
 TURNS = 40
 """Turns of the event loop that a step takes: enough for Stop to come in between."""
 
+QUIET_TURNS = 5 * TURNS
+"""Turns of the event loop without a command, after which the coil is seen aligned."""
+
 NOTHING: Mapping[str, Any] = {}
 
 PAYLOADS = ("landmarks", "landmark_index", "surface_points", "surface_name", "tool_pose", "nudge", "press")
@@ -76,15 +79,19 @@ class DiceCell:
         dice.dispatcher = self.dispatcher
         self._queues: list[asyncio.Queue[Event]] = []
         self._stops: list[asyncio.Task[bool]] = []
-        self._rng = Random(seed)
         self._hidden = False
+        self._calls = 0
         self._watch = asyncio.ensure_future(self._watch_alignment())
 
     async def call(self, name: str, arguments: Mapping[str, Any], *, id: str, timeout: float) -> Verdict:
         branch, _, operation = name.partition(".")
         command = Command(id=id, branch=branch, operation=operation, source="bus:test", arguments=dict(arguments))
-        async with asyncio.timeout(timeout):
-            return await self.dispatcher.submit(command)
+        self._calls += 1
+        try:
+            async with asyncio.timeout(timeout):
+                return await self.dispatcher.submit(command)
+        finally:
+            self._calls -= 1
 
     async def state(self, timeout: float) -> Snapshot:
         await asyncio.sleep(0)
@@ -117,10 +124,12 @@ class DiceCell:
         self._watch.cancel()
 
     async def _watch_alignment(self) -> None:
-        """Sees the coil aligned now and then, whatever else goes on: as an activity would."""
+        """Sees the coil aligned once nothing has been asked for a while."""
         while True:
-            for _ in range(self._rng.randrange(100 * TURNS)):
+            quiet = 0
+            while quiet < QUIET_TURNS:
                 await asyncio.sleep(0)
+                quiet = 0 if self._calls or not all(stop.done() for stop in self._stops) else quiet + 1
             joint = self.dispatcher.procedure.joint()
             if joint["placement"] in ("placed", "following") and joint["alignment"] == "0" and not self._hidden:
                 await self._report("within")
