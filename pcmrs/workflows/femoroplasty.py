@@ -20,7 +20,8 @@ from pcmrs.workflows.data import PlacementData, Point, as_message, as_transform
 from pcmrs.workflows.data import settle as settle_placement
 from pcmrs.workflows.motion import as_result, errors_of, measure_coil
 from pcmrs.workflows.placement import planned
-from pcmrs.workflows.toolplan import FARTHEST_TARGET, accept_pose
+from pcmrs.workflows.toolplan import accept_pose
+from pcmrs.workflows.units import check_metres
 
 SHORTEST_TRAJECTORY = 0.005
 """Entry and target nearer than this (m) give no direction worth drilling along."""
@@ -78,10 +79,7 @@ def guide_pose(entry: Floats, target: Floats) -> Transform:
 def trajectory_reachable(run: Run) -> None:
     """Refuses what is no trajectory in a femur, and as soon as that can be decided what the arm cannot reach."""
     entry, target = np.array(run.payload.entry), np.array(run.payload.target)
-    farthest = float(np.abs((entry, target)).max())
-    if farthest > FARTHEST_TARGET:
-        text = f"A coordinate is {farthest:g} m; the limit is {FARTHEST_TARGET:g} m. Were these millimetres?"
-        raise RefusalError("wrong_unit", text, value=farthest, limit=FARTHEST_TARGET)
+    check_metres((entry, target))
     run.result["length"] = length = float(np.linalg.norm(entry - target))
     if not SHORTEST_TRAJECTORY <= length <= LONGEST_TRAJECTORY:
         text = (

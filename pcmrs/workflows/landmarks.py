@@ -14,12 +14,11 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import Digitized, Landmark, PlacementData, Point, as_point
 from pcmrs.workflows.reference import LATELY, check_reference, see_witness
 from pcmrs.workflows.touching import touch
+from pcmrs.workflows.units import check_metres
 
 Run = AnyRun[Cell, PlacementData]
 
 FEWEST_LANDMARKS = 3
-FARTHEST_LANDMARK = 1.0
-"""A landmark farther than this from the origin of the image (m) was probably given in mm."""
 
 
 class LandmarkPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -41,10 +40,7 @@ def landmarks_spread(run: Run) -> None:
         text = f"{len(landmarks)} landmarks are planned; a registration needs at least {FEWEST_LANDMARKS}."
         raise RefusalError("too_few_landmarks", text, count=len(landmarks), limit=FEWEST_LANDMARKS)
     points = np.array([landmark.position for landmark in landmarks])
-    farthest = float(np.abs(points).max())
-    if farthest > FARTHEST_LANDMARK:
-        text = f"A coordinate is {farthest:g} m; the limit is {FARTHEST_LANDMARK:g} m. Were these millimetres?"
-        raise RefusalError("wrong_unit", text, value=farthest, limit=FARTHEST_LANDMARK)
+    check_metres(points)
     register_points(points, points)
 
 

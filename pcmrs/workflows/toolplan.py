@@ -17,6 +17,7 @@ from pcmrs.workflows.accuracy import check_tre
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, as_message
 from pcmrs.workflows.paths import along_axis
+from pcmrs.workflows.units import check_metres
 from pcmrs.workflows.ways import arrange, check_postures
 from pcmrs.workflows.zones import BODY
 
@@ -27,8 +28,6 @@ SAME_POSTURE = 0.05
 """Postures that differ by less in every joint are one, rad."""
 SEED_TURNS = (0.0, 0.8, -0.8, 1.6, -1.6)
 """So far joints 1 and 3 are turned against each other to look for postures from there, rad: the elbow swings."""
-FARTHEST_TARGET = 1.0
-"""A target farther than this from the origin of the image (m) was probably given in mm."""
 
 
 class ToolPose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -51,10 +50,7 @@ def pose_of(asked: ToolPose) -> Transform:
         RefusalError: It is too far away to be in m.
     """
     pose = Transform.from_quat_xyzw(asked.position, asked.quat_xyzw)
-    farthest = float(np.abs(pose.translation).max())
-    if farthest > FARTHEST_TARGET:
-        text = f"A coordinate is {farthest:g} m; the limit is {FARTHEST_TARGET:g} m. Were these millimetres?"
-        raise RefusalError("wrong_unit", text, value=farthest, limit=FARTHEST_TARGET)
+    check_metres(pose.translation)
     return pose
 
 
