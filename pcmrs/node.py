@@ -50,7 +50,7 @@ async def serve_devices(settings: Settings, driver: str, devices: Sequence[str],
         serving = asyncio.create_task(node.run())
         ending = asyncio.create_task(ended.wait())
         await asyncio.wait([serving, ending], return_when=asyncio.FIRST_COMPLETED)
-        await node.hold("the node ends")
+        await node.make_safe("the node ends")
         ending.cancel()
         serving.cancel()
         with suppress(asyncio.CancelledError):

@@ -13,6 +13,7 @@ import msgspec
 from pcmrs.bus import BusSettings
 from pcmrs.bus.keys import cell_prefix
 from pcmrs.config import as_config, overlaid, read_file, set_values
+from pcmrs.devices.dwell import DwellSettings
 from pcmrs.errors import ConfigurationError, PayloadError
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.kinematics.arms import ArmFacts
@@ -22,6 +23,12 @@ from pcmrs.workflows.settings import ProcedureSettings
 
 DRIVERS = "pcmrs.drivers"
 DRIVER_SETTINGS = "pcmrs.driver_settings"
+
+DEVICES = ("robot", "tracker", "pointer", "scene", "stimulator", "emg")
+TABLES = ("sim", "kst", "ndi", "plus", "lsl", "trigger")
+"""Drivers that have a table of their own."""
+DWELL = "dwell"
+"""The driver of a pointer that is no device: the daemon watches it by the tracker."""
 
 OF_WORKFLOW = frozenset(
     {"procedure.body", "procedure.limits", "procedure.registration", "procedure.tool", "procedure.zones", "sim"}
@@ -63,9 +70,19 @@ class CellSettings(Table, frozen=True, forbid_unknown_fields=True):
 
 
 class DeviceSettings(Table, frozen=True, forbid_unknown_fields=True):
-    """Which driver serves a device; ``none`` where another machine runs its node."""
+    """Which driver serves a device; ``none`` where another machine runs its node, or there is no such device."""
 
     driver: str = "sim"
+
+
+class PointerSettings(DeviceSettings, frozen=True, forbid_unknown_fields=True):
+    """The pointer; its driver ``dwell`` needs no device: a touch is a tip that the tracker sees held still.
+
+    Attributes:
+        dwell: How still and how long.
+    """
+
+    dwell: DwellSettings = DwellSettings()
 
 
 class RobotSettings(DeviceSettings, frozen=True, forbid_unknown_fields=True):
@@ -92,27 +109,34 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         workflow: Name of a workflow, or path of its blueprint: ``something.toml``.
-        sim: Read by the simulated devices.
+        sim: Read by the simulated devices; so are the tables of the other drivers by theirs.
     """
 
     workflow: str = "ratms"
     cell: CellSettings = CellSettings()
     robot: RobotSettings = RobotSettings()
     tracker: DeviceSettings = DeviceSettings()
-    pointer: DeviceSettings = DeviceSettings()
+    pointer: PointerSettings = PointerSettings()
     scene: DeviceSettings = DeviceSettings()
+    stimulator: DeviceSettings = DeviceSettings()
+    emg: DeviceSettings = DeviceSettings()
     procedure: ProcedureSettings = ProcedureSettings()
     gateway: GatewayConfig = GatewayConfig()
     journal: JournalSettings = JournalSettings()
     sim: dict[str, Any] = {}
+    kst: dict[str, Any] = {}
+    ndi: dict[str, Any] = {}
+    plus: dict[str, Any] = {}
+    lsl: dict[str, Any] = {}
+    trigger: dict[str, Any] = {}
 
     def drivers(self) -> dict[str, list[str]]:
-        """Driver name to the devices it serves, without those that another machine serves."""
-        chosen = {"robot": self.robot, "tracker": self.tracker, "pointer": self.pointer, "scene": self.scene}
+        """Driver name to the devices its node serves, without those that another machine serves."""
         found: dict[str, list[str]] = {}
-        for device, settings in chosen.items():
-            if settings.driver != "none":
-                found.setdefault(settings.driver, []).append(device)
+        for device in DEVICES:
+            driver = getattr(self, device).driver
+            if driver not in ("none", DWELL):
+                found.setdefault(driver, []).append(device)
         return found
 
     def bus(self, mode: str) -> BusSettings:
@@ -139,10 +163,11 @@ def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Se
     simulated = "sim" in settings.drivers()
     if not simulated and "sim" not in values:
         # What the workflow says of a simulation does not matter where there is none; nor need it be installed.
-        return msgspec.structs.replace(settings, sim={})
+        settings = msgspec.structs.replace(settings, sim={})
     if simulated:
         _check_driver_tables({"sim": defaults.get("sim", {})}, f" in {_origin(settings.workflow)}")
-    _check_driver_tables({"sim": settings.sim})
+    used = settings.drivers().keys() | values.keys()
+    _check_driver_tables({driver: getattr(settings, driver) for driver in TABLES if driver in used})
     return settings
 
 
@@ -204,6 +229,7 @@ def _check_cell(settings: Settings) -> None:
         raise ConfigurationError(f"cell.site and cell.name: {error.text}", **error.fields) from None
     _check_home(settings.procedure.home, find_arm(settings.robot.model))
     known = {point.name for point in entry_points(group=DRIVERS)}
+    _check_dwell(settings)
     for driver in settings.drivers():
         if driver not in known:
             text = f"There is no driver {driver!r}; installed are {', '.join(sorted(known)) or 'none'}."
@@ -212,6 +238,13 @@ def _check_cell(settings: Settings) -> None:
     if settings.cell.rate != 1.0 and real:
         text = f"cell.rate is {settings.cell.rate:g}, but {', '.join(real)} runs in real time: only 1 is possible."
         raise ConfigurationError(text, rate=settings.cell.rate)
+
+
+def _check_dwell(settings: Settings) -> None:
+    wrong = [device for device in DEVICES if device != "pointer" and getattr(settings, device).driver == DWELL]
+    if wrong:
+        text = f"The driver {DWELL!r} is one of the pointer, not of {', '.join(wrong)}; choose another one there."
+        raise ConfigurationError(text, devices=wrong)
 
 
 def _check_home(home: tuple[float, ...], arm: ArmFacts) -> None:

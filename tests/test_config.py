@@ -132,7 +132,8 @@ def test_the_configuration_as_a_table_reads_back(tmp_path: Path) -> None:
     ("override", "words"),
     [
         ("robot.model=iiwa9", ("iiwa9", "iiwa14")),
-        ("robot.driver=kst", ("kst", "sim")),
+        ("robot.driver=fanuc", ("fanuc", "kst", "sim")),
+        ("tracker.driver=dwell", ("dwell", "pointer", "tracker")),
         ("cell.rate=0.5", ("cell.rate", "1.0")),
         ("cell.rate=51", ("cell.rate", "50")),
         ("cell.name=Cell One", ("Cell One", "lower-case")),
@@ -163,15 +164,20 @@ def test_a_real_device_runs_in_real_time(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(settings_module, "entry_points", installed)
     assert read_settings(None, ["robot.driver=kst"]).drivers() == {
         "kst": ["robot"],
-        "sim": ["tracker", "pointer", "scene"],
+        "sim": ["tracker", "pointer", "scene", "stimulator", "emg"],
     }
     with pytest.raises(ConfigurationError, match="kst runs in real time"):
         read_settings(None, ["robot.driver=kst", "cell.rate=2"])
 
 
 def test_a_device_on_another_machine_has_no_driver_here() -> None:
-    settings = read_settings(None, ["robot.driver=none", "scene.driver=none"])
+    absent = ["robot", "scene", "stimulator", "emg"]
+    settings = read_settings(None, [f"{device}.driver=none" for device in absent])
     assert settings.drivers() == {"sim": ["tracker", "pointer"]}
+
+
+def test_a_pointer_that_is_held_still_needs_no_node() -> None:
+    assert "pointer" not in read_settings(None, ["pointer.driver=dwell"]).drivers()["sim"]
 
 
 def test_the_folder_is_the_users_unless_it_is_given(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import inspect
-import math
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, get_type_hints
 
 import msgspec
@@ -13,13 +12,28 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.devices.link import Link
-from pcmrs.devices.protocols import Pointer, Robot, RobotDriver, Scene, TrackerDriver
+from pcmrs.devices.protocols import (
+    Emg,
+    Pointer,
+    Robot,
+    RobotDriver,
+    Scene,
+    Stimulator,
+    StimulatorDriver,
+    TrackerDriver,
+)
 from pcmrs.errors import PayloadError, PcmrsError
-from pcmrs.messages import Beat, DeviceHealth, DeviceReply, DeviceRequest, JointSetpoint, Reason
+from pcmrs.messages import Beat, DeviceHealth, DeviceReply, DeviceRequest, JointSetpoint, Reason, StimulatorState
 
 log = structlog.get_logger(__name__)
 
-PROTOCOLS: dict[str, type] = {"robot": Robot, "pointer": Pointer, "scene": Scene}
+PROTOCOLS: dict[str, type] = {
+    "robot": Robot,
+    "pointer": Pointer,
+    "scene": Scene,
+    "stimulator": Stimulator,
+    "emg": Emg,
+}
 
 STREAMING = ("robot", "tracker")
 """Devices that send by themselves, and are not well when they do not."""
@@ -31,10 +45,11 @@ BEAT_PERIOD = 0.05
 """Seconds of the machine between heartbeats."""
 
 BEAT_TIMEOUT = 0.5
-"""A robot in motion is held when no heartbeat of the daemon has come for so long, s of the machine."""
+"""Without a heartbeat of the daemon for so long, s of the machine, a robot in motion is held and an armed stimulator
+disarmed."""
 
 HOLD_TIME = 1.0
-"""A robot stands still so long after it was told to hold, s of the machine."""
+"""A robot stands still so long after it was told to hold, and a stimulator is disarmed, s of the machine."""
 
 
 class DeviceNode:
@@ -52,6 +67,7 @@ class DeviceNode:
         self._clock = clock
         self._last_beat = clock.monotonic()
         self._moving = False
+        self._begun = self._last_beat
         self._heard: dict[str, float] = {}
         self._holds: set[asyncio.Task[None]] = set()
 
@@ -64,34 +80,41 @@ class DeviceNode:
             tasks.create_task(self._beat())
             if "tracker" in self._devices:
                 tasks.create_task(self._publish_frames(self._devices["tracker"]))
+            if "robot" in self._devices or "stimulator" in self._devices:
+                self._link.subscribe("dev/robot/beat", Beat, self._hear_beat)
+                tasks.create_task(self._watch_beat())
             if "robot" in self._devices:
                 robot: RobotDriver = self._devices["robot"]
-                self._link.subscribe("dev/robot/beat", Beat, self._hear_beat)
                 self._link.subscribe("dev/robot/setpoint", JointSetpoint, lambda _, each: robot.set_point(each))
                 tasks.create_task(self._publish_joints(robot))
-                tasks.create_task(self._publish_events(robot))
-                tasks.create_task(self._watch_beat())
+                tasks.create_task(self._publish_events("robot", robot))
+            if "stimulator" in self._devices:
+                tasks.create_task(self._publish_events("stimulator", self._devices["stimulator"]))
 
     def stop(self, source: str) -> None:
-        """Holds the robot at once, whatever the daemon does; called on the lane of Stop."""
-        task = asyncio.get_running_loop().create_task(self.hold(f"stop by {source}"))
+        """Makes everything safe at once, whatever the daemon does; called on the lane of Stop."""
+        task = asyncio.get_running_loop().create_task(self.make_safe(f"stop by {source}"))
         self._holds.add(task)
         task.add_done_callback(self._holds.discard)
 
-    async def hold(self, why: str) -> None:
-        """Holds the robot, if there is one here; a hold that is not confirmed is logged."""
-        if "robot" not in self._devices:
-            return
-        robot: RobotDriver = self._devices["robot"]
+    async def make_safe(self, why: str) -> None:
+        """Holds the robot and disarms the stimulator that are here; what is not confirmed is logged."""
+        async with asyncio.TaskGroup() as tasks:
+            if "robot" in self._devices:
+                tasks.create_task(self._confirmed("hold", self._devices["robot"].hold, why))
+            if "stimulator" in self._devices:
+                tasks.create_task(self._confirmed("disarm", self._devices["stimulator"].disarm, why))
+
+    async def _confirmed(self, what: str, ask: Callable[[], Awaitable[object]], why: str) -> None:
         try:
             async with self._clock.timeout(HOLD_TIME):
-                await robot.hold()
+                await ask()
         except PcmrsError as error:
-            log.warning("hold_failed", why=why, reason=error.text)
+            log.warning(f"{what}_failed", why=why, reason=error.text)
         except TimeoutError:
-            log.warning("hold_failed", why=why, reason=f"not confirmed within {HOLD_TIME:g} s")
-        except Exception:  # of a driver: nobody would watch over the robot any more
-            log.exception("hold_failed", why=why)
+            log.warning(f"{what}_failed", why=why, reason=f"not confirmed within {HOLD_TIME:g} s")
+        except Exception:  # of a driver: nobody would watch over the device any more
+            log.exception(f"{what}_failed", why=why)
 
     def _serve(self, name: str, device: Any) -> None:
         methods = {method: get_type_hints(getattr(PROTOCOLS[name], method)) for method in _methods(PROTOCOLS[name])}
@@ -111,15 +134,18 @@ class DeviceNode:
             number += 1
             for name in self._devices:
                 self._link.publish(f"dev/{name}/beat", Beat(number=number))
-                if number % 20 == 1:
-                    self._link.publish(f"dev/{name}/state", self._health(name))
+                if number % 20 == 1 and (health := self._health(name)) is not None:
+                    self._link.publish(f"dev/{name}/state", health)
             await self._clock.sleep(BEAT_PERIOD)
 
-    def _health(self, name: str) -> DeviceHealth:
-        silence = self._clock.monotonic() - self._heard.get(name, -math.inf)
-        if name in STREAMING and silence > STREAM_TIMEOUT:
+    def _health(self, name: str) -> DeviceHealth | None:
+        """None while it is too early to say."""
+        if name not in STREAMING:
+            return DeviceHealth(device=name, connected=True)
+        now = self._clock.monotonic()
+        if now - self._heard.get(name, self._begun) > STREAM_TIMEOUT:
             return DeviceHealth(device=name, connected=False, text="The device sends nothing.")
-        return DeviceHealth(device=name, connected=True)
+        return DeviceHealth(device=name, connected=True) if name in self._heard else None
 
     async def _publish_frames(self, tracker: TrackerDriver) -> None:
         async for frame in tracker.frames():
@@ -133,9 +159,9 @@ class DeviceNode:
             self._heard["robot"] = self._clock.monotonic()
             self._link.publish("state/joints", state)
 
-    async def _publish_events(self, robot: RobotDriver) -> None:
-        async for event in robot.events():
-            self._link.publish("dev/robot/event", event)
+    async def _publish_events(self, name: str, device: RobotDriver | StimulatorDriver) -> None:
+        async for event in device.events():
+            self._link.publish(f"dev/{name}/event", event)
 
     def _hear_beat(self, _key: str, _beat: Beat) -> None:
         self._last_beat = self._clock.monotonic()
@@ -147,14 +173,25 @@ class DeviceNode:
             await self._clock.sleep(BEAT_PERIOD)
             now = self._clock.monotonic()
             silence = now - self._last_beat
-            if not self._moving or silence <= BEAT_TIMEOUT:
+            if silence <= BEAT_TIMEOUT or not await self._at_risk():
                 listened = True
             elif listened and now - before > BEAT_TIMEOUT / 2:
                 listened = False  # this process was held up itself: once, it hears first what has arrived meanwhile
             else:
                 log.warning("held_by_node", reason="no heartbeat of the daemon", silence=round(silence, 3))
-                await self.hold("no heartbeat")
+                await self.make_safe("no heartbeat")
                 self._last_beat, listened = self._clock.monotonic(), True
+
+    async def _at_risk(self) -> bool:
+        """Whether anything moves or could fire."""
+        if self._moving or "stimulator" not in self._devices:
+            return self._moving
+        try:
+            async with self._clock.timeout(HOLD_TIME):
+                state: StimulatorState = await self._devices["stimulator"].state()
+        except Exception:  # nobody knows, and the watch must go on
+            return True
+        return state.armed
 
 
 def _methods(protocol: type) -> list[str]:

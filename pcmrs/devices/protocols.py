@@ -16,6 +16,8 @@ from pcmrs.clock import Clock
 from pcmrs.messages import (
     BodyPose,
     DeviceEvent,
+    Epoch,
+    FiredPulse,
     HeadMotion,
     JointSetpoint,
     JointState,
@@ -25,6 +27,7 @@ from pcmrs.messages import (
     PressRequest,
     SceneTruth,
     ServoSession,
+    StimulatorState,
 )
 
 
@@ -96,6 +99,45 @@ class Pointer(Protocol):
         """The person may take the pointer away."""
 
 
+class Stimulator(Protocol):
+    """A magnetic stimulator with its coil.
+
+    Every method raises `DeviceError` when it refuses and `UnknownOutcomeError` when it does not answer.
+    """
+
+    async def state(self) -> StimulatorState:
+        """What it says of itself now."""
+
+    async def set_intensity(self, percent: float) -> StimulatorState:
+        """Sets the intensity, percent of its maximum output, 0 to 100."""
+
+    async def arm(self) -> StimulatorState:
+        """Charges it; returns when it is ready to fire. It disarms by itself after some time without a pulse."""
+
+    async def disarm(self) -> StimulatorState:
+        """Makes it unable to fire; takes effect at once, also while it charges."""
+
+    async def fire(self, number: int) -> FiredPulse:
+        """Gives one pulse.
+
+        Args:
+            number: Of the pulse; one that is not greater than the last is refused, so that a repeat gives none.
+        """
+
+
+class Emg(Protocol):
+    """An electromyograph that knows the stimulator's pulses."""
+
+    async def epoch(self, pulse: int, before: float, after: float) -> Epoch:
+        """The signal around a pulse, from `before` s before it until `after` s after it.
+
+        Waits until it has been measured, `after` and half a second at most.
+
+        Raises:
+            DeviceError: The pulse's marker was not seen, or the signal has stopped.
+        """
+
+
 class Scene(Protocol):
     """A simulated scene: its ground truth and its faults. Only simulations have one."""
 
@@ -131,6 +173,9 @@ class Scene(Protocol):
     async def cut_robot(self, cut: bool) -> None:
         """Cuts the robot's link, or restores it; a cut arm holds its posture and does not answer."""
 
+    async def inject(self, fault: str, arguments: dict[str, Any]) -> None:
+        """Brings about a fault of the catalogue, or ends it; `pcmrs-sim faults` lists them."""
+
 
 class RobotDriver(Robot, Protocol):
     """A robot as its node has it: the protocol plus streams of states and events, and set points without answer."""
@@ -145,6 +190,13 @@ class RobotDriver(Robot, Protocol):
         """Takes a set point of the running session; one that is stale or foreign is dropped, never an error."""
 
 
+class StimulatorDriver(Stimulator, Protocol):
+    """A stimulator as its node has it: the protocol plus a stream of events."""
+
+    def events(self) -> AsyncIterator[DeviceEvent]:
+        """What it has to report by itself: ``disarmed`` whenever it was armed and is no more, unasked."""
+
+
 class TrackerDriver(Protocol):
     """An optical tracker as its node has it."""
 
@@ -152,7 +204,7 @@ class TrackerDriver(Protocol):
         """All bodies of one tracker frame, at the tracker's rate."""
 
 
-Device = RobotDriver | TrackerDriver | Pointer | Scene
+Device = RobotDriver | TrackerDriver | Pointer | Scene | StimulatorDriver | Emg
 
 
 class OpenDriver(Protocol):
@@ -161,10 +213,11 @@ class OpenDriver(Protocol):
     def __call__(
         self, devices: Collection[str], settings: Mapping[str, Any], clock: Clock
     ) -> AbstractAsyncContextManager[Mapping[str, Any]]:
-        """Opens the devices named (``robot``, ``tracker``, ``pointer``, ``scene``); closes them on exit.
+        """Opens the devices named; closes them on exit.
 
         Args:
-            devices: Which devices this node serves with this driver.
+            devices: Which of ``robot``, ``tracker``, ``pointer``, ``scene``, ``stimulator``, ``emg`` this node serves
+                with this driver.
             settings: The whole configuration as plain data; a driver reads its own table.
             clock: The cell's clock.
         """

@@ -15,6 +15,8 @@ from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.messages import (
     DeviceReply,
     DeviceRequest,
+    Epoch,
+    FiredPulse,
     HeadMotion,
     JointSetpoint,
     JointState,
@@ -24,12 +26,16 @@ from pcmrs.messages import (
     PressRequest,
     SceneTruth,
     ServoSession,
+    StimulatorState,
 )
 
 T = TypeVar("T")
 
 ANSWER_TIME = 2.0
 """A device that is not moving answers within this, s."""
+
+CHARGING_TIME = 10.0
+"""A stimulator is charged within this, s."""
 
 MOTION_MARGIN = 3.0
 """A motion may take so much longer than its trajectory, s."""
@@ -40,7 +46,7 @@ class RemoteDevice:
 
     Args:
         link: The bus.
-        device: Name of the device: ``robot``, ``tracker``, ``pointer`` or ``scene``.
+        device: Name of the device, such as ``robot``.
         clock: The machine's clock, by which calls time out.
     """
 
@@ -129,6 +135,38 @@ class RemotePointer(RemoteDevice):
         await self.call("release", type(None))
 
 
+class RemoteStimulator(RemoteDevice):
+    """A stimulator behind its node; see `Stimulator`."""
+
+    def __init__(self, link: Link, clock: Clock) -> None:
+        super().__init__(link, "stimulator", clock)
+
+    async def state(self) -> StimulatorState:
+        return await self.call("state", StimulatorState)
+
+    async def set_intensity(self, percent: float) -> StimulatorState:
+        return await self.call("set_intensity", StimulatorState, percent=percent)
+
+    async def arm(self) -> StimulatorState:
+        return await self.call("arm", StimulatorState, CHARGING_TIME)
+
+    async def disarm(self) -> StimulatorState:
+        return await self.call("disarm", StimulatorState)
+
+    async def fire(self, number: int) -> FiredPulse:
+        return await self.call("fire", FiredPulse, number=number)
+
+
+class RemoteEmg(RemoteDevice):
+    """An electromyograph behind its node; see `Emg`."""
+
+    def __init__(self, link: Link, clock: Clock) -> None:
+        super().__init__(link, "emg", clock)
+
+    async def epoch(self, pulse: int, before: float, after: float) -> Epoch:
+        return await self.call("epoch", Epoch, after + ANSWER_TIME, pulse=pulse, before=before, after=after)
+
+
 class RemoteScene(RemoteDevice):
     """A simulated scene behind its node; see `Scene`."""
 
@@ -163,3 +201,6 @@ class RemoteScene(RemoteDevice):
 
     async def cut_robot(self, cut: bool) -> None:
         await self.call("cut_robot", type(None), cut=cut)
+
+    async def inject(self, fault: str, arguments: dict[str, Any]) -> None:
+        await self.call("inject", type(None), fault=fault, arguments=arguments)

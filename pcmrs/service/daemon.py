@@ -16,15 +16,16 @@ import structlog
 
 from pcmrs.bus import Bus, CommandEdge
 from pcmrs.clock import Clock, SystemClock
+from pcmrs.devices.dwell import DwellPointer
 from pcmrs.devices.poses import PoseFeed
-from pcmrs.devices.remote import RemotePointer, RemoteRobot
+from pcmrs.devices.remote import RemoteEmg, RemotePointer, RemoteRobot, RemoteStimulator
 from pcmrs.dispatcher import Dispatcher, Workflow
 from pcmrs.errors import ConfigurationError, DeviceError
 from pcmrs.gateway.links import open_gateway
 from pcmrs.journal import Journal
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
-from pcmrs.messages import BlueprintTag, BodyPose, DeviceEvent, JointState, Snapshot, Verdict
+from pcmrs.messages import BlueprintTag, BodyPose, DeviceEvent, DeviceHealth, JointState, Snapshot, Verdict
 from pcmrs.service.core import GatewayCore
 from pcmrs.service.hearing import Hearing, awaited
 from pcmrs.service.nodes import NodeProcesses
@@ -33,7 +34,7 @@ from pcmrs.service.recorder import JournalRecorder
 from pcmrs.service.reference import ReferenceWatch
 from pcmrs.service.resume import migration_for
 from pcmrs.service.watch import RobotWatch
-from pcmrs.settings import Settings
+from pcmrs.settings import DWELL, Settings
 from pcmrs.workflows import find_workflow, open_workflow
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
@@ -152,6 +153,13 @@ class Daemon:
 
         bus.subscribe("state/pose/*", BodyPose, take_pose)
         bus.subscribe("state/joints", JointState, take_joints)
+
+        def take_health(_key: str, health: DeviceHealth) -> None:
+            if not health.connected and not hearing.complete:
+                log.warning("device_not_connected", device=health.device, reason=health.text)
+                hearing.hear(health.device)
+
+        bus.subscribe("dev/*/state", DeviceHealth, take_health)
         bus.subscribe("dev/*/event", DeviceEvent, lambda _, event: dispatcher.report_later(event))
         nodes = NodeProcesses(self._settings, lose)
         stack.push_async_callback(nodes.stop)
@@ -185,11 +193,15 @@ def _open_cell(settings: Settings, bus: Bus, clock: SystemClock) -> Cell:
         name=f"{settings.cell.site}/{settings.cell.name}",
         robot=RemoteRobot(bus, machine),
         pointer=RemotePointer(bus, machine, procedure.registration.touch_timeout_s),
+        stimulator=RemoteStimulator(bus, machine) if settings.stimulator.driver != "none" else None,
+        emg=RemoteEmg(bus, machine) if settings.emg.driver != "none" else None,
         poses=PoseFeed(clock, procedure.max_pose_age),
         arm=ArmModel(find_arm(settings.robot.model)),
         clock=clock,
         settings=procedure,
     )
+    if settings.pointer.driver == DWELL:
+        cell.pointer = DwellPointer(cell.poses, clock, cell.pointer_from_tip, settings.pointer.dwell)
     log.info("calibration", **cell.calibrations(), id=cell.calibration_id)
     return cell
 
@@ -203,7 +215,7 @@ def _open_dispatcher(
         publishing.publish(message)
         publishing.publish_target(dispatcher.procedure.data)
 
-    dispatcher = Dispatcher(workflow, cell, clock, recorder, cell.robot.hold, publish)
+    dispatcher = Dispatcher(workflow, cell, clock, recorder, cell.make_safe, publish)
     return dispatcher
 
 

@@ -1,4 +1,4 @@
-"""Waiting at the start until robot and tracker have been heard."""
+"""Waiting at the start until robot and tracker have been heard, or are known to be absent."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Hearing:
         return not self._silent
 
     def hear(self, device: str) -> None:
-        """The device has said something."""
+        """The device has said something, or its node that it does not: then operations that need it say so."""
         self._silent.discard(device)
         self._end_when_complete()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import math
 from collections.abc import Callable
@@ -14,7 +15,7 @@ import numpy as np
 from pcmrs.calibration import Calibration, Kind, read_calibration
 from pcmrs.clock import Clock
 from pcmrs.devices.poses import PoseFeed
-from pcmrs.devices.protocols import Pointer, Robot
+from pcmrs.devices.protocols import Emg, Pointer, Robot, Stimulator
 from pcmrs.errors import ConfigurationError, FileFormatError, RefusalError
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
@@ -43,6 +44,8 @@ class Cell:
             body when the registration is given up. None until this cell has seen a registration.
         watchers: Called with every newly measured joint state.
         zones: What the arm keeps out of.
+        stimulator: None where none is configured.
+        emg: The same.
     """
 
     robot: Robot
@@ -60,6 +63,8 @@ class Cell:
     initial_joints: list[float] | None = None
     watchers: list[Callable[[JointState], None]] = field(default_factory=list)
     name: str = "lab/cell1"
+    stimulator: Stimulator | None = None
+    emg: Emg | None = None
     flange_from_coil: Transform = field(init=False)
     pointer_from_tip: Transform = field(init=False)
     zones: CellZones = field(init=False)
@@ -116,6 +121,17 @@ class Cell:
         self.joints = state
         for watch in tuple(self.watchers):
             watch(state)
+
+    async def make_safe(self) -> None:
+        """Holds the robot and disarms the stimulator, both at once.
+
+        Raises:
+            PcmrsError: One of them has not confirmed it.
+        """
+        asked = [self.robot.hold()] if self.stimulator is None else [self.robot.hold(), self.stimulator.disarm()]
+        for answer in await asyncio.gather(*asked, return_exceptions=True):
+            if isinstance(answer, BaseException):
+                raise answer
 
     def motion_limits(self) -> MotionLimits:
         """The configured speed limits, within the arm's own."""

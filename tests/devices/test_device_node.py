@@ -337,7 +337,7 @@ async def test_streams_are_published_under_their_keys(bench: Bench) -> None:
 
 
 async def test_the_node_beats_for_every_device(bench: Bench) -> None:
-    await bench.clock.advance(1.0)
+    await bench.clock.advance(2.2)
     for device in ("robot", "tracker", "pointer", "scene"):
         numbers = [beat.number for beat in bench.link.published[f"dev/{device}/beat"]]
         assert numbers == list(range(1, len(numbers) + 1))

@@ -1,0 +1,54 @@
+"""Markers as JSON texts on a stream of irregular rate."""
+
+from __future__ import annotations
+
+from typing import Any
+from uuid import uuid4
+
+import msgspec
+
+from pcmrs.devices.lsl.library import load_lsl
+
+PULSES = "pcmrs_pulses"
+"""Name of the stream on which the stimulator's pulses are marked, unless configured otherwise."""
+
+
+class PulseMarker(msgspec.Struct, frozen=True):
+    """A pulse, marked at the moment at which it was given.
+
+    Attributes:
+        pulse: Its number.
+        intensity: Percent of the maximum stimulator output; None where only the operator knows.
+    """
+
+    pulse: int
+    intensity: float | None = None
+
+
+def read_pulse(text: str) -> PulseMarker | None:
+    """The pulse that a marker means; None for any other marker."""
+    try:
+        return msgspec.json.decode(text, type=PulseMarker)
+    except (msgspec.DecodeError, UnicodeError):
+        return None
+
+
+class MarkerOutlet:
+    """A stream of markers; pushing never waits, whoever listens or not.
+
+    Args:
+        name: Of the stream.
+
+    Raises:
+        ConfigurationError: Lab Streaming Layer is not installed.
+    """
+
+    def __init__(self, name: str) -> None:
+        lsl = load_lsl()
+        # The library would print a source id that it had to make up.
+        info = lsl.StreamInfo(name, "Markers", 1, lsl.IRREGULAR_RATE, lsl.cf_string, f"{name}-{uuid4().hex}")
+        self._outlet = lsl.StreamOutlet(info)
+
+    def push(self, marker: Any, time: float = 0.0) -> None:
+        """Marks `time` (s of the library's clock; 0 is now) with a message or mapping as JSON."""
+        self._outlet.push_sample([msgspec.json.encode(marker).decode()], time)

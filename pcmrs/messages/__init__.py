@@ -1,0 +1,62 @@
+"""The typed messages that cross the bus or the journal.
+
+SI units; quaternions are ``quat_wxyz`` inside. Stamps are seconds of the sender's monotonic clock, so
+that an age is (sent - captured) at the sender plus (now - received) at the receiver.
+"""
+
+from pcmrs.messages.base import Message
+from pcmrs.messages.decisions import Command, Decision, Reason, Verdict
+from pcmrs.messages.device import Beat, DeviceEvent, DeviceHealth, DeviceReply, DeviceRequest
+from pcmrs.messages.journal import JournalPage, JournalQuery
+from pcmrs.messages.pointer import LandmarkPrompt
+from pcmrs.messages.poses import BodyPose, PoseMessage, Target
+from pcmrs.messages.robot import (
+    JointSetpoint,
+    JointState,
+    JointTrajectory,
+    MotionOutcome,
+    MotionResult,
+    PressRequest,
+    ServoSession,
+)
+from pcmrs.messages.scene import HeadBurst, HeadMotion, HeadStep, SceneTruth
+from pcmrs.messages.snapshot import BlueprintTag, Flags, Ongoing, Running, Snapshot
+from pcmrs.messages.stimulation import Epoch, FiredPulse, StimulatorState
+
+__all__ = [
+    "Beat",
+    "BlueprintTag",
+    "BodyPose",
+    "Command",
+    "Decision",
+    "DeviceEvent",
+    "DeviceHealth",
+    "DeviceReply",
+    "DeviceRequest",
+    "Epoch",
+    "FiredPulse",
+    "Flags",
+    "HeadBurst",
+    "HeadMotion",
+    "HeadStep",
+    "JointSetpoint",
+    "JointState",
+    "JointTrajectory",
+    "JournalPage",
+    "JournalQuery",
+    "LandmarkPrompt",
+    "Message",
+    "MotionOutcome",
+    "MotionResult",
+    "Ongoing",
+    "PoseMessage",
+    "PressRequest",
+    "Reason",
+    "Running",
+    "SceneTruth",
+    "ServoSession",
+    "Snapshot",
+    "StimulatorState",
+    "Target",
+    "Verdict",
+]

@@ -1,0 +1,9 @@
+"""The base of all messages."""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class Message(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Base of all messages: immutable, by keyword, defaults left out on the wire."""

@@ -1,0 +1,59 @@
+"""Commands, and what was decided about them."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pcmrs.messages.base import Message
+
+Decision = Literal["accepted", "rejected", "failed", "unknown"]
+
+
+class Command(Message, frozen=True, kw_only=True):
+    """A request that one operation of one branch be performed.
+
+    Attributes:
+        id: Unique per source; a repeat returns the recorded verdict and runs nothing.
+        source: Who asks, such as ``udp:planner:127.0.0.1`` or ``bus:local``.
+        sent: Unix seconds at which it was sent, if the sender said so.
+        ttl: Seconds after `sent` beyond which it is refused as expired.
+        parent: Id of the command whose step submitted this one.
+    """
+
+    id: str
+    branch: str
+    operation: str
+    source: str
+    arguments: dict[str, Any] = {}
+    sent: float | None = None
+    ttl: float | None = None
+    parent: str | None = None
+
+
+class Reason(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Why not: a stable code, a sentence, and the values in it."""
+
+    code: str
+    text: str
+    fields: dict[str, Any] = {}
+
+
+class Verdict(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """What the dispatcher decided, and for operations how they ended.
+
+    Attributes:
+        state: State of the branch after the decision.
+        allowed: Operations of the branch that would not be denied now.
+        result: What the operation reports, such as ``residual`` in m.
+        sequence: Number of the snapshot that shows the decision.
+    """
+
+    id: str
+    branch: str
+    operation: str
+    decision: Decision
+    state: str
+    sequence: int
+    reason: Reason | None = None
+    allowed: list[str] = []
+    result: dict[str, Any] | None = None

@@ -1,0 +1,46 @@
+"""Calls to device nodes, and what these tell of themselves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pcmrs.messages.base import Message
+from pcmrs.messages.decisions import Reason
+
+
+class DeviceRequest(Message, frozen=True, kw_only=True):
+    """A call to a device node: `method` of its protocol with `arguments`."""
+
+    method: str
+    arguments: dict[str, Any] = {}
+
+
+class DeviceReply(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """A device node's answer: a result, or the reason of the failure."""
+
+    result: Any = None
+    failure: Reason | None = None
+
+
+class DeviceEvent(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Something a device reports by itself; `danger` events take the lane of Stop."""
+
+    device: str
+    code: str
+    text: str
+    danger: bool = False
+    fields: dict[str, Any] = {}
+
+
+class Beat(Message, frozen=True, kw_only=True):
+    """A heartbeat; `number` grows by one each time."""
+
+    number: int
+
+
+class DeviceHealth(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Whether a device node and its device are well."""
+
+    device: str
+    connected: bool
+    text: str = ""

@@ -1,0 +1,43 @@
+"""Poses, tracked and planned."""
+
+from __future__ import annotations
+
+from pcmrs.messages.base import Message
+
+
+class BodyPose(Message, frozen=True, kw_only=True):
+    """One tracked body in one tracker frame, as the tracker measured it.
+
+    Attributes:
+        frame_number: Grows by one per tracker frame; a frozen number is a frozen tracker.
+        captured: Sender's monotonic time of the exposure.
+        sent: Sender's monotonic time of publication.
+        valid: False when the tracker does not see the body; then `reason` says why.
+        position: `tracker_from_body` translation, m.
+        quat_wxyz: `tracker_from_body` rotation, unit quaternion.
+        error: The tracker's own fit error, m.
+    """
+
+    body: str
+    frame_number: int
+    captured: float
+    sent: float
+    valid: bool
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    quat_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    error: float = 0.0
+    reason: str | None = None
+
+
+class PoseMessage(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """A pose as data: translation in m and unit ``quat_wxyz``."""
+
+    position: tuple[float, float, float]
+    quat_wxyz: tuple[float, float, float, float]
+
+
+class Target(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """``image_from_coil`` of the accepted tool plan; both None when there is none."""
+
+    plan: str | None = None
+    pose: PoseMessage | None = None

@@ -1,0 +1,60 @@
+"""The joint state of a workflow, as it is published."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pcmrs.messages.base import Message
+
+
+class Running(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """An operation in progress; `progress` grows from 0 to 1."""
+
+    branch: str
+    operation: str
+    id: str
+    progress: float = 0.0
+
+
+class Ongoing(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The activity of the state that a branch is in; `values` are what it shows of itself."""
+
+    branch: str
+    state: str
+    name: str
+    values: dict[str, Any] = {}
+
+
+class BlueprintTag(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Which workflow a decision was made under; `hash` is the SHA-256 of what the blueprint says."""
+
+    id: str
+    version: str
+    hash: str
+
+
+class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The joint state of all branches after one commit.
+
+    Attributes:
+        plan: Id of the accepted tool plan, if any.
+        registration: Id of the accepted registration, if any.
+        activities: What goes on besides operations, until the state it belongs to is left.
+    """
+
+    sequence: int
+    branches: dict[str, str]
+    flags: dict[str, bool]
+    running: list[Running]
+    latched: bool
+    blueprint: BlueprintTag
+    plan: str | None = None
+    registration: str | None = None
+    activities: list[Ongoing] = []
+
+
+class Flags(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The flags of snapshot `sequence`, for displays; nothing is decided by them."""
+
+    sequence: int
+    flags: dict[str, bool]

@@ -1,0 +1,1 @@
+"""The commands of `pcmrs-sim`: virtual devices that speak the real protocols."""

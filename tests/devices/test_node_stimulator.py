@@ -1,0 +1,127 @@
+"""A stimulator behind its node: typed calls, and disarmed whenever nobody watches over it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import suppress
+
+import pytest
+from clock import ManualClock, settle
+from memory_link import MemoryLink
+
+from pcmrs.devices.node import BEAT_PERIOD, BEAT_TIMEOUT, DeviceNode
+from pcmrs.devices.remote import RemoteEmg, RemoteStimulator
+from pcmrs.errors import DeviceError, UnknownOutcomeError
+from pcmrs.messages import Beat, DeviceEvent, Epoch, FiredPulse, StimulatorState
+
+EPOCH = Epoch(pulse=1, muscle="FDI", rate_hz=5000.0, start=-0.1, samples=[0.0, 1e-5])
+
+
+class FakeStimulator:
+    def __init__(self) -> None:
+        self.armed = False
+        self.pulse = 0
+        self.disarms = 0
+        self.error: Exception | None = None
+        self.reports: asyncio.Queue[DeviceEvent] = asyncio.Queue()
+
+    async def state(self) -> StimulatorState:
+        if self.error is not None:
+            raise self.error
+        return StimulatorState(armed=self.armed, ready=True, intensity=50.0, coil_temperature=None, pulse=self.pulse)
+
+    async def set_intensity(self, percent: float) -> StimulatorState:
+        return await self.state()
+
+    async def arm(self) -> StimulatorState:
+        self.armed = True
+        return await self.state()
+
+    async def disarm(self) -> StimulatorState:
+        self.disarms += 1
+        self.armed = False
+        return await self.state()
+
+    async def fire(self, number: int) -> FiredPulse:
+        self.pulse = number
+        return FiredPulse(number=number, intensity=50.0, fired=1.0)
+
+    async def events(self) -> AsyncIterator[DeviceEvent]:
+        while True:
+            yield await self.reports.get()
+
+
+class FakeEmg:
+    async def epoch(self, pulse: int, before: float, after: float) -> Epoch:
+        if pulse != EPOCH.pulse:
+            raise DeviceError(f"No marker of pulse {pulse} was seen.", pulse=pulse)
+        return EPOCH
+
+
+class Bench:
+    def __init__(self) -> None:
+        self.clock = ManualClock()
+        self.link = MemoryLink()
+        self.device = FakeStimulator()
+        self.node = DeviceNode(self.link, {"stimulator": self.device, "emg": FakeEmg()}, self.clock)
+        self.stimulator = RemoteStimulator(self.link, self.clock)
+        self.emg = RemoteEmg(self.link, self.clock)
+
+
+@pytest.fixture
+async def bench() -> AsyncIterator[Bench]:
+    bench = Bench()
+    serving = asyncio.create_task(bench.node.run())
+    await settle()
+    yield bench
+    serving.cancel()
+    with suppress(asyncio.CancelledError):
+        await serving
+
+
+async def test_pulses_and_epochs_keep_their_types(bench: Bench) -> None:
+    assert (await bench.stimulator.arm()).armed
+    assert await bench.stimulator.fire(1) == FiredPulse(number=1, intensity=50.0, fired=1.0)
+    assert await bench.emg.epoch(1, 0.1, 0.1) == EPOCH
+    with pytest.raises(DeviceError, match="No marker of pulse 2"):
+        await bench.emg.epoch(2, 0.1, 0.1)
+
+
+async def test_a_pulse_that_nobody_answers_for_is_unknown_not_failed(bench: Bench) -> None:
+    bench.link.silent = True
+    with pytest.raises(UnknownOutcomeError):
+        await bench.stimulator.fire(1)
+
+
+async def test_stop_disarms_by_the_node_itself(bench: Bench) -> None:
+    await bench.stimulator.arm()
+    bench.node.stop("bus:nurse")
+    await settle()
+    assert not bench.device.armed
+
+
+async def test_an_armed_stimulator_is_disarmed_when_the_daemon_falls_silent(bench: Bench) -> None:
+    await bench.stimulator.arm()
+    for number in range(20):
+        bench.link.hear("dev/robot/beat", Beat(number=number))
+        await bench.clock.advance(0.1)
+    assert bench.device.disarms == 0
+    await bench.clock.advance(BEAT_TIMEOUT + 2 * BEAT_PERIOD)
+    assert bench.device.disarms == 1
+    await bench.clock.advance(10.0)
+    assert bench.device.disarms == 1, "one that is not armed is left alone"
+
+
+async def test_a_stimulator_that_does_not_say_whether_it_is_armed_is_disarmed(bench: Bench) -> None:
+    bench.device.error = OSError("The cable is out.")
+    for disarms in (1, 2):
+        await bench.clock.advance(BEAT_TIMEOUT + 2 * BEAT_PERIOD)
+        assert bench.device.disarms == disarms
+
+
+async def test_its_events_are_published(bench: Bench) -> None:
+    event = DeviceEvent(device="stimulator", code="disarmed", text="The coil is too hot.")
+    bench.device.reports.put_nowait(event)
+    await settle()
+    assert bench.link.published["dev/stimulator/event"] == [event]
