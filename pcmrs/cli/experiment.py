@@ -131,6 +131,36 @@ def following(wanted: Wanted, duration: float, plot: Path | None, as_json: bool)
         save_png(following_figure(drawn), plot)
 
 
+@experiment.command()
+@click.option("--subjects", type=click.IntRange(min=1), default=1000, show_default=True, help="How many.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the simulated subjects.")
+@click.option(
+    "--interval",
+    type=Finite(0.02, 0.5),
+    default=0.08,
+    show_default=True,
+    help="Maximum likelihood ends when the 95 % interval is narrower than this share of the threshold.",
+)
+@plot_option
+@json_option
+@readable_errors
+def thresholds(subjects: int, seed: int, interval: float, plot: Path | None, as_json: bool) -> None:
+    """Hunt the motor thresholds of simulated subjects: pulses and errors of every method, without a daemon.
+
+    Example: pcmrs experiment thresholds --subjects 1000 --seed 1 --plot thresholds.png
+    """
+    from pcmrs.analysis.plots import save_png
+    from pcmrs.cli.threshold_tables import threshold_table
+    from pcmrs.experiment.thresholds import run_thresholds
+    from pcmrs.experiment.thresholds_plot import thresholds_figure
+
+    with progress_bar() as progress:
+        report, hunted = run_thresholds(subjects, seed, interval, progress)
+    print_report(report, threshold_table(report), as_json=as_json)
+    if plot is not None:
+        save_png(thresholds_figure(report, hunted), plot)
+
+
 @click.command()
 @experiment_options("ratms")
 @readable_errors

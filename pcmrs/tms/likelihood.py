@@ -1,0 +1,88 @@
+"""The motor threshold by maximum likelihood, the next pulse where the threshold is thought to be.
+
+Awiszus, TMS and threshold hunting, Suppl. Clin. Neurophysiol. 56 (2003) 13: the probability of a response is a
+cumulative Gaussian of the intensity, its mean the threshold, its standard deviation 0.07 of it. A prior takes the place
+of his two pulses that never were, no response to 0 % and one to 100 %.
+
+Where amplitudes are known, they say by how much a pulse was above or below: their logarithm is taken to be linear in
+the same Gaussian variable, between the noise and `TOP` times a response (a censored regression: Tobin, Econometrica 26
+(1958) 24), and a response to have its least amplitude at the threshold. The slope is not known and is averaged over.
+Yes and no alone say nothing of the slope, and the result is that of Awiszus.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from scipy.special import log_ndtr, logsumexp
+
+from pcmrs.spatial import Floats
+from pcmrs.tms.threshold_settings import Estimate, Pulse, Standing, ThresholdSettings
+
+SPREAD = 0.07
+"""Of the threshold: Awiszus 2003."""
+
+TOP = 4.0
+"""Times the amplitude of a response: beyond, the logarithm levels off, and a pulse only counts as above."""
+
+THRESHOLDS = np.arange(1.0, 150.0, 0.25)[:, None]
+"""Looked at, percent of the maximum stimulator output, (T, 1); above 100 lies what no pulse reaches."""
+
+SLOPES = np.geomspace(0.15, 3.0, 10)
+"""Looked at, decades of the amplitude per spread of the Gaussian, (S,)."""
+
+TAIL = 0.025
+"""Probability beyond each end of the interval."""
+
+
+@lru_cache(maxsize=256)
+def standing(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> Standing:
+    """Where the threshold is thought to be after these pulses, and whether that is certain enough."""
+    estimate, low, high = _estimate(settings, pulses)
+    ceiling = math.floor(settings.ceiling)
+    certain = high - low <= settings.interval * estimate
+    refusal = None
+    if pulses and (low > ceiling or (certain and estimate > ceiling)):
+        refusal = "above_ceiling"
+    elif pulses and (high < settings.floor or (certain and estimate <= settings.floor)):
+        refusal = "below_floor"
+    return Standing(
+        estimate=Estimate(estimate, low, high),
+        intensity=float(min(max(round(estimate), 1), ceiling)),
+        finished=certain and refusal is None,
+        refusal=refusal,
+    )
+
+
+def _estimate(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> tuple[float, float, float]:
+    """The most probable threshold and the ends of its interval, percent."""
+    log_posterior = logsumexp(_log_joint(settings, pulses), axis=1)
+    distribution = np.cumsum(np.exp(log_posterior - logsumexp(log_posterior)))
+    low, high = THRESHOLDS[np.searchsorted(distribution, (TAIL, 1.0 - TAIL)), 0]
+    return float(THRESHOLDS[np.argmax(log_posterior), 0]), float(low), float(high)
+
+
+@lru_cache(maxsize=256)
+def _log_joint(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> Floats:
+    """Logarithm of prior and likelihood of every threshold and slope, (T, S); what came before is remembered."""
+    if not pulses:
+        deviations = (THRESHOLDS - settings.prior_mean) / settings.prior_sd
+        return np.repeat(-0.5 * deviations**2, len(SLOPES), axis=1)
+    return _log_joint(settings, pulses[:-1]) + log_likelihood(settings, pulses[-1])
+
+
+def log_likelihood(settings: ThresholdSettings, pulse: Pulse) -> Floats:
+    """Of one pulse but for a constant, for every threshold and slope, (T, S) or (T, 1)."""
+    deviation = (pulse.intensity - THRESHOLDS) / (SPREAD * THRESHOLDS)
+    if pulse.amplitude is None:
+        return np.asarray(log_ndtr(deviation if pulse.responded else -deviation))
+    least, top = settings.noise_uv / settings.response_uv, TOP
+    size = pulse.amplitude * 1e6 / settings.response_uv
+    above = math.log10(min(max(size, least), top)) / SLOPES - deviation
+    if size <= least:
+        return np.asarray(log_ndtr(above))
+    if size >= top:
+        return np.asarray(log_ndtr(-above))
+    return np.asarray(-0.5 * above**2 - np.log(SLOPES))
