@@ -8,11 +8,12 @@ from collections.abc import AsyncIterator, Sequence
 import msgspec
 
 from pcmrs.clock import Clock
+from pcmrs.devices.stream import Stream
 from pcmrs.messages import BodyPose
-from sim.stream import Stream
+from sim.tracker_faults import BODIES, TrackerFaults
 from sim.world import World
 
-BODIES = ("coil", "body_ref", "pointer", "witness")
+__all__ = ["BODIES", "SimTracker"]
 
 
 class SimTracker:
@@ -22,6 +23,10 @@ class SimTracker:
         world: What it looks at.
         clock: Stamps what is sent.
         start: Time of the first exposure, s of `clock`.
+
+    Attributes:
+        newest: The last published frame; empty before the first.
+        faults: What is wrong with it.
     """
 
     def __init__(self, world: World, clock: Clock, start: float) -> None:
@@ -32,6 +37,13 @@ class SimTracker:
         self._frame_number = 0
         self._pending: deque[list[BodyPose]] = deque()
         self._stream: Stream[Sequence[BodyPose]] = Stream()
+        self.newest: Sequence[BodyPose] = ()
+        self.faults = TrackerFaults()
+
+    @property
+    def hidden(self) -> set[str]:
+        """Bodies that something hides; may be changed."""
+        return self._world.hidden
 
     def frames(self) -> AsyncIterator[Sequence[BodyPose]]:
         return self._stream.read()
@@ -47,14 +59,21 @@ class SimTracker:
             self._frame_number += 1
             self._pending.append([self._expose(body, time) for body in BODIES])
         while time >= self._next_exposure:  # a cell that lags loses frames
-            self._next_exposure += 1 / self._settings.rate_hz
+            self._next_exposure += 1 / (self.faults.rate_hz or self._settings.rate_hz)
         while self._pending and time >= self._publication(self._pending[0]):
-            sent = self._clock.monotonic()
-            self._stream.publish([msgspec.structs.replace(pose, sent=sent) for pose in self._pending.popleft()])
+            self._publish(self._pending.popleft())
 
     def close(self) -> None:
         """Ends all readers."""
         self._stream.close()
+
+    def _publish(self, exposed: Sequence[BodyPose]) -> None:
+        if not self.faults.sending:
+            return
+        sent = self._clock.monotonic()
+        frame = [msgspec.structs.replace(pose, sent=sent) for pose in exposed]
+        self.newest = self.faults.distort(frame, self.newest)
+        self._stream.publish(self.newest)
 
     def _publication(self, frame: Sequence[BodyPose]) -> float:
         return frame[0].captured + self._settings.latency

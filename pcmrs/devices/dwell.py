@@ -25,13 +25,13 @@ class DwellSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """When a tip that is held still is a touch.
 
     Attributes:
-        time: It is held still for so long, s.
+        time: It is held still for so long, s; well within what is kept of the poses.
         still_mm: It stays within so much of where it is now.
         samples: The tracker has seen it there at least so often.
         away_mm: Before that it was farther than this from where it was at the prompt, or from the last touch.
     """
 
-    time: Positive = 0.8
+    time: Annotated[float, msgspec.Meta(gt=0.0, le=3.0)] = 0.8
     still_mm: Positive = 1.0
     samples: Annotated[int, msgspec.Meta(ge=2)] = 10
     away_mm: Positive = 10.0
@@ -56,7 +56,7 @@ class DwellPointer:
         self._settings = settings
         self._last_touch: Floats | None = None
 
-    async def touch(self, prompt: LandmarkPrompt) -> None:
+    async def touch(self, prompt: LandmarkPrompt) -> None:  # noqa: ARG002 (the screen shows it)
         await self._wait_until_held()
 
     async def touch_surface(self) -> None:
@@ -71,7 +71,7 @@ class DwellPointer:
         while True:
             await self._clock.sleep(LOOK_PERIOD)
             frames = self._frames(prompted)
-            away = away or any(self._is_away(frame, left) for frame in frames)
+            away = away or (bool(frames) and self._is_away(frames[-1], left))
             if away and self._held_still(frames):
                 self._last_touch = self._tip(frames[-1])
                 return

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from itertools import takewhile
 
 from pcmrs.clock import Clock
+from pcmrs.devices.jumps import JumpGuard, PoseLimits
 from pcmrs.errors import GeometryError, RefusalError
 from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform, mean_transform
@@ -17,9 +18,14 @@ from pcmrs.spatial import Transform, mean_transform
 HISTORY = 256
 """Frames kept per body: over four seconds at 60 Hz."""
 
+RATE_TIME = 1.0
+"""Over so long a time the rate of frames is taken, s of the clock."""
 
 RESTART_TIME = 2.0
 """A tracker that begins to count anew after so long a silence was restarted, s of the clock."""
+
+
+NO_LIMITS = PoseLimits()
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,18 +46,21 @@ class Sighting:
 class PoseFeed:
     """The newest poses of all tracked bodies.
 
-    A pose is not taken when it is flagged invalid, is no pose, or its frame number or stamp does not
-    advance; what was dropped is counted by reason in `dropped`.
+    A pose is not taken when it is flagged invalid, is no pose, fits badly, its frame number or stamp does not
+    advance, or the body has jumped; what was dropped is counted by reason in `dropped`.
 
     Args:
         clock: The cell's clock.
         max_age: Age beyond which a pose is stale, s.
+        limits: Beyond which a pose is not believed.
     """
 
-    def __init__(self, clock: Clock, max_age: float) -> None:
+    def __init__(self, clock: Clock, max_age: float, limits: PoseLimits = NO_LIMITS) -> None:
         self.dropped: Counter[str] = Counter()
         self._clock = clock
         self._max_age = max_age
+        self._limits = limits
+        self._jumps = JumpGuard(limits)
         self._sightings: dict[str, deque[Sighting]] = {}
         self._arrivals: dict[str, float] = {}
         self._last_reason: dict[str, str] = {}
@@ -83,6 +92,11 @@ class PoseFeed:
         except RefusalError:
             return False
         return True
+
+    def rate_hz(self, body: str) -> float:
+        """Frames per second that showed the body lately; a tracker that slows down is seen here."""
+        since = self._clock.monotonic() - RATE_TIME
+        return sum(sighting.captured >= since for sighting in self._sightings.get(body, ())) / RATE_TIME
 
     def recent(self, bodies: Sequence[str], count: int, since: float) -> dict[str, Transform]:
         """Means over the last `count` frames captured after `since` that show all `bodies`.
@@ -139,6 +153,8 @@ class PoseFeed:
     def _sighting_of(self, pose: BodyPose) -> tuple[Sighting | None, str]:
         if not pose.valid:
             return None, pose.reason or "invalid"
+        if not pose.error <= self._limits.error:
+            return None, "fit_error"
         age = pose.sent - pose.captured
         if not 0.0 <= age < math.inf:
             return None, "stamp_reversed"
@@ -146,6 +162,7 @@ class PoseFeed:
         silence, self._arrivals[pose.body] = now - self._arrivals.get(pose.body, now), now
         known = self._sightings.get(pose.body)
         if known and pose.frame_number < known[-1].frame_number and silence > RESTART_TIME:
+            self._jumps.forget(pose.body)
             known.clear()  # the tracker was restarted and counts anew; a frozen one repeats its number
         if known and pose.frame_number <= known[-1].frame_number:
             return None, "frame_not_advancing"
@@ -155,6 +172,9 @@ class PoseFeed:
             tracker_from_body = Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
         except GeometryError:
             return None, "no_pose"
+        doubt = self._jumps.doubt(pose.body, pose.captured, tracker_from_body)
+        if doubt:
+            return None, doubt
         return Sighting(pose.frame_number, pose.captured, self._clock.monotonic() - age, tracker_from_body), ""
 
     def _newest(self, body: str) -> Sighting:

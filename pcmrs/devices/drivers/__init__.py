@@ -1,0 +1,1 @@
+"""Drivers of real devices, one file each, found by entry point."""

@@ -1,0 +1,140 @@
+"""Driver of an NDI Polaris or Vega, on a network or serial link, through `ndicapi`.
+
+Written from NDI's commands as `ndicapi` 3.7 sends them (``PHRQ``, ``PVWR``, ``PINIT``, ``PENA``, ``TSTART``, ``BX``, or
+``TX`` where the tracker knows no ``BX``) and tested against the virtual tracker of `sim.ndi`; not tested on hardware.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import AsyncGenerator, AsyncIterator, Collection, Mapping, Sequence
+from contextlib import aclosing, asynccontextmanager
+from typing import Annotated, Any, Literal
+
+import msgspec
+import structlog
+
+from pcmrs.clock import Clock
+from pcmrs.devices.ndi.poses import FrameReader
+from pcmrs.devices.ndi.process import reports
+from pcmrs.devices.ndi.tools import placeholder, read_tools
+from pcmrs.devices.ndi.wire import Job, Ready
+from pcmrs.devices.tables import check_devices, read_table
+from pcmrs.errors import ConfigurationError, PcmrsError
+from pcmrs.messages import BodyPose
+
+VIRTUAL_BODIES = ("coil", "body_ref", "pointer", "witness")
+"""What the virtual tracker shows where no tools are configured."""
+
+FIRST_PAUSE, LONGEST_PAUSE = 0.5, 10.0
+"""Between attempts to reach the tracker, s: each is twice as long as the one before."""
+
+Body = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$")]
+
+log = structlog.get_logger(__name__)
+
+
+class NdiSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The table ``ndi`` of the configuration.
+
+    Attributes:
+        device: ``host:port``, or the path of a serial port.
+        tools: Body to the SROM file of the tool that is fixed to it; may be left out for a virtual tracker only.
+        sha256: Body to the hash of that file, where another file shall be refused.
+        latency: From the exposure until the frame can be had, s.
+        max_error_mm: Beyond this fit error there is no pose.
+        baud: Of a serial port.
+    """
+
+    device: str = "127.0.0.1:8765"
+    tools: dict[Body, str] = {}
+    sha256: dict[Body, str] = {}
+    latency: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.030
+    max_error_mm: Annotated[float, msgspec.Meta(gt=0.0)] = 1.0
+    baud: Literal[9600, 14400, 19200, 38400, 57600, 115200, 921600] = 115200
+
+
+class NdiTracker:
+    """The tracker; see `pcmrs.devices.protocols.TrackerDriver`. It is read while somebody iterates over its frames.
+
+    Args:
+        settings: Where it is.
+        tools: Body to the definition of its tool.
+        clock: Runs in real time.
+
+    Attributes:
+        trouble: Why there are no frames; empty while there are.
+    """
+
+    def __init__(self, settings: NdiSettings, tools: Mapping[str, bytes], clock: Clock) -> None:
+        self._settings = settings
+        self._job = Job(settings.device, settings.baud, dict(tools))
+        self._clock = clock
+        self._reader = FrameReader(settings.latency, settings.max_error_mm / 1000.0)
+        self.trouble = f"The tracker at {settings.device} has not been reached yet."
+
+    async def frames(self) -> AsyncGenerator[Sequence[BodyPose], None]:
+        """All bodies of each new frame; tries again without end while there is no tracker. For one reader."""
+        pause = FIRST_PAUSE
+        while True:
+            try:
+                async with aclosing(self._connection()) as connection:
+                    async for poses in connection:
+                        pause = FIRST_PAUSE
+                        yield poses
+            except PcmrsError as error:
+                self._report(error, pause)
+            await self._clock.sleep(pause)
+            pause = min(2 * pause, LONGEST_PAUSE)
+
+    async def _connection(self) -> AsyncGenerator[Sequence[BodyPose], None]:
+        async with aclosing(reports(self._job, self._clock)) as found:
+            async for report in found:
+                if isinstance(report, Ready):
+                    self._ready(report)
+                elif poses := self._reader.poses(report, self._clock.monotonic()):
+                    yield poses
+
+    def _ready(self, report: Ready) -> None:
+        self._reader.begin_anew()
+        self.trouble = ""
+        version = " ".join(line for line in report.version.splitlines() if line.startswith("Freeze Tag:"))
+        command = "BX" if report.binary else "TX"
+        log.info("tracker_ready", device=self._settings.device, version=version, command=command)
+
+    def _report(self, error: PcmrsError, pause: float) -> None:
+        device = self._settings.device
+        self.trouble = f"The tracker at {device}: {error.text}. Check that it is on, and its cable."
+        log.warning("tracker_not_there", reason=self.trouble, again_in=pause)
+
+
+@asynccontextmanager
+async def open_devices(
+    devices: Collection[str], settings: Mapping[str, Any], clock: Clock
+) -> AsyncIterator[Mapping[str, Any]]:
+    """Opens the tracker; one that is absent is waited for. See `pcmrs.devices.protocols.OpenDriver`.
+
+    Raises:
+        ConfigurationError: The table ``ndi`` is wrong, or a tool definition is missing or another than agreed.
+    """
+    check_devices("ndi", devices, "tracker")
+    own = read_table(settings, "ndi", NdiSettings)
+    yield {"tracker": NdiTracker(own, _tools(own), clock)}
+
+
+def _tools(settings: NdiSettings) -> dict[str, bytes]:
+    if settings.tools or settings.sha256:
+        return read_tools(settings.tools, settings.sha256)
+    if not _is_virtual(settings.device):
+        text = f"ndi.tools is empty: name the SROM file of each body's tool, or {settings.device} tracks nothing."
+        raise ConfigurationError(text, device=settings.device)
+    return {body: placeholder(body) for body in VIRTUAL_BODIES}
+
+
+def _is_virtual(device: str) -> bool:
+    """Whether this is the place of a virtual tracker: this machine, or a pseudo-terminal."""
+    host = device.rpartition(":")[0]
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost" or device.startswith("/dev/pts/")
