@@ -45,7 +45,7 @@ def test_daemon_says_that_the_simulated_driver_is_not_installed() -> None:
 
 
 def test_settings_of_real_devices_are_read_without_the_simulation() -> None:
-    drivers = [f"{device}.driver=none" for device in ("robot", "tracker", "pointer", "scene")]
+    drivers = [f"{device}.driver=none" for device in ("robot", "tracker", "pointer", "scene", "stimulator", "emg")]
     read = f"from pcmrs.settings import read_settings\nprint(read_settings(None, {drivers}).drivers())"
     done = run_python(f"{HIDE_SIM_EXTRA}\n{read}")
     assert (done.stdout.strip(), done.returncode) == ("{}", 0), done.stderr

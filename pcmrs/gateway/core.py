@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
-from pcmrs.messages import Command, Snapshot, Verdict
+from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
 
 if TYPE_CHECKING:
     # Only for annotations: a planner shares this package's grammar and must not load NumPy for it.
@@ -23,6 +23,9 @@ class Core(Protocol):
 
     def on_stop(self, callback: Callable[[], None]) -> None:
         """Calls back, synchronously, at every Stop whatever way it came."""
+
+    def on_publish(self, callback: Callable[[Snapshot | Verdict | DeviceEvent], None]) -> None:
+        """Calls back, synchronously, with everything that is published."""
 
     def snapshot(self) -> Snapshot:
         """The state of all branches."""
@@ -47,6 +50,9 @@ class Core(Protocol):
 
     def registration(self) -> Transform | None:
         """``body_ref_from_image`` of the accepted registration."""
+
+    def seen(self) -> dict[str, Transform]:
+        """``tracker_from_body`` of each body that the tracker sees, if fresh: ``coil``, ``pointer``, ``body_ref``."""
 
     def tracked(self) -> dict[str, Transform] | None:
         """Measured ``body_from_tool``, ``tracker_from_body`` and ``tracker_from_tool``, newest of each, if fresh."""

@@ -96,6 +96,10 @@ class Intake:
         for session in self._sessions.values():
             session.halt()
 
+    def lock(self, host: str) -> PlanLock:
+        """The plan lock that all clients of a host share, whatever link they come by."""
+        return self._locks.setdefault(host, PlanLock())
+
     def _check_sender(self, host: str, exposed: bool) -> None:
         """Unsigned commands, and all are unsigned here, come from listed loopback peers on loopback links only."""
         if exposed:
@@ -117,8 +121,7 @@ class Intake:
                 del self._sessions[oldest_idle]
         host, port = peer
         transport = "tcp" if link == "tcp" else f"udp:{link}"
-        lock = self._locks.setdefault(host, PlanLock())
-        actions = Actions(f"{transport}:{host}:{port}", self._services, lock)
+        actions = Actions(f"{transport}:{host}:{port}", self._services, self.lock(host))
         return Session(actions, self._clock, self._tasks, self._memory, self._count_overflow)
 
     def _count_overflow(self) -> None:

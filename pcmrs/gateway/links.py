@@ -15,6 +15,7 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.actions import Services
 from pcmrs.gateway.core import Core
 from pcmrs.gateway.intake import Counters, Intake
+from pcmrs.gateway.markers import Markers
 from pcmrs.gateway.records import Records
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from pcmrs.gateway.streams import Send, Streams
@@ -60,6 +61,10 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         records = Records(core, clock, folder, tasks)
         intake = Intake(Services(uuid4().hex, core, clock, streams, records), jobs, config.unsigned_peers)
         core.on_stop(intake.halt)
+        if config.markers.enabled:
+            markers = Markers(config.markers.stream, core.snapshot())
+            core.on_publish(markers.show)
+            core.on_stop(markers.stop)
         addresses = {
             name: await _open_udp(stack, UdpLink(name, link, intake), config.host, link)
             for name, link in config.links().items()
@@ -67,6 +72,8 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         }
         if config.tcp_port is not None:
             addresses[LINK] = await _open_tcp(stack, TcpLink(intake, tasks), config.host, config.tcp_port)
+        if config.openigtlink.enabled:
+            addresses["openigtlink"] = await _open_openigtlink(stack, core, config, clock, intake, tasks, jobs)
         # Left first, while the sockets are open: clients learn what became of commands that the daemon has ended.
         stack.push_async_callback(jobs.finish, clock, FINISH_WITHIN)
         yield Gateway(addresses, intake.counters)
@@ -95,6 +102,23 @@ async def _open_tcp(stack: AsyncExitStack, link: TcpLink, host: str, port: int) 
         address = await link.listen(host, port)
     except OSError as error:
         raise _unbound("TCP", host, port, error) from None
+    stack.callback(link.close)
+    return address
+
+
+async def _open_openigtlink(
+    stack: AsyncExitStack, core: Core, config: GatewayConfig, clock: Clock, intake: Intake, tasks: Tasks, jobs: Tasks
+) -> tuple[str, int]:
+    try:
+        from pcmrs.gateway.openigtlink.link import OpenIgtLink
+    except ModuleNotFoundError as error:
+        text = f"gateway.openigtlink needs {error.name}, which is not installed; install the extra: pcmrs[hardware]."
+        raise ConfigurationError(text, module=error.name) from None
+    link = OpenIgtLink(core, config, clock, intake, tasks, jobs)
+    try:
+        address = await link.open()
+    except OSError as error:
+        raise _unbound("OpenIGTLink", config.host, config.openigtlink.port, error) from None
     stack.callback(link.close)
     return address
 

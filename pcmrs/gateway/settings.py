@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -26,6 +26,62 @@ class LinkConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     stream_port: Port | None = None
 
 
+class OpenIgtLinkConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The OpenIGTLink link with 3D Slicer.
+
+    Attributes:
+        enabled: Off unless asked for.
+        role: ``server``: Slicer connects to us, at the gateway's host. ``client``: we connect to Slicer's server.
+        host: Slicer's host; a server does not need it.
+        port: Ours as a server, 0 takes any free one; Slicer's as a client.
+        rate_hz: Rate of the poses.
+        poses: As one TRANSFORM each, or together as TDATA.
+        target: Name of the TRANSFORM, tool to image, that is taken as tool plan.
+        landmarks: Name of the POINT list that is taken as landmark plan.
+
+    Raises:
+        ConfigurationError: The rate is not positive or above 1000, a client has no port, or a name is none or one that
+            we send.
+    """
+
+    enabled: bool = False
+    role: Literal["server", "client"] = "server"
+    host: str = "127.0.0.1"
+    port: Port = 18944
+    rate_hz: float = 30.0
+    poses: Literal["TRANSFORM", "TDATA"] = "TRANSFORM"
+    target: str = "ToolTargetToImage"
+    landmarks: str = "Landmarks"
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.rate_hz <= 1000.0:
+            raise ConfigurationError(
+                f"openigtlink.rate_hz is {self.rate_hz:g}; it must be above 0, and 1000 at most.", rate_hz=self.rate_hz
+            )
+        if self.role == "client" and not self.port:
+            raise ConfigurationError("openigtlink.port is 0; a client needs the port of Slicer's server.", port=0)
+        for field in ("target", "landmarks"):
+            name = getattr(self, field)
+            if not (name.isascii() and 1 <= len(name) <= 20) or name == "TargetToImage":
+                raise ConfigurationError(
+                    f"openigtlink.{field} is {name!r}; it must have 1 to 20 ASCII letters, and not be TargetToImage, "
+                    "which we send.",
+                    **{field: name},
+                )
+
+
+class MarkersConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The stream of markers on Lab Streaming Layer.
+
+    Attributes:
+        enabled: Off unless asked for.
+        stream: Its name.
+    """
+
+    enabled: bool = False
+    stream: str = "pcmrs_markers"
+
+
 class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All links of the gateway.
 
@@ -35,6 +91,8 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         mixed_reality_host: IPv4 address that the mixed reality stream goes to.
         tcp_port: Port of the TCP link; 0 takes any free port, None has no TCP link.
         stream_rate_hz: Rate of the pose streams.
+        openigtlink: The link with 3D Slicer.
+        markers: Markers of what the procedure does, on Lab Streaming Layer.
         unsigned_peers: Loopback addresses whose unsigned commands are accepted.
 
     Raises:
@@ -52,6 +110,8 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     mep: LinkConfig = LinkConfig(port=8085)
     tcp_port: Port | None = 8058
     stream_rate_hz: float = 100.0
+    openigtlink: OpenIgtLinkConfig = OpenIgtLinkConfig()
+    markers: MarkersConfig = MarkersConfig()
     unsigned_peers: tuple[str, ...] = ("127.0.0.1", "::1")
 
     def __post_init__(self) -> None:

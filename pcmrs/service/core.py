@@ -69,6 +69,10 @@ class GatewayCore:
         registered = self._dispatcher.procedure.data.registered
         return as_transform(registered.body_ref_from_image) if registered is not None else None
 
+    def seen(self) -> dict[str, Transform]:
+        found = {body: self._seen(body) for body in ("coil", "pointer", "body_ref")}
+        return {body: pose for body, pose in found.items() if pose is not None}
+
     def tracked(self) -> dict[str, Transform] | None:
         body, tool = self._seen("body_ref"), self._seen("coil")
         if body is None or tool is None:

@@ -9,7 +9,7 @@ from typing import Any, Self, cast
 
 import numpy as np
 
-from pcmrs.messages import BlueprintTag, Command, Reason, Snapshot, Verdict
+from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Snapshot, Verdict
 from pcmrs.spatial import Floats, Transform
 
 POSE = Transform.from_quat_xyzw([0.01, 0.02, 0.03], [0.5, 0.5, 0.5, 0.5])
@@ -39,6 +39,7 @@ class FakeCore:
         self.stops: list[str] = []
         self.stands = True
         self._on_stop: list[Callable[[], None]] = []
+        self.on_published: Callable[[Snapshot | Verdict | DeviceEvent], None] | None = None
         self._verdicts: dict[tuple[str, str], Verdict] = {}
         self.pose: Transform | None = POSE
         self.target: Transform | None = POSE
@@ -77,6 +78,9 @@ class FakeCore:
     def on_stop(self, callback: Callable[[], None]) -> None:
         self._on_stop.append(callback)
 
+    def on_publish(self, callback: Callable[[Snapshot | Verdict | DeviceEvent], None]) -> None:
+        self.on_published = callback
+
     def open_gates(self) -> None:
         """Lets everything that waits end, as the daemon does before the gateway closes."""
         for gate in self.gates.values():
@@ -112,6 +116,9 @@ class FakeCore:
 
     def registration(self) -> Transform | None:
         return None
+
+    def seen(self) -> dict[str, Transform]:
+        return {"coil": POSE, "body_ref": POSE}
 
     def tracked(self) -> dict[str, Transform] | None:
         return {"body_from_tool": POSE, "tracker_from_body": POSE, "tracker_from_tool": POSE}

@@ -1,0 +1,71 @@
+"""Tracker by way of a PLUS server, over OpenIGTLink.
+
+Written from the source of PlusLib (vtkPlusOpenIGTLinkServer, vtkPlusIgtlMessageFactory; OpenIGTLink header versions 1
+and 2). Not tested on hardware, nor with a PLUS server. The server sends TRANSFORM, TDATA or both; names are
+``XToTracker``, lengths mm. It needs the extra ``hardware`` (`pyigtl`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Collection, Mapping
+from contextlib import asynccontextmanager, suppress
+from typing import Annotated, Any
+
+import msgspec
+
+from pcmrs.clock import Clock
+from pcmrs.devices.tables import check_devices, read_table
+from pcmrs.errors import ConfigurationError
+
+NAMES = {"coil": "CoilToTracker", "body_ref": "ReferenceToTracker", "pointer": "StylusToTracker"}
+
+
+class PlusSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The table ``plus``.
+
+    Attributes:
+        names: Body to the name of its transform into the tracker's frame; a TDATA name has 20 letters at most.
+        latency: From exposure to arrival, s; used where the server's clock does not agree with ours.
+
+    Raises:
+        ConfigurationError: There are no names, or two bodies share one.
+    """
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, msgspec.Meta(ge=1, le=65535)] = 18944
+    names: dict[str, str] = msgspec.field(default_factory=lambda: dict(NAMES))
+    latency: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.02
+
+    def __post_init__(self) -> None:
+        if not self.names or len(set(self.names.values())) != len(self.names):
+            raise ConfigurationError(
+                f"plus.names is {self.names}; give every body a transform of its own.", names=self.names
+            )
+
+
+@asynccontextmanager
+async def open_devices(
+    devices: Collection[str], settings: Mapping[str, Any], clock: Clock
+) -> AsyncIterator[Mapping[str, Any]]:
+    """Opens the tracker; see `pcmrs.devices.protocols.OpenDriver`. An absent server is tried again and again.
+
+    Raises:
+        ConfigurationError: Another device is asked for, the table ``plus`` is wrong, or `pyigtl` is missing.
+    """
+    check_devices("plus", devices, "tracker")
+    own = read_table(settings, "plus", PlusSettings)
+    try:
+        from pcmrs.devices.plus.tracker import PlusTracker
+    except ModuleNotFoundError as error:
+        text = f"The driver plus needs {error.name}, which is not installed; install the extra: pcmrs[hardware]."
+        raise ConfigurationError(text, module=error.name) from None
+    tracker = PlusTracker(own.host, own.port, own.names, own.latency, clock)
+    reading = asyncio.create_task(tracker.run(), name="PLUS client")
+    try:
+        yield {"tracker": tracker}
+    finally:
+        tracker.close()
+        reading.cancel()
+        with suppress(asyncio.CancelledError):
+            await reading

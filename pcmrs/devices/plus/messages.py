@@ -1,0 +1,143 @@
+"""OpenIGTLink messages: those of `pyigtl`, and STATUS, TDATA and STT_TDATA, which it lacks.
+
+From the layouts of the OpenIGTLink protocol, versions 2 and 3 (``igtl_status.h``, ``igtl_tdata.h``). Of `pyigtl` only
+the messages are used. Its connections (0.3.4) put handlers of their own on SIGTERM and SIGINT, lose a header that
+arrives in two segments, take a processor whole once the other side has left, and check no CRC.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+from pyigtl.messages import CRC64, MessageBase, PointMessage, StringMessage, TransformMessage
+
+from pcmrs.errors import PayloadError
+
+POINT_BYTES = 136
+MAX_TEXT = 65_535
+"""Bytes of the longest STRING."""
+
+STATUS_OK = 1
+STATUS_ERROR = 2
+STATUS_EMERGENCY = 3
+
+_STATUS = struct.Struct(">Hq20s")
+_ELEMENT = struct.Struct(">20sBB12f")
+_SIX_DEGREES = 2  # an element's type: position and orientation
+
+
+class StatusMessage(MessageBase):  # type: ignore[misc]  # pyigtl has no types
+    """How the sender fares: a code (1 is well), a short name and a sentence, in ASCII."""
+
+    def __init__(self, code: int = STATUS_OK, error_name: str = "", text: str = "", **header: Any) -> None:
+        super().__init__(**header)
+        self._message_type = "STATUS"
+        self._valid_message = True
+        self.code, self.error_name, self.text = code, error_name, text
+
+    def _pack_content(self) -> bytes:
+        return _STATUS.pack(self.code, 0, as_ascii(self.error_name)[:20]) + as_ascii(self.text) + b"\0"
+
+    def _unpack_content(self, content: bytes) -> None:
+        self.code, _, name = _STATUS.unpack_from(content)
+        self.error_name, self.text = _name(name), _name(content[_STATUS.size :])
+
+
+class TrackingDataMessage(MessageBase):  # type: ignore[misc]
+    """Several poses of one moment: name to homogeneous matrix (4, 4), mm."""
+
+    def __init__(self, matrices: Mapping[str, Any] | None = None, **header: Any) -> None:
+        super().__init__(**header)
+        self._message_type = "TDATA"
+        self._valid_message = True
+        self.matrices: dict[str, Any] = dict(matrices or {})
+
+    def _pack_content(self) -> bytes:
+        return b"".join(
+            _ELEMENT.pack(as_ascii(name)[:20], _SIX_DEGREES, 0, *_columns(matrix))
+            for name, matrix in self.matrices.items()
+        )
+
+    def _unpack_content(self, content: bytes) -> None:
+        self.matrices = {
+            _name(name): [[*row] for row in zip(n[0:3], n[3:6], n[6:9], n[9:12], strict=True)] + [[0.0, 0.0, 0.0, 1.0]]
+            for name, _, _, *n in _ELEMENT.iter_unpack(content)
+        }
+
+
+class StartTrackingDataMessage(MessageBase):  # type: ignore[misc]
+    """Asks a server for TDATA as fast as it has them; a version 2 header also tells PLUS to send metadata."""
+
+    def __init__(self, **header: Any) -> None:
+        super().__init__(**header)
+        self._message_type = "STT_TDATA"
+        self._valid_message = True
+        self.header_version = 2
+
+    def _pack_content(self) -> bytes:
+        return struct.pack(">i32s", 0, b"")
+
+
+class WholePointMessage(PointMessage):  # type: ignore[misc]
+    """A POINT message whose body holds whole points only; `pyigtl` would drop the rest in silence."""
+
+    def _unpack_content(self, content: bytes) -> None:
+        if len(content) % POINT_BYTES:
+            raise ValueError(f"{len(content)} bytes are no whole number of points of {POINT_BYTES} bytes")
+        super()._unpack_content(content)
+
+
+class WholeStringMessage(StringMessage):  # type: ignore[misc]
+    """A STRING message that is as long as it says."""
+
+    def _unpack_content(self, content: bytes) -> None:
+        super()._unpack_content(content)
+        if len(content) != 4 + struct.unpack_from(">H", content, 2)[0]:
+            raise ValueError("the text is not as long as it says")
+
+
+_KINDS = {
+    "TRANSFORM": TransformMessage,
+    "POINT": WholePointMessage,
+    "STRING": WholeStringMessage,
+    "STATUS": StatusMessage,
+    "TDATA": TrackingDataMessage,
+}
+
+
+def unpack(header: Mapping[str, Any], crc: int, body: bytes) -> Any:
+    """The message of a parsed header and its body, as `pyigtl` has it.
+
+    Raises:
+        PayloadError: The CRC is wrong, or the body does not hold what its type promises.
+    """
+    kind = header["message_type"]
+    if CRC64(body) != crc:
+        raise PayloadError(f"The CRC of a {kind} message does not fit its body; it was damaged on the way.", kind=kind)
+    message = _KINDS[kind]()
+    try:
+        message.unpack(header, body)
+    except (struct.error, ValueError, IndexError, TypeError) as error:
+        raise PayloadError(f"The body of a {kind} message cannot be read: {error}.", kind=kind) from None
+    return message
+
+
+def as_ascii(text: str) -> bytes:
+    """What a short field can hold of `text`: `pyigtl` fails on other letters, and stock receivers show none."""
+    return text.encode("ascii", "replace")
+
+
+def text_message(text: str, **header: Any) -> Any:
+    """A STRING in ASCII, cut to what it can hold."""
+    return StringMessage(as_ascii(text)[:MAX_TEXT].decode(), **header)
+
+
+def _columns(matrix: Any) -> list[float]:
+    """The upper three rows of a matrix, column by column, as the protocol has them."""
+    return [float(matrix[row][column]) for column in range(4) for row in range(3)]
+
+
+def _name(field: bytes) -> str:
+    return field.split(b"\0")[0].decode("ascii").strip()

@@ -1,0 +1,172 @@
+"""The OpenIGTLink link: a server for Slicer, or a client of Slicer's, with any of its connections the same."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable
+from contextlib import suppress
+
+import structlog
+
+from pcmrs.clock import Clock
+from pcmrs.devices.plus.framing import MessageReader
+from pcmrs.errors import PayloadError
+from pcmrs.gateway.core import Core
+from pcmrs.gateway.intake import Intake
+from pcmrs.gateway.openigtlink.feed import Feed
+from pcmrs.gateway.openigtlink.peer import KINDS, Peer
+from pcmrs.gateway.openigtlink.planner import Answer, Planner
+from pcmrs.gateway.settings import GatewayConfig, is_loopback
+from pcmrs.gateway.tasks import Repetition, Tasks
+
+LINK = "openigtlink"
+MAX_PEERS = 8
+CONNECT_WITHIN = 3.0
+RETRY_AFTER = 1.0
+SEND_BUFFER = 1 << 16
+"""Bytes that the kernel holds for a peer that does not read: a few seconds of poses, not minutes."""
+
+log = structlog.get_logger(__name__)
+
+
+class OpenIgtLink:
+    """Serves its peers until its tasks are closed.
+
+    Args:
+        core: The daemon.
+        config: Of the gateway; the table ``openigtlink`` and who is trusted are read.
+        clock: The machine's clock.
+        intake: Counts and logs what is refused, and has the plan lock of each host.
+        tasks: Owns the connections.
+        jobs: Owns the commands.
+    """
+
+    def __init__(
+        self, core: Core, config: GatewayConfig, clock: Clock, intake: Intake, tasks: Tasks, jobs: Tasks
+    ) -> None:
+        self._core = core
+        self._gateway = config
+        self._config = config.openigtlink
+        self._clock = clock
+        self._intake = intake
+        self._tasks = tasks
+        self._jobs = jobs
+        self._peers: dict[tuple[str, int], Peer] = {}
+        self._server: asyncio.Server | None = None
+        self._exposed = False
+        self._feed = Feed(core, clock, together=self._config.poses == "TDATA")
+        self._ticks = Repetition(clock, self._config.rate_hz, self._tick, tasks)
+        core.on_stop(self._halt)
+
+    @property
+    def dropped(self) -> int:
+        """Messages that gave way to newer ones, of the peers that are connected."""
+        return sum(peer.outbox.dropped for peer in self._peers.values())
+
+    async def open(self) -> tuple[str, int]:
+        """Begins to serve, or to connect; returns the address of the server, ours or Slicer's.
+
+        Raises:
+            OSError: The port cannot be bound.
+        """
+        config = self._config
+        if config.role == "client":
+            self._tasks.spawn(self._keep_connected())
+            return config.host, config.port
+        self._server = await asyncio.start_server(self._accept, self._gateway.host, config.port)
+        host, port = self._server.sockets[0].getsockname()[:2]
+        self._exposed = not is_loopback(host)
+        return host, port
+
+    def close(self) -> None:
+        """Accepts no more connections."""
+        if self._server is not None:
+            self._server.close()
+
+    def _tick(self) -> None:
+        self._feed.send(self._peers.values())
+
+    def _halt(self) -> None:
+        for peer in self._peers.values():
+            peer.halt()
+
+    def _accept(self, stream: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        address = writer.get_extra_info("peername")[:2]
+        if len(self._peers) >= MAX_PEERS:
+            self._intake.refuse(LINK, address, PayloadError(f"{MAX_PEERS} peers are connected already."))
+            writer.close()
+            return
+        self._tasks.spawn(self._serve(stream, writer))
+
+    async def _keep_connected(self) -> None:
+        """Connects to Slicer's server, again and again; that it is absent is told once."""
+        server, absent = f"{self._config.host}:{self._config.port}", False
+        while True:
+            try:
+                async with self._clock.timeout(CONNECT_WITHIN):
+                    stream, writer = await asyncio.open_connection(self._config.host, self._config.port)
+            except (OSError, TimeoutError) as error:
+                if not absent:
+                    log.warning("openigtlink_absent", server=server, reason=str(error) or "no answer")
+                absent = True
+            else:
+                absent = False
+                await self._serve(stream, writer)
+            await self._clock.sleep(RETRY_AFTER)
+
+    async def _serve(self, stream: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """One connection, until either side ends it."""
+        address = writer.get_extra_info("peername")[:2]
+        writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        peer = self._peers[address] = self._new_peer(address)
+        log.info("openigtlink_peer", peer=f"{address[0]}:{address[1]}")
+        self._ticks.start()
+        sending = self._tasks.spawn(self._send(peer, writer))
+        try:
+            await self._receive(peer, stream, address)
+        finally:
+            del self._peers[address]
+            if not self._peers:
+                self._ticks.stop()
+            sending.cancel()
+            writer.close()
+
+    def _new_peer(self, address: tuple[str, int]) -> Peer:
+        host, port = address
+        lock, source = self._intake.lock(host), f"{LINK}:{host}:{port}"
+
+        def planner(answer: Callable[[Answer], None]) -> Planner:
+            return Planner(source, self._core, lock, self._jobs, answer)
+
+        trusted = not self._exposed and host in self._gateway.unsigned_peers
+        return Peer(self._config, planner, self._clock.wall, trusted=trusted)
+
+    async def _receive(self, peer: Peer, stream: asyncio.StreamReader, address: tuple[str, int]) -> None:
+        reader = MessageReader(stream, KINDS)
+        with suppress(asyncio.IncompleteReadError, OSError):
+            while True:
+                await self._receive_one(peer, reader, address)
+
+    async def _receive_one(self, peer: Peer, reader: MessageReader, address: tuple[str, int]) -> None:
+        try:
+            message = await reader.read()
+            if message is not None:
+                peer.receive(message)
+        except PayloadError as error:
+            self._intake.refuse(LINK, address, error)
+        except ConnectionAbortedError as error:
+            self._intake.refuse(LINK, address, error)
+            raise
+        finally:
+            self._intake.counters.received += 1
+
+    async def _send(self, peer: Peer, writer: asyncio.StreamWriter) -> None:
+        """A peer that takes nothing is cut off, which ends its receiving too."""
+        try:
+            await peer.outbox.send(writer, self._clock)
+        except TimeoutError:
+            log.warning("openigtlink_stalled", dropped=peer.outbox.dropped)
+            writer.transport.abort()
+        except OSError:
+            writer.close()

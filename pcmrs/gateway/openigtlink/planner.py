@@ -1,0 +1,132 @@
+"""The commands of one peer: its plans, one after the other, and Stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+from uuid import uuid4
+
+import structlog
+
+from pcmrs.errors import PcmrsError, RefusalError
+from pcmrs.gateway.commands import Plan
+from pcmrs.gateway.core import Core
+from pcmrs.gateway.series import PlanLock
+from pcmrs.gateway.tasks import Tasks
+from pcmrs.messages import Command, Verdict
+
+OPERATIONS = {Plan.POSE: ("toolplan", "plan"), Plan.LANDMARKS: ("registration", "plan_landmarks")}
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What became of a command; `code` and `text` say why it was not accepted."""
+
+    decision: str
+    operation: str
+    code: str = ""
+    text: str = ""
+
+    @property
+    def line(self) -> str:
+        """For a person to read."""
+        head = f"{self.decision} {self.operation}"
+        return f"{head} {self.code}: {self.text}" if self.code else head
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """A plan to be submitted; `number` is its own in the plan lock."""
+
+    number: int
+    arguments: Callable[[], dict[str, Any]]
+
+
+class Planner:
+    """Submits plans and Stop for one peer. It has no motions, but its plans hold those of its host's others.
+
+    While a plan is being decided, the newest of each kind waits; those between are superseded and never submitted.
+
+    Args:
+        source: Who the peer is, as the daemon records it.
+        core: The daemon.
+        lock: The plan lock of the peer's host.
+        tasks: Owns what runs.
+        answer: Told how each command ended.
+    """
+
+    def __init__(self, source: str, core: Core, lock: PlanLock, tasks: Tasks, answer: Callable[[Answer], None]) -> None:
+        self._source = source
+        self._core = core
+        self._lock = lock
+        self._tasks = tasks
+        self._answer = answer
+        self._waiting: dict[Plan, Attempt] = {}
+        self._working = False
+
+    def plan(self, kind: Plan, arguments: Callable[[], dict[str, Any]]) -> None:
+        """Begins a plan; never waits.
+
+        Args:
+            kind: Which plan.
+            arguments: Gives the operation's arguments, or raises `RefusalError`.
+        """
+        self._waiting[kind] = Attempt(self._lock.attempt(kind), arguments)
+        if not self._working:
+            self._working = True
+            self._tasks.spawn(self._work())
+
+    def stop(self) -> None:
+        """Stops everything, past whatever waits."""
+        self._tasks.spawn(self._stop())
+
+    def halt(self) -> None:
+        """Rejects what waits, as Stop demands."""
+        for kind in self._waiting:
+            self._answer(Answer("rejected", ".".join(OPERATIONS[kind]), "stopped", "Stop came before it was decided."))
+        self._waiting.clear()
+
+    async def _work(self) -> None:
+        while self._waiting:
+            kind = next(iter(self._waiting))
+            self._answer(await self._decide(kind, self._waiting.pop(kind)))
+        self._working = False
+
+    async def _decide(self, kind: Plan, attempt: Attempt) -> Answer:
+        """Every way a plan can end, as an answer."""
+        branch, operation = OPERATIONS[kind]
+        name = f"{branch}.{operation}"
+        try:
+            verdict = await self._core.submit(
+                Command(
+                    id=uuid4().hex, branch=branch, operation=operation, source=self._source,
+                    arguments=attempt.arguments(),
+                )
+            )  # fmt: skip
+        except RefusalError as refusal:
+            return Answer("rejected", name, refusal.refusal_code, refusal.text)
+        except PcmrsError as error:
+            return Answer("failed", name, error.code, error.text)
+        except Exception:
+            log.exception("plan_broke", operation=name)
+            return Answer("failed", name, "internal_error", "The daemon's log has the details.")
+        if verdict.decision == "accepted":
+            self._lock.accept(kind, attempt.number)
+        return _answer_of(verdict)
+
+    async def _stop(self) -> None:
+        stands = await self._core.stop(self._source)
+        text = "The robot has not confirmed that it stands."
+        self._answer(Answer("accepted", "stop") if stands else Answer("failed", "stop", "hold_not_confirmed", text))
+
+
+def _answer_of(verdict: Verdict) -> Answer:
+    name = f"{verdict.branch}.{verdict.operation}"
+    if verdict.decision == "accepted":
+        return Answer("accepted", name)
+    if verdict.reason is None:
+        return Answer(verdict.decision, name, verdict.decision)
+    return Answer(verdict.decision, name, verdict.reason.code, verdict.reason.text)

@@ -1,0 +1,30 @@
+"""The poses that Slicer is shown, by the names that PLUS and SlicerIGT give: ``XToY`` maps X to Y.
+
+Image is the image's frame, RAS in Slicer's scene; Tracker, Base (of the robot) and Reference are frames of their own.
+"""
+
+from __future__ import annotations
+
+from pcmrs.gateway.core import Core
+from pcmrs.spatial import Transform
+
+NAMES = {"coil": "Coil", "pointer": "Pointer", "body_ref": "Reference"}
+
+
+def poses(core: Core) -> dict[str, Transform]:
+    """Name to ``y_from_x``, m, of all that is known at this moment; what is not seen now is left out."""
+    seen = {NAMES[body]: pose for body, pose in core.seen().items() if body in NAMES}
+    found = {f"{name}ToTracker": pose for name, pose in seen.items()}
+    reference, body_ref_from_image = seen.get("Reference"), core.registration()
+    if reference is not None and body_ref_from_image is not None:
+        image_from_tracker = (reference @ body_ref_from_image).inverse()
+        found |= {f"{name}ToImage": image_from_tracker @ pose for name, pose in seen.items()}
+        tip = core.tip_in_image()
+        if tip is not None and "Pointer" in seen:
+            found["PointerTipToImage"] = Transform(found["PointerToImage"].rotation, tip)
+    found |= _known("TargetToImage", core.target_in_image())
+    return found | _known("FlangeToBase", core.flange_pose())
+
+
+def _known(name: str, pose: Transform | None) -> dict[str, Transform]:
+    return {} if pose is None else {name: pose}

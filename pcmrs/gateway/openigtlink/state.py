@@ -1,0 +1,28 @@
+"""The state of all branches as text."""
+
+from __future__ import annotations
+
+import json
+
+from pcmrs.messages import Snapshot
+
+
+def state_json(snapshot: Snapshot) -> str:
+    """For programs: ``sequence``, ``branches``, ``running``, ``latched``, ``plan`` and ``registration``."""
+    return json.dumps(
+        {
+            "sequence": snapshot.sequence,
+            "branches": snapshot.branches,
+            "running": [f"{each.branch}.{each.operation}" for each in snapshot.running],
+            "latched": snapshot.latched,
+            "plan": snapshot.plan,
+            "registration": snapshot.registration,
+        }
+    )
+
+
+def state_line(snapshot: Snapshot) -> str:
+    """For people: one short line."""
+    parts = [f"{branch} {state}" for branch, state in snapshot.branches.items()]
+    parts += [f"running {each.branch}.{each.operation}" for each in snapshot.running]
+    return ("LATCHED, " if snapshot.latched else "") + ", ".join(parts)

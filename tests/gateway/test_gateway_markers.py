@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import asyncio
+from contextlib import closing
+from pathlib import Path
+from uuid import uuid4
+
+import msgspec
+import pytest
+from gateway_fakes import FakeCore, ManualClock
+
+from pcmrs.devices.lsl.inlet import Inlet
+from pcmrs.gateway.links import open_gateway
+from pcmrs.gateway.settings import GatewayConfig, LinkConfig, MarkersConfig
+from pcmrs.messages import DeviceEvent, Verdict
+
+NO_LINK = LinkConfig()
+PATIENCE = 10.0  # s of the machine
+
+
+def config(markers: MarkersConfig) -> GatewayConfig:
+    return GatewayConfig(
+        planner=NO_LINK, robot=NO_LINK, visualization=NO_LINK, mixed_reality=NO_LINK, mep=NO_LINK, tcp_port=None,
+        markers=markers,
+    )  # fmt: skip
+
+
+def verdict(decision: str, result: dict[str, object] | None) -> Verdict:
+    fields = {"id": "1", "branch": "stimulation", "operation": "fire", "state": "armed", "sequence": 2}
+    return msgspec.convert({**fields, "decision": decision, "result": result}, Verdict)
+
+
+async def test_states_stops_and_pulses_are_marked_in_order(tmp_path: Path) -> None:
+    stream, core = f"markers-{uuid4().hex}", FakeCore()
+    marked: list[str] = []
+    with closing(Inlet(stream)) as inlet:
+        async with open_gateway(core, config(MarkersConfig(enabled=True, stream=stream)), ManualClock(), tmp_path):
+            async with asyncio.timeout(PATIENCE):
+                while inlet.problem:
+                    inlet.pull()
+                    await asyncio.sleep(0.01)
+            assert core.on_published is not None
+            before = core.snapshot()
+            core.on_published(before)
+            core.on_published(DeviceEvent(device="robot", code="x", text=""))
+            changed = {**before.branches, "robot": "0", "placement": "placed"}
+            core.on_published(msgspec.structs.replace(before, branches=changed))
+            core.on_published(verdict("accepted", {"pulse": 3}))
+            core.on_published(verdict("rejected", None))
+            core.on_published(verdict("failed", None))
+            await core.stop("test")
+            async with asyncio.timeout(PATIENCE):
+                while len(marked) < 4:
+                    marked += [text[0].decode() for text in inlet.pull()[0]]
+                    await asyncio.sleep(0.01)
+    assert marked == ["robot:1->0", "placement:retracted->placed", "pulse:3", "stop"]
+
+
+async def test_they_are_off_unless_asked_for(tmp_path: Path) -> None:
+    core = FakeCore()
+    async with open_gateway(core, config(MarkersConfig()), ManualClock(), tmp_path):
+        assert core.on_published is None
+
+
+def test_the_table_is_checked() -> None:
+    with pytest.raises(msgspec.ValidationError, match="name"):
+        msgspec.convert({"markers": {"name": "x"}}, GatewayConfig)
