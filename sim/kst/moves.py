@@ -1,0 +1,75 @@
+"""Point-to-point motions as the cabinet plans them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pcmrs.errors import DeviceError
+from pcmrs.kinematics.limits import MotionLimits
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.kinematics.profile import PERIOD, joint_request, sample_times, solve
+from pcmrs.kinematics.straight import straight_motion
+from pcmrs.messages import JointTrajectory
+from pcmrs.spatial import Floats, Transform
+
+ACCELERATION = 3.0  # rad/s^2
+JERK = 30.0  # rad/s^3
+
+
+def joint_move(arm: ArmModel, start: Floats, goal: Floats, part: float) -> JointTrajectory:
+    """From rest to rest with all joints together.
+
+    Args:
+        arm: The arm.
+        start: rad, (n,).
+        goal: rad, (n,).
+        part: Of the speed of every joint.
+
+    Raises:
+        DeviceError: The part is not in (0, 1].
+        UnreachableError: The goal is out of the joints' ranges.
+    """
+    if not 0.0 < part <= 1.0:
+        raise DeviceError(f"The relative joint speed is {part:g}, must be in (0, 1]; send jRelVel first.", part=part)
+    arm.check_limits(goal)
+    request = joint_request(part * arm.velocity, _limits(arm, 1.0))
+    request.current_position, request.target_position = start.tolist(), goal.tolist()
+    profile = solve(request)
+    times = sample_times(profile.duration, 1.0, PERIOD)
+    return JointTrajectory(period=PERIOD, positions=[profile.at_time(time)[0] for time in times.tolist()])
+
+
+def straight_move(
+    arm: ArmModel, start: Floats, base_from_tool: Transform, flange_from_tool: Transform, speed: float
+) -> JointTrajectory:
+    """From rest to rest with the tool frame on a straight line.
+
+    Args:
+        arm: The arm.
+        start: rad, (n,).
+        base_from_tool: The goal.
+        flange_from_tool: The tool frame.
+        speed: Of its origin, m/s.
+
+    Raises:
+        DeviceError: The speed is not positive.
+        UnreachableError: The arm cannot follow the line.
+    """
+    if not speed > 0.0:
+        raise DeviceError(f"The speed is {speed:g} m/s, must be positive; send jRelVel in mm/s first.", speed=speed)
+    goal = base_from_tool @ flange_from_tool.inverse()
+    return straight_motion(arm, start, goal, _limits(arm, speed), flange_from_tool=flange_from_tool)
+
+
+def _limits(arm: ArmModel, speed: float) -> MotionLimits:
+    joints = arm.joints
+    return MotionLimits(
+        joint_velocity=tuple(np.asarray(arm.velocity).tolist()),
+        joint_acceleration=(ACCELERATION,) * joints,
+        joint_jerk=(JERK,) * joints,
+        linear_velocity=speed,
+        linear_acceleration=0.5,
+        linear_jerk=5.0,
+        angular_velocity=1.0,
+        angular_acceleration=2.0,
+    )

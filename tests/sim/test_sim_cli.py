@@ -1,0 +1,185 @@
+"""The command pcmrs-sim as a real process."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import structlog
+from click.testing import CliRunner
+
+from pcmrs.errors import ConfigurationError
+from sim.cli import main
+from sim.cli.lines import read_schedule
+from sim.faults import FAULTS
+
+COMMAND = [sys.executable, "-c", "from sim.cli import main; main()"]
+DEADLINE = 60.0
+ENDED_BY_US = 0
+
+
+@contextmanager
+def running(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    pipe = subprocess.PIPE
+    process = subprocess.Popen([*COMMAND, *arguments], stdin=pipe, stdout=pipe, stderr=pipe, text=True, bufsize=1)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def type_line(process: subprocess.Popen[str], line: str) -> None:
+    assert process.stdin is not None
+    process.stdin.write(f"{line}\n")
+
+
+def first_line(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    return process.stdout.readline()
+
+
+def end(process: subprocess.Popen[str], number: signal.Signals) -> str:
+    """What the process has said on standard error until it ended well."""
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=DEADLINE)
+    assert process.returncode == ENDED_BY_US
+    assert "Traceback" not in errors
+    return errors
+
+
+@contextmanager
+def cabinet_at(host: str, port: int) -> Iterator[Callable[[str], bytes]]:
+    """A blocking client: asks a line, gets a line."""
+    with socket.create_connection((host, port), timeout=DEADLINE) as link, link.makefile("rb") as replies:
+
+        def ask(line: str) -> bytes:
+            link.sendall(f"{line}\n".encode())
+            return replies.readline()
+
+        yield ask
+
+
+def wait_for_emergency_stop(ask: Callable[[str], bytes]) -> None:
+    while b"nak\n" not in (ask("startDirectServoJoints"), ask("stopDirectServoJoints")):
+        pass
+
+
+def test_a_cabinet_is_served_and_takes_faults_as_they_are_typed() -> None:
+    with running("kst", "--port", "0", "--json") as process:
+        host, port = json.loads(first_line(process))["kst"]
+        with cabinet_at(host, port) as ask:
+            assert len(ask("getJointsPositions").split(b"_")) == 8
+            type_line(process, "e_stop on")
+            wait_for_emergency_stop(ask)
+        type_line(process, "nonsense on")
+        type_line(process, "touch 99")
+        assert process.stderr is not None
+        said = ""
+        while "Write touch and the number of a landmark" not in said:
+            said += process.stderr.readline()
+        assert "There is no fault 'nonsense'; `pcmrs-sim faults` lists them.\n" in said
+        end(process, signal.SIGTERM)
+
+
+def test_a_cell_serves_cabinet_and_tracker_of_one_world_and_follows_a_schedule(tmp_path: Path) -> None:
+    schedule = tmp_path / "faults.txt"
+    schedule.write_text("# at once\n0.0 e_stop on\n\n0.0 touch 0\n", encoding="utf-8")
+    arguments = ("--kst-port", "0", "--ndi-port", "0", "--schedule", str(schedule), "--json")
+    with running("cell", *arguments) as process:
+        places = json.loads(first_line(process))
+        with cabinet_at(*places["kst"]) as ask:
+            wait_for_emergency_stop(ask)
+        with socket.create_connection(places["ndi"], timeout=DEADLINE) as tracker:
+            tracker.sendall(b"INIT:E3A5\r")
+            assert tracker.recv(64).startswith(b"OKAY")
+        end(process, signal.SIGINT)
+
+
+def test_a_command_ends_by_itself_at_the_end_of_its_time() -> None:
+    ended = subprocess.run(
+        [*COMMAND, "ndi", "--pty", "--duration", "0.1"], input="", text=True, capture_output=True, timeout=DEADLINE
+    )
+    assert ended.returncode == 0
+    assert "Traceback" not in ended.stderr
+    assert ended.stdout.startswith("serving ndi on /dev/")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "text"),
+    [
+        (["kst", "--port", "0", "--model", "ur5"], 4, "has 6"),
+        (["kst", "--port", "0", "--set", "sim.seeed=3"], 4, "seeed"),
+        (["cell", "--phantom", "knee"], 2, "knee"),
+        (["ndi", "--port", "70000"], 2, "70000"),
+    ],
+)
+@pytest.mark.usefixtures("quiet_log")
+def test_what_cannot_be_is_said_in_one_sentence(arguments: list[str], status: int, text: str) -> None:
+    ended = CliRunner().invoke(main, arguments)
+    assert ended.exit_code == status
+    assert text in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+@pytest.mark.usefixtures("quiet_log")
+def test_a_port_that_is_taken_is_said(taken_port: int) -> None:
+    ended = CliRunner().invoke(main, ["kst", "--port", str(taken_port)])
+    assert ended.exit_code == 2
+    assert "Choose another port" in ended.stderr
+
+
+@pytest.fixture
+def quiet_log() -> Iterator[None]:
+    """The command logs to the standard error of its time, which is closed after it."""
+    yield
+    structlog.reset_defaults()
+
+
+@pytest.fixture
+def taken_port() -> Iterator[int]:
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", 0))
+        holder.listen(1)
+        yield holder.getsockname()[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("5.0 occlud coil", "line 1: There is no fault 'occlud'"),
+        ("\nsoon e_stop", "line 2: write: seconds, then a fault"),
+        ("5.0", "line 1: write: seconds, then a fault"),
+        ("1 cut_robot on now", "line 1: 'cut_robot on now' has 2 arguments"),
+    ],
+)
+def test_a_schedule_names_the_line_that_is_wrong(tmp_path: Path, text: str, complaint: str) -> None:
+    file = tmp_path / "faults.txt"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=complaint):
+        read_schedule(file)
+
+
+def test_a_schedule_is_in_the_order_of_time(tmp_path: Path) -> None:
+    file = tmp_path / "faults.txt"
+    file.write_text("5 e_stop off  # again\n1.5 e_stop on\n", encoding="utf-8")
+    assert read_schedule(file) == [(1.5, "e_stop on"), (5.0, "e_stop off")]
+
+
+def test_the_faults_are_listed() -> None:
+    listed = json.loads(CliRunner().invoke(main, ["faults", "--json"]).output)
+    assert {row["name"] for row in listed} == set(FAULTS)
+    text = CliRunner().invoke(main, ["faults"]).output
+    assert "B5   e_stop <on>" in text
+
+
+@pytest.mark.parametrize("command", ["kst", "ndi", "cell", "faults"])
+def test_every_command_says_how_it_is_used(command: str) -> None:
+    help_text = CliRunner().invoke(main, [command, "--help"]).output
+    assert "Example: " in help_text
+    assert f"pcmrs-sim {command}" in help_text
