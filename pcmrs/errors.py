@@ -62,6 +62,18 @@ class DeviceError(PcmrsError):
     code = "device_failed"
 
 
+class DeviceRefusedError(DeviceError):
+    """A device answered that it does not do what it was told; nothing happened."""
+
+    code = "device_refused"
+
+
+class MotionInterruptedError(DeviceError):
+    """A device broke off a motion by itself."""
+
+    code = "motion_interrupted"
+
+
 class BusError(PcmrsError):
     """The bus cannot be opened or used."""
 

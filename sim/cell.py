@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Collection, Mapping
-from contextlib import asynccontextmanager, suppress
+import math
+from collections.abc import AsyncIterator, Callable, Collection, Iterator, Mapping
+from contextlib import asynccontextmanager, contextmanager, suppress
+from functools import partial
 from typing import Any
 
 import structlog
 
 from pcmrs.clock import Clock
+from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.devices.protocols import Device
+from pcmrs.devices.tables import read_table
 from pcmrs.errors import ConfigurationError
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.urdf_arms import find_arm
+from sim.faults import inject
+from sim.muscle.emg import SimEmg
 from sim.plant import STEP
 from sim.pointer import SimPointer
 from sim.robot import SimRobot
+from sim.robot_faults import RobotFaults
 from sim.scene import SimScene
-from sim.settings import ForceSettings, SimSettings, read_force_settings, read_settings
+from sim.serving import serve_virtual
+from sim.settings import SimSettings, read_settings
+from sim.stimulator import SimStimulator
 from sim.tracker import SimTracker
 from sim.world import World
 
@@ -40,22 +49,30 @@ class Cell:
         clock: The cell keeps up with it as far as the processor can.
 
     Attributes:
-        devices: Robot, tracker, pointer and scene by those names.
+        devices: Robot, tracker, pointer, scene, stimulator and emg by those names.
+        facts: The arm.
+        clock: The cell keeps up with it.
+        world: The truth.
         lag: Time by which the simulation fell behind the clock in all, s.
     """
 
     def __init__(self, settings: SimSettings, facts: ArmFacts, force: ForceSettings, clock: Clock) -> None:
-        self._clock = clock
+        self.facts = facts
+        self.clock = clock
         start = clock.monotonic()
-        self._world = World(settings, facts, force, start)
-        self._robot = SimRobot(self._world, clock, start)
-        self._tracker = SimTracker(self._world, clock, start)
-        pointer = SimPointer(self._world, clock)
+        self.world = World(settings, facts, force, start)
+        self._robot = SimRobot(self.world, clock, start)
+        self._tracker = SimTracker(self.world, clock, start)
+        self._stimulator = SimStimulator(self.world, clock)
+        self._watchers: list[Callable[[], None]] = []
+        pointer = SimPointer(self.world, clock)
         self.devices: Mapping[str, Device] = {
             "robot": self._robot,
             "tracker": self._tracker,
             "pointer": pointer,
-            "scene": SimScene(self._world, self._robot, pointer),
+            "scene": SimScene(self.world, pointer, partial(inject, self)),
+            "stimulator": self._stimulator,
+            "emg": SimEmg(self.world, clock),
         }
         self.lag = 0.0
 
@@ -63,17 +80,40 @@ class Cell:
         """Steps until cancelled; then no device publishes or answers any more."""
         try:
             while True:
-                await self._clock.sleep(BATCH)
-                self.advance(self._clock.monotonic())
+                await self.clock.sleep(BATCH)
+                self.catch_up()
         finally:
             self._robot.close()
             self._tracker.close()
+            self._stimulator.close()
             if self.lag:
                 log.warning("the simulated cell was slower than its clock", lag=round(self.lag, 3))
 
+    @property
+    def robot_faults(self) -> RobotFaults:
+        """What is wrong with the robot."""
+        return self._robot.faults
+
+    def cut_robot(self, cut: bool) -> None:
+        """Cuts the robot's link, or restores it."""
+        self._robot.cut(cut)
+
+    @contextmanager
+    def watched(self, watcher: Callable[[], None]) -> Iterator[None]:
+        """Calls `watcher` whenever time has passed, as long as the context lasts."""
+        self._watchers.append(watcher)
+        try:
+            yield
+        finally:
+            self._watchers.remove(watcher)
+
+    def catch_up(self) -> None:
+        """Simulates up to the clock's present: who asks between two wake-ups of the cell is told how things are now."""
+        self.advance(self.clock.monotonic())
+
     def advance(self, now: float) -> None:
         """Simulates up to `now`, s of the clock."""
-        world = self._world
+        world = self.world
         lost = max(0.0, now - world.time - LONGEST_CATCH_UP)
         self.lag += lost
         world.time += lost
@@ -82,6 +122,9 @@ class Cell:
             world.step(max(1, int((due - world.time) / STEP)))
             self._robot.update(world.time)
             self._tracker.update(world.time)
+        self._stimulator.update(now)
+        for watcher in tuple(self._watchers):
+            watcher()
 
 
 @asynccontextmanager
@@ -91,27 +134,50 @@ async def open_devices(
     """Opens the asked devices of one simulated cell; see `pcmrs.devices.protocols.OpenDriver`.
 
     Args:
-        devices: Among ``robot``, ``tracker``, ``pointer`` and ``scene``.
+        devices: Among ``robot``, ``tracker``, ``pointer``, ``scene``, ``stimulator`` and ``emg``.
         settings: The whole configuration; ``sim`` and ``robot`` are read.
         clock: The cell's clock.
 
     Raises:
         ConfigurationError: A device or the arm is unknown, or the table ``sim`` is wrong.
     """
+    async with running_cell(settings, clock) as cell, serve_virtual(cell, settings):
+        unknown = sorted(set(devices) - set(cell.devices))
+        if unknown:
+            raise ConfigurationError(
+                f"The simulated cell has no {', '.join(unknown)}; it has {', '.join(cell.devices)}.", unknown=unknown
+            )
+        yield {name: cell.devices[name] for name in devices}
+
+
+@asynccontextmanager
+async def running_cell(settings: Mapping[str, Any], clock: Clock) -> AsyncIterator[Cell]:
+    """A cell whose time passes with the clock, until the context ends.
+
+    Args:
+        settings: The whole configuration; ``sim`` and ``robot`` are read.
+        clock: The cell's clock.
+
+    Raises:
+        ConfigurationError: The arm is unknown, or the table ``sim`` is wrong.
+    """
     own = read_settings(settings)
-    cell = Cell(own, _arm(settings, own), read_force_settings(settings), clock)
-    unknown = sorted(set(devices) - set(cell.devices))
-    if unknown:
-        raise ConfigurationError(
-            f"The simulated cell has no {', '.join(unknown)}; it has {', '.join(cell.devices)}.", unknown=unknown
-        )
+    cell = Cell(own, _arm(settings, own), _force_settings(settings), clock)
     stepping = asyncio.create_task(cell.run(), name="simulated cell")
     try:
-        yield {name: cell.devices[name] for name in devices}
+        yield cell
     finally:
         stepping.cancel()
         with suppress(asyncio.CancelledError):
             await stepping
+
+
+def _force_settings(settings: Mapping[str, Any]) -> ForceSettings:
+    """When the arm itself yields to a force: never, behind a driver that guards the force as on a real arm."""
+    force = read_table(settings, "robot", ForceSettings)
+    if settings.get("robot", {}).get("driver", "sim") == "sim":
+        return force
+    return ForceSettings(force_limit=math.inf)
 
 
 def _arm(settings: Mapping[str, Any], own: SimSettings) -> ArmFacts:

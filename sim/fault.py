@@ -20,6 +20,7 @@ class Fault:
         help: One line: what happens.
         arguments: Names of its arguments, in the order in which a line of text gives them.
         apply: Brings it about or ends it; raises `DeviceError` for an argument that it cannot use.
+        also: Other rows of the catalogue that it brings about.
     """
 
     name: str
@@ -27,3 +28,9 @@ class Fault:
     help: str
     arguments: tuple[str, ...]
     apply: Callable[[Cell, Mapping[str, Any]], None]
+    also: tuple[str, ...] = ()
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """All rows of the catalogue that it brings about."""
+        return (self.row, *self.also)

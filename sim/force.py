@@ -1,4 +1,4 @@
-"""What the arm knows of the force on its flange, and when that is too much."""
+"""What the simulated arm knows of the force on its flange."""
 
 from __future__ import annotations
 
@@ -10,11 +10,6 @@ from pcmrs.spatial import Floats
 from sim.settings import ArmSettings
 
 BLOCK = 4096  # noise drawn at once
-AGAIN = 5.0
-"""A force that has exceeded the limit counts again when it has grown, or first fallen below the limit, by this, N.
-
-Half the limit is enough to fall by, where that is less.
-"""
 
 
 class ForceSensor:
@@ -59,23 +54,3 @@ class ForceSensor:
         """Of the estimate, N."""
         x, y, z = self.flange_force
         return sqrt(x * x + y * y + z * z)
-
-
-class ForceGuard:
-    """Says once when a force exceeds its limit, so that the arm may still be moved out of it.
-
-    Args:
-        limit: N.
-    """
-
-    def __init__(self, limit: float) -> None:
-        self.limit = self._threshold = limit
-
-    def exceeded(self, force: float) -> bool:
-        """Whether the limit is exceeded anew."""
-        if force < max(self.limit - AGAIN, self.limit / 2.0):
-            self._threshold = self.limit
-        if force <= self._threshold:
-            return False
-        self._threshold = force + AGAIN
-        return True

@@ -7,9 +7,11 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager
 
 from pcmrs.clock import Clock
+from pcmrs.devices.motion.sessions import Sessions
 from pcmrs.devices.protocols import ServoStream
 from pcmrs.devices.servo import servo_session
-from pcmrs.errors import DeviceError, UnknownOutcomeError
+from pcmrs.devices.stream import Stream
+from pcmrs.errors import DeviceError, DeviceRefusedError, UnknownOutcomeError
 from pcmrs.messages import (
     DeviceEvent,
     JointSetpoint,
@@ -19,8 +21,7 @@ from pcmrs.messages import (
     PressRequest,
     ServoSession,
 )
-from sim.servo import DEADMAN, Servo
-from sim.stream import Stream
+from sim.robot_faults import RobotFaults, hold_beside
 from sim.world import World
 
 
@@ -33,7 +34,8 @@ class SimRobot:
         start: Time of the first published state, s of `clock`.
 
     Attributes:
-        dropped: Set points that were stale or of no running session.
+        faults: What is wrong with it.
+        sessions: Of set points.
     """
 
     def __init__(self, world: World, clock: Clock, start: float) -> None:
@@ -44,15 +46,22 @@ class SimRobot:
         self._events: Stream[DeviceEvent] = Stream()
         self._waiting: list[asyncio.Future[None]] = []
         self._connected = False
-        self._cut = False
-        self._servo: Servo | None = None
-        self._session = 0
+        self._last_set_point: JointSetpoint | None = None
+        self._drops = 0
+        self.faults = RobotFaults()
+        self.sessions = Sessions()
         self._time = self.due = start
-        self.dropped = 0
+
+    @property
+    def trouble(self) -> str:
+        return "The link of the simulated robot is cut by a fault." if self.faults.cut else ""
 
     async def connect(self) -> JointState:
         self._check_link()
+        self._check_willing()
         self._connected = True
+        if self.faults.late and self._last_set_point is not None:
+            self.sessions.take(self._last_set_point, self._arm)
         return self._state()
 
     async def disconnect(self) -> None:
@@ -76,29 +85,20 @@ class SimRobot:
 
     async def begin_servo(self) -> ServoSession:
         self._check_free()
-        self._servo = self._arm.servo()
-        self._session += 1
-        return ServoSession(session=self._session, deadman=DEADMAN)
+        return self.sessions.begin(self._arm)
 
     async def end_servo(self, session: int) -> MotionResult:
         self._check_connection()
-        if self._servo is None or session != self._session:
-            raise DeviceError(f"The servo session {session} is over; begin another one.", session=session)
-        servo, self._servo = self._servo, None
-        if self._arm.reference is servo:
-            self._arm.hold(None)
+        self.sessions.end(session, self._arm)
         return await self._end()
 
     def servo(self) -> AbstractAsyncContextManager[ServoStream]:
         return servo_session(self, self.set_point, self._clock)
 
     def set_point(self, setpoint: JointSetpoint) -> None:
-        servo = self._servo
-        running = servo is not None and self._arm.reference is servo and not self._cut
-        if servo is not None and running and setpoint.session == self._session and setpoint.number > servo.number:
-            servo.take(setpoint)
-        else:
-            self.dropped += 1
+        self._last_set_point = setpoint
+        for _ in range(2 if self.faults.doubled else 1):
+            self.sessions.take(setpoint, None if self.faults.cut else self._arm)
 
     async def hold(self) -> JointState:
         self._check_link()
@@ -114,25 +114,39 @@ class SimRobot:
 
     def cut(self, cut: bool) -> None:
         """Cuts the link, which ends the connection and makes the arm brake by itself; or restores it."""
-        self._cut = cut
+        self.faults.cut = cut
         if cut:
-            self._connected = False
-            self._arm.hold()
-            self._end_waiting(_silence())
+            self._lose()
 
     def update(self, time: float) -> None:
         """Tells those who wait that the arm rests, and publishes what is due at `time`."""
         self._time = time
+        if self.faults.drops > self._drops:
+            self._drops = self.faults.drops
+            self._drop()
+        if self._connected:
+            hold_beside(self._arm)
         if self._waiting and self._arm.at_rest:
             self._end_waiting(None)
         while self._arm.alarms:
             alarm = self._arm.alarms.popleft()
-            if not self._cut:
+            if not self.faults.cut:
                 self._events.publish(alarm)
-        if time >= self.due and not self._cut:
+        if time >= self.due and not self.faults.cut:
             self._states.publish(self._state())
         while time >= self.due:  # a cell that lags loses states
             self.due += self._period
+
+    def _drop(self) -> None:
+        """Its application has failed, and says so."""
+        if self._connected:
+            self._lose()
+            self._events.publish(DeviceEvent(device="robot", code="link_lost", text=_silence().text, danger=True))
+
+    def _lose(self) -> None:
+        self._connected = False
+        self._arm.hold()
+        self._end_waiting(_silence())
 
     def close(self) -> None:
         """Ends all readers, and those who wait without an answer."""
@@ -170,7 +184,7 @@ class SimRobot:
         self._waiting.clear()
 
     def _check_link(self) -> None:
-        if self._cut:
+        if self.faults.cut or self.faults.silent:
             raise _silence()
 
     def _check_connection(self) -> None:
@@ -178,14 +192,18 @@ class SimRobot:
         if not self._connected:
             raise DeviceError("The robot is not connected; connect it first.")
 
+    def _check_willing(self) -> None:
+        if self.faults.refusing:
+            raise DeviceRefusedError("The robot refuses. Look at its pendant: mode, brakes, protective stop.")
+
     def _check_free(self) -> None:
-        """Accepts a new motion; a servo session that has ended by itself is forgotten then."""
+        """Accepts a new motion."""
         self._check_connection()
-        if self._servo is not None and self._arm.reference is self._servo:
-            raise DeviceError("A servo session runs; end it or hold the arm before the next motion.")
-        if self._waiting or not self._arm.reference.ended:
-            raise DeviceError("The arm is still moving; wait for its end or hold it before the next motion.")
-        self._servo = None
+        self._check_willing()
+        if self.faults.drives_off:
+            text = f"The robot's drives are off ({self.faults.drives_off}); release them at the robot before it moves."
+            raise DeviceError(text, reason=self.faults.drives_off)
+        self.sessions.check_free(self._arm, bool(self._waiting) or not self._arm.reference.ended)
 
     def _state(self) -> JointState:
         arm = self._arm
@@ -201,4 +219,4 @@ class SimRobot:
 
 
 def _silence() -> UnknownOutcomeError:
-    return UnknownOutcomeError("The robot does not answer: its link is cut. Look at the arm before going on.")
+    return UnknownOutcomeError("The robot does not answer. Look at the arm before going on.")

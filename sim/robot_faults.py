@@ -17,6 +17,7 @@ from sim.fault import Fault
 from sim.fault_arguments import choice, number, switch
 
 if TYPE_CHECKING:
+    from sim.arm import Arm
     from sim.cell import Cell
 
 Framing = Literal["mixed", "split", "merged", "whole"]
@@ -25,6 +26,8 @@ Framing = Literal["mixed", "split", "merged", "whole"]
 MOST_OFFSET = 0.5  # rad
 MOST_PUSH = 100.0  # N
 HAND_SPEED = 0.3  # rad/s
+MOST_BESIDE = 0.02
+"""An arm that moves is held when a joint is farther than this from where it was told to be, rad."""
 
 
 @dataclass
@@ -39,6 +42,8 @@ class RobotFaults:
         doubled: Every line arrives twice.
         drops: How often the cabinet closed the connection so far.
         restarts: How often its application was started again at the pendant so far.
+        refusing: It refuses to be connected or moved.
+        late: The last set point arrives once more when somebody connects again.
     """
 
     cut: bool = False
@@ -48,6 +53,8 @@ class RobotFaults:
     doubled: bool = False
     drops: int = 0
     restarts: int = 0
+    refusing: bool = False
+    late: bool = False
 
 
 def _cut(cell: Cell, arguments: Mapping[str, Any]) -> None:
@@ -101,12 +108,31 @@ def _double(cell: Cell, arguments: Mapping[str, Any]) -> None:
     cell.robot_faults.doubled = switch(arguments, "on")
 
 
+def _refuse(cell: Cell, arguments: Mapping[str, Any]) -> None:
+    cell.robot_faults.refusing = switch(arguments, "on")
+
+
+def _late(cell: Cell, arguments: Mapping[str, Any]) -> None:
+    cell.robot_faults.late = switch(arguments, "on")
+
+
 def _push(cell: Cell, arguments: Mapping[str, Any]) -> None:
     cell.world.arm.disturbance.push = number(arguments, "force", -MOST_PUSH, MOST_PUSH)
 
 
 def _restart(cell: Cell, _arguments: Mapping[str, Any]) -> None:
     cell.robot_faults.restarts += 1
+
+
+def hold_beside(arm: Arm) -> None:
+    """Brakes an arm that has moved beside where it was told to be, and raises the alarm, once."""
+    beside = float(np.abs(arm.positions - arm.reference.position).max())
+    if beside <= MOST_BESIDE or arm.reference.ended or arm.stopped:
+        return
+    arm.hold("pose_differs")
+    text = f"The robot brakes: a joint is {beside:.3f} rad from where it was told to be, limit {MOST_BESIDE:g}."
+    text += " Look at the arm before going on."
+    arm.alarms.append(DeviceEvent(device="robot", code="pose_differs", text=text, danger=True))
 
 
 def _alarm(reason: str) -> DeviceEvent:
@@ -141,10 +167,12 @@ FAULTS = (
           _drives("brakes_closed")),
     Fault("guide_by_hand", "B9", "Somebody moves a joint of the resting arm by so much, rad.", ("joint", "angle"),
           _guide),
+    Fault("refuse_robot", "B10", "The robot refuses to be connected or moved.", ("on",), _refuse),
     Fault("drop_client", "B11", "The cabinet's application fails and closes the connection.", (), _drop),
+    Fault("late_set_point", "B12", "The last set point arrives again after the next connection.", ("on",), _late),
     Fault("double_commands", "B13", "Every command arrives at the cabinet twice.", ("on",), _double),
     Fault("push_tool", "B14", "A collision: something pushes the tool along its +z with so much force, N; 0 ends it.",
-          ("force",), _push),
+          ("force",), _push, also=("S13",)),
     Fault("restart_cabinet", "B11", "Somebody starts the cabinet's application again at its pendant.", (), _restart),
 )  # fmt: skip
 """What `sim.faults` knows of the robot."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from pcmrs.errors import DeviceError
@@ -9,7 +12,6 @@ from pcmrs.messages import HeadMotion, SceneTruth
 from pcmrs.spatial import Transform
 from sim.motion import check_motion
 from sim.pointer import SimPointer
-from sim.robot import SimRobot
 from sim.settings import Triple
 from sim.tracker import BODIES
 from sim.world import World
@@ -20,14 +22,14 @@ class SimScene:
 
     Args:
         world: Holds the truth.
-        robot: Its link can be cut.
         pointer: Its touches can be displaced.
+        inject: Brings about a fault of `sim.faults` by name with its arguments, or ends it.
     """
 
-    def __init__(self, world: World, robot: SimRobot, pointer: SimPointer) -> None:
+    def __init__(self, world: World, pointer: SimPointer, inject: Callable[[str, dict[str, Any]], None]) -> None:
         self._world = world
-        self._robot = robot
         self._pointer = pointer
+        self._inject = inject
 
     async def truth(self) -> SceneTruth:
         return self._world.truth()
@@ -60,4 +62,7 @@ class SimScene:
         self._pointer.pivot(duration)
 
     async def cut_robot(self, cut: bool) -> None:
-        self._robot.cut(cut)
+        self._inject("cut_robot", {"on": cut})
+
+    async def inject(self, fault: str, arguments: dict[str, Any]) -> None:
+        self._inject(fault, arguments)

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from sim.cell import Cell
 
 FARTHEST_MM = 100.0
+FARTHEST_SHIFT_MM = 2000.0
+"""Farther than any arm reaches."""
 FASTEST_MM = 200.0
 BURST = 0.5
 """So long the head moves, s."""
@@ -27,7 +29,7 @@ def _bump(cell: Cell, arguments: Mapping[str, Any]) -> None:
 
 
 def _shift(cell: Cell, arguments: Mapping[str, Any]) -> None:
-    offset = number(arguments, "millimetres", -FARTHEST_MM, FARTHEST_MM) * 1e-3
+    offset = number(arguments, "millimetres", -FARTHEST_SHIFT_MM, FARTHEST_SHIFT_MM) * 1e-3
     cell.world.shift_body(np.array((offset, 0.0, 0.0)))
 
 
@@ -39,7 +41,8 @@ def _dash(cell: Cell, arguments: Mapping[str, Any]) -> None:
 
 FAULTS = (
     Fault("bump_reference", "S6", "The reference slips on the patient by so much.", ("millimetres",), _bump),
-    Fault("shift_body", "S6", "The patient is elsewhere at once, with the reference.", ("millimetres",), _shift),
+    Fault("shift_body", "S5", "The patient is elsewhere at once, with the reference; 1500 is out of the arm's reach.",
+          ("millimetres",), _shift, also=("B6",)),
     Fault("dash_head", "S12", "The head moves at such a speed for half a second.", ("millimetres_per_second",), _dash),
-)
+)  # fmt: skip
 """What `sim.faults` knows of the patient."""

@@ -142,6 +142,58 @@ class GeometrySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     pointer_from_tip: Pose = Pose((0.0, 0.0, -0.15))
 
 
+class StimulatorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The magnetic stimulator and its coil; temperatures in degrees Celsius.
+
+    Attributes:
+        charge_time: From the command to arm until it is armed, s.
+        recharge_time: After a pulse, s.
+        armed_time: Time after which it disarms when no pulse was given, s.
+        ambient: Temperature of the room.
+        hottest: Temperature of the coil at which it disarms.
+        heat: By which a pulse at full output warms the coil; it goes with the square of the intensity.
+        cooling_time: Time constant with which the coil cools, s.
+    """
+
+    charge_time: NotNegative = 1.0
+    recharge_time: NotNegative = 0.5
+    armed_time: Positive = 60.0
+    ambient: float = 22.0
+    hottest: float = 40.0
+    heat: NotNegative = 0.08
+    cooling_time: Positive = 600.0
+
+
+class MuscleSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The electromyogram of the muscle that answers the stimulator; standard deviations and amplitudes.
+
+    Attributes:
+        rate_hz: Samples per second.
+        latency: From a pulse to the onset of the response, s.
+        scale: Of the response's shape, s; the response lasts six times that.
+        noise_uv: Standard deviation of the noise.
+        hum_hz: Of the mains, 50 or 60.
+        hum_uv: Amplitude of the mains.
+        preactivation_uv: Standard deviation of the activity when the muscle is not relaxed.
+        artefact_mv: Of the stimulus at full output.
+        artefact_decay: Its time constant, s.
+        full_scale_mv: Magnitude at which the amplifier saturates.
+        streamed: Sent on Lab Streaming Layer where ``emg.driver`` is ``lsl``; false beside a real amplifier.
+    """
+
+    rate_hz: Annotated[int, msgspec.Meta(ge=100)] = 5000
+    latency: NotNegative = 0.021
+    scale: Positive = 0.0025
+    noise_uv: NotNegative = 2.0
+    hum_hz: Positive = 50.0
+    hum_uv: NotNegative = 3.0
+    preactivation_uv: NotNegative = 0.0
+    artefact_mv: NotNegative = 3.0
+    artefact_decay: Positive = 0.0008
+    full_scale_mv: Positive = 10.0
+    streamed: bool = True
+
+
 class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The table ``sim`` of the configuration.
 
@@ -157,25 +209,8 @@ class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     arm: ArmSettings = ArmSettings()
     contact: ContactSettings = ContactSettings()
     geometry: GeometrySettings = GeometrySettings()
-
-
-class ForceSettings(msgspec.Struct, frozen=True):
-    """What the driver reads of the table ``robot``: the greatest force, N, and the way by which it is relieved."""
-
-    force_limit: Positive = 25.0
-    relief_mm: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.0
-
-
-def read_force_settings(settings: Mapping[str, Any]) -> ForceSettings:
-    """What the driver reads of the table ``robot`` of the whole configuration.
-
-    Raises:
-        ConfigurationError: A value has the wrong type or is out of range.
-    """
-    try:
-        return msgspec.convert(settings.get("robot", {}), ForceSettings)
-    except msgspec.ValidationError as error:
-        raise ConfigurationError(f"The table [robot] of the configuration is wrong: {error}.") from None
+    stimulator: StimulatorSettings = StimulatorSettings()
+    muscle: MuscleSettings = MuscleSettings()
 
 
 def read_settings(settings: Mapping[str, Any]) -> SimSettings:

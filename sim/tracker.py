@@ -45,6 +45,10 @@ class SimTracker:
         """Bodies that something hides; may be changed."""
         return self._world.hidden
 
+    @property
+    def trouble(self) -> str:
+        return "" if self.faults.sending else "The simulated tracker is switched off by a fault."
+
     def frames(self) -> AsyncIterator[Sequence[BodyPose]]:
         return self._stream.read()
 

@@ -52,6 +52,7 @@ class TrackerFaults:
         not_finite: Bodies whose position is not a number.
         not_unit: Bodies whose quaternion is none.
         bad_fit: Bodies that fit badly.
+        wrong_tools: Bodies that carry another tool than the one that is defined.
         phantoms: Bodies that stand in every other frame where a reflection has them.
         jumps: Bodies that are seen elsewhere, m.
         swapped: Two bodies taken for each other.
@@ -67,6 +68,7 @@ class TrackerFaults:
     not_finite: set[str] = field(default_factory=set)
     not_unit: set[str] = field(default_factory=set)
     bad_fit: set[str] = field(default_factory=set)
+    wrong_tools: set[str] = field(default_factory=set)
     phantoms: set[str] = field(default_factory=set)
     jumps: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     swapped: tuple[str, str] | None = None
@@ -89,6 +91,8 @@ class TrackerFaults:
         body, changes = pose.body, dict[str, Any]()
         if body in self.reasons:
             changes = {"valid": False, "reason": self.reasons[body]}
+        elif body in self.wrong_tools:
+            changes = {"valid": False, "reason": "wrong_tool"}
         elif pose.valid:
             if body in self.not_finite:
                 changes["position"] = (math.nan, math.inf, 0.0)
@@ -182,6 +186,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("bad_fit", "S7", "A body fits its markers badly.", ("body", "on"), _of_body("bad_fit")),
     Fault("phantom_marker", "S8", "A reflection moves every other pose.", ("body", "on"), _of_body("phantoms")),
     Fault("tool_swap", "S8", "Two bodies are taken for each other.", ("first", "second", "on"), _swap),
+    Fault("wrong_tool", "S9", "A body carries another tool than the defined one.", ("body", "on"), _of_body("wrong_tools")),
     Fault("tracker_rate", "S10", "The rate falls; 0 is the tracker's own.", ("hertz",), _rate),
     Fault("stamp_reversed", "S11", "Numbers and stamps run backwards.", ("on",), _flag("reversed")),
     Fault("stamp_future", "S11", "Stamps lie in the future.", ("on",), _flag("future")),

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
+from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.messages import HeadMotion, PoseMessage, SceneTruth
 from pcmrs.spatial import Floats, Transform
+from pcmrs.tms.subject import Subject
 from sim.arm import Arm
 from sim.errors import TouchErrors, TrackerErrors
 from sim.motion import Pivot, head_offset
+from sim.muscle.muscle import Muscle
+from sim.muscle.subject import draw_subject
 from sim.phantoms import PHANTOMS
 from sim.plant import STEP
-from sim.settings import ForceSettings, Pose, SimSettings
+from sim.settings import Pose, SimSettings
 
 BODY_REF_FROM_WITNESS = Transform.from_rotvec((0.0, 0.08, 0.0), (0.3, 0.2, 0.0))
 """Where a second marker body was fixed to the patient, as long as nobody bumps the reference."""
@@ -39,6 +46,8 @@ class World:
         hidden: Bodies that something hides from the tracker.
         tracker_errors: What the tracker adds to the truth.
         touch_errors: Where a person touches beside a planned landmark.
+        muscle: Of the patient, which answers the stimulator.
+        pulse_listeners: Told number, intensity in percent, and time, s, of every pulse.
     """
 
     def __init__(self, settings: SimSettings, facts: ArmFacts, force: ForceSettings, time: float) -> None:
@@ -54,15 +63,17 @@ class World:
         self.image_from_pointer: Transform | None = None
         self.pivot: Pivot | None = None
         self.hidden: set[str] = set()
+        self.pulse_listeners: list[Callable[[int, float, float], None]] = []
         self.arm = Arm(facts, settings, force, phantom)
         self._motion, self._motion_start = HeadMotion(), time
         self._put(self._tracker_from_world @ _placed(geometry.world_from_image, phantom.world_from_image))
         self.reseed(settings.seed)
 
     def reseed(self, seed: int) -> None:
-        """Draws the errors of tracker and landmarks anew; the arm keeps its own."""
+        """Draws the errors of tracker and landmarks, and the patient's muscle anew; the arm keeps its own."""
         self.tracker_errors = TrackerErrors(self.settings.tracker, np.random.default_rng(seed))
         self.touch_errors = TouchErrors(self.settings.digitization, seed)
+        self.muscle = Muscle(self.settings.muscle, partial(draw_subject, self.settings.phantom, seed), seed)
 
     def step(self, steps: int) -> None:
         """Lets `steps` times `STEP` pass."""
@@ -89,6 +100,19 @@ class World:
         """Moves the reference on the patient; its marker body lies at `old_from_new` in where it was before."""
         self.body_ref_from_image = old_from_new.inverse() @ self.body_ref_from_image
 
+    def stimulate(self, number: int, intensity: float, time: float) -> None:
+        """Gives the pulse `number` at `time` of the cell's clock, s, from where the coil truly is.
+
+        Args:
+            number: Of the pulse.
+            intensity: Percent of the maximum stimulator output.
+            time: Of the cell's clock, s.
+        """
+        image_from_coil = self.tracker_from_image.inverse() @ self.tracker_from_coil()
+        self.muscle.stimulate(number, time, image_from_coil, intensity)
+        for listener in self.pulse_listeners:
+            listener(number, intensity, time)
+
     def tracker_from_coil(self) -> Transform:
         """The true pose of the tool's marker body."""
         return self._tracker_from_world @ self.arm.base_from_flange() @ self._flange_from_coil
@@ -111,6 +135,8 @@ class World:
         """Everything as it is at this moment."""
         tip_in_pointer = self.settings.geometry.pointer_from_tip.position
         pointer = self._tracker_from_pointer()
+        subject = self.muscle.subject
+        known = subject if isinstance(subject, Subject) else None
         return SceneTruth(
             tracker_from_coil=_message(self.tracker_from_coil()),
             tracker_from_body_ref=_message(self.tracker_from_body_ref()),
@@ -119,6 +145,8 @@ class World:
             contact_force=self.arm.contact.force,
             tip_in_pointer=tip_in_pointer,
             tip_in_tracker=None if pointer is None else _triple(pointer @ tip_in_pointer),
+            image_from_hotspot=None if known is None else _message(known.image_from_hotspot),
+            threshold=None if known is None else float(known.recruitment.threshold),
         )
 
     def _tracker_from_pointer(self) -> Transform | None:

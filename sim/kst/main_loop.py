@@ -100,6 +100,8 @@ class MainLoop:
             return
         line, self.slot = self.slot, ""
         try:
+            if self._faults.refusing:
+                raise DeviceError("Its application refuses everything.")
             if line in QUESTIONS:
                 self._send(reply(QUESTIONS[line](self._readings)))
             else:
@@ -117,9 +119,10 @@ class MainLoop:
             motion.over, motion.end = True, ""
             log.warning("cabinet_motion_broken_off", reason=self._arm.stopped)
             self._send(INTERRUPTED if self._arm.stopped == "interrupted" else NAK)
-        if self._arm.at_rest:
+        servo = isinstance(motion.reference, Destination)
+        if self._arm.reference.ended if servo else self._arm.at_rest:  # a servo is not waited for until it has settled
             self._motion = None
-            if not isinstance(motion.reference, Destination):
+            if not servo:
                 self.slot = ""  # what came during a point-to-point motion is lost
             self._send(motion.end)
             self.work()

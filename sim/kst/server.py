@@ -63,6 +63,7 @@ class _Server:
         self._cell, self._socket, self._accept_timeout = cell, listening, accept_timeout
         self._address = listening.getsockname()[:2]
         self._rng = np.random.default_rng((cell.world.settings.seed, STREAM))
+        self._last_set_point: str | None = None
 
     async def run(self) -> None:
         try:
@@ -110,6 +111,8 @@ class _Server:
             sending = tasks.create_task(replies.run(), name="replies of the virtual cabinet")
             try:
                 with self._cell.watched(cabinet.update):
+                    if self._cell.robot_faults.late and self._last_set_point is not None:
+                        cabinet.receive(self._last_set_point)
                     await self._hear(reader, cabinet)
             finally:
                 cabinet.leave()
@@ -120,15 +123,18 @@ class _Server:
 
     async def _hear(self, reader: asyncio.StreamReader, cabinet: Cabinet) -> None:
         with suppress(ConnectionError, ValueError):  # the client has gone, or sends a line without end
-            while line := await reader.readline():
+            while data := await reader.readline():
                 self._cell.catch_up()
+                line = data.decode("latin-1").rstrip("\r\n")
+                if line.startswith("jf_"):
+                    self._last_set_point = line
                 for _ in range(2 if self._cell.robot_faults.doubled else 1):
-                    cabinet.receive(line.decode("latin-1").rstrip("\r\n"))
+                    cabinet.receive(line)
 
 
 def _listen(host: str, port: int) -> socket.socket:
     family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    listening = socket.socket(family, socket.SOCK_STREAM)
+    listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)  # asyncio turns Nagle off by this number
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind(address)

@@ -88,7 +88,8 @@ def _tracker(cell: Cell) -> SimTracker:
 
 def _system(cell: Cell) -> NdiSystem:
     tracker = _tracker(cell)
-    return NdiSystem(lambda: tracker.newest, lambda: tracker.faults.plugged)
+    faults = tracker.faults
+    return NdiSystem(lambda: tracker.newest, lambda: faults.plugged, lambda: faults.wrong_tools)
 
 
 def _answers(cell: Cell, system: NdiSystem, lines: Lines, data: bytes) -> bytes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 from pcmrs.messages import BodyPose
@@ -11,7 +11,8 @@ from sim.ndi.replies import ENABLED, INITIALIZED, OCCUPIED, Sight, float_reply, 
 from sim.tracker import BODIES
 
 INVALID_PORT, BAD_MODE, NO_TOOL, NOT_INITIALIZED_PORT = 0x08, 0x0C, 0x0D, 0x0E
-NOT_INITIALIZED, CANNOT_INITIALIZE, OUT_OF_RANGE, NO_HANDLE, HANDLES_FULL = 0x10, 0x15, 0x23, 0x2B, 0x2D
+NOT_INITIALIZED, CANNOT_INITIALIZE_PORT, CANNOT_INITIALIZE = 0x10, 0x13, 0x15
+OUT_OF_RANGE, NO_HANDLE, HANDLES_FULL = 0x23, 0x2B, 0x2D
 
 MOST_HANDLES = 6
 """As many tools as a Vicra has."""
@@ -49,11 +50,18 @@ class NdiSystem:
     Args:
         newest: The newest published frame of the simulated tracker; empty before the first.
         plugged: Whether the position sensor is plugged in.
+        wrong_tools: Bodies with another tool than the one that is defined for them.
     """
 
-    def __init__(self, newest: Callable[[], Sequence[BodyPose]], plugged: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        newest: Callable[[], Sequence[BodyPose]],
+        plugged: Callable[[], bool],
+        wrong_tools: Callable[[], Collection[str]] = tuple,
+    ) -> None:
         self._newest = newest
         self._plugged = plugged
+        self._wrong_tools = wrong_tools
         self._handles: dict[int, Handle] = {}
         self._initialized = self._tracking = False
         self._anytime = {"RESET": self._reset, "VER": self._version, "COMM": self._okay, "BEEP": self._beep}
@@ -165,10 +173,12 @@ class NdiSystem:
         _, handle = self._handle(parameters)
         if not handle.written:
             raise CommandError(NO_TOOL)
-        handle.initialized = True
         shown = {each.body for each in self._handles.values()}
         named = [body for body in BODIES if f"PCMRS:{body}\0".encode() in handle.srom]
-        handle.body = next(iter(named or [body for body in BODIES if body not in shown]), None)
+        body = next(iter(named or [body for body in BODIES if body not in shown]), None)
+        if body in self._wrong_tools():
+            raise CommandError(CANNOT_INITIALIZE_PORT)
+        handle.initialized, handle.body = True, body
         return reply("OKAY")
 
     def _enable(self, parameters: str) -> bytes:

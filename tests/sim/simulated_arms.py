@@ -2,13 +2,14 @@
 
 import numpy as np
 
+from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
 from sim.arm import Arm
 from sim.head import surface_point
 from sim.phantoms import PHANTOMS
-from sim.settings import ForceSettings, SimSettings
+from sim.settings import SimSettings
 
 FACTS = ARMS["iiwa14"]
 HOME = np.array(FACTS.home)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pcmrs.clock import Clock
+from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.devices.protocols import OpenDriver
 from pcmrs.errors import ConfigurationError, DeviceError, UnknownOutcomeError
 from pcmrs.kinematics.arms import ARMS
@@ -15,7 +16,7 @@ from sim.cell import BATCH, LONGEST_CATCH_UP, Cell, open_devices
 from sim.errors import TouchErrors
 from sim.phantoms import PHANTOMS
 from sim.plant import STEP
-from sim.settings import DigitizationSettings, ForceSettings, SimSettings
+from sim.settings import DigitizationSettings, SimSettings
 
 Devices = Mapping[str, Any]
 HOME = np.array(ARMS["iiwa14"].home)

@@ -10,15 +10,16 @@ from hypothesis import strategies as st
 from simulated_arms import FACTS, HOME, body_before_tool, make_arm, smooth
 
 from pcmrs.clock import Clock
+from pcmrs.devices.motion.force import AGAIN, ForceGuard, ForceSettings
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import DeviceEvent
 from pcmrs.spatial import Floats, Transform
 from sim import femur, head
 from sim.cell import open_devices
-from sim.force import AGAIN, ForceGuard, ForceSensor
+from sim.force import ForceSensor
 from sim.phantoms import PHANTOMS
 from sim.plan import trajectory
-from sim.settings import ArmSettings, ForceSettings, GeometrySettings, SimSettings
+from sim.settings import ArmSettings, GeometrySettings, SimSettings
 
 FLANGE_FROM_COIL = GeometrySettings().flange_from_coil.transform
 directions = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).filter(lambda v: float(np.linalg.norm(v)) > 0.1)

@@ -8,12 +8,12 @@ import pytest
 from simulated_arms import body_before_tool, make_arm
 
 from pcmrs.clock import Clock
+from pcmrs.devices.motion.press import RESISTANCE, TOLERANCE, Press
 from pcmrs.errors import DeviceError
 from pcmrs.messages import MotionResult, PressRequest
 from pcmrs.spatial import rotation_angle
 from sim.arm import Arm
 from sim.cell import open_devices
-from sim.press import RESISTANCE, TOLERANCE, Press
 from sim.settings import ContactSettings, GeometrySettings, SimSettings
 
 INWARD = -GeometrySettings().flange_from_coil.transform.rotation[:, 2]

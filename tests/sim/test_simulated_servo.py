@@ -12,14 +12,15 @@ from hypothesis import strategies as st
 from simulated_arms import FACTS, HOME, smooth
 
 from pcmrs.clock import Clock
+from pcmrs.devices.motion.reference import Reference
+from pcmrs.devices.motion.servo import DEADMAN, LARGEST_JUMP, Servo
 from pcmrs.errors import DeviceError
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.trajectory import brake
 from pcmrs.messages import DeviceEvent, JointSetpoint
 from pcmrs.spatial import Floats
-from sim.reference import Reference
-from sim.servo import DEADMAN, LARGEST_JUMP, Servo
+from sim.plant import STEP
 from sim.settings import ArmSettings
 
 Devices = Mapping[str, Any]
@@ -38,7 +39,7 @@ def at(number: int, positions: Floats, velocities: Floats | None = None, session
 
 def lag(amplitude: float, hz: float) -> tuple[float, float]:
     """Root mean square and greatest distance from a sine in all joints, rad, after the first second."""
-    servo = Servo(HOME, FACTS, LIMITS)
+    servo = Servo(HOME, FACTS, LIMITS, STEP)
     errors = []
     for step in range(5000):
         angle = 2 * pi * hz * step * 1e-3
@@ -63,7 +64,7 @@ def test_a_moving_target_is_followed_without_lag(amplitude: float, hz: float, li
 def test_whatever_is_sent_stays_within_all_limits(course: list[tuple[float, float, int]]) -> None:
     near_end = HOME.copy()
     near_end[5] = MODEL.upper[5] - 0.15
-    servo = Servo(near_end, FACTS, LIMITS)
+    servo = Servo(near_end, FACTS, LIMITS, STEP)
     samples = [np.stack((near_end, np.zeros(7), np.zeros(7)))]
     for number, (jump, speed, steps) in enumerate(course, start=1):
         wanted = np.clip(servo.position + jump, MODEL.lower, MODEL.upper)
@@ -73,7 +74,7 @@ def test_whatever_is_sent_stays_within_all_limits(course: list[tuple[float, floa
             steps -= 1
         if servo.halt is not None:
             break  # the arm brakes at once
-    stop = Reference.along(brake(servo.position.tolist(), servo.velocity.tolist(), LIMITS), servo)
+    stop = Reference.along(brake(servo.position.tolist(), servo.velocity.tolist(), LIMITS), servo, STEP)
     while not stop.ended:
         samples.append(stop.advance())
     positions, velocities, accelerations = np.array(samples).swapaxes(0, 1)
@@ -98,7 +99,7 @@ REFUSED: dict[str, Callable[[], JointSetpoint]] = {
 
 @pytest.mark.parametrize("reason", [*REFUSED, "not finite"])
 def test_a_set_point_that_must_not_be_followed_halts(reason: str) -> None:
-    servo = Servo(HOME, FACTS, LIMITS)
+    servo = Servo(HOME, FACTS, LIMITS, STEP)
     servo.take(REFUSED.get(reason, lambda: at(1, np.full(7, np.nan)))())
     assert servo.halt == (reason if reason in REFUSED else "malformed")
     assert servo.alarm is not None
@@ -126,10 +127,10 @@ async def stream(cell: Devices, clock: Clock, seconds: float, speed: float = 0.1
     """Sends set points of the running session that lead all joints away at `speed`, rad/s."""
     robot = cell["robot"]
     start = np.array((await robot.joints()).positions)
-    first = robot._servo.number
+    first = robot.sessions.servo.number
     for number in range(1, round(seconds / 0.016) + 1):
         way = speed * number * 0.016
-        robot.set_point(at(first + number, start + way, np.full(7, speed), session=robot._session))
+        robot.set_point(at(first + number, start + way, np.full(7, speed), session=robot.sessions.number))
         await clock.sleep(0.016)
 
 
@@ -146,7 +147,7 @@ async def test_a_session_follows_and_ends_at_rest(cell: Devices, clock: Clock, e
     assert np.abs(joints.velocities).max() < 1e-3
     assert np.allclose(joints.positions, HOME + 0.08, atol=2e-4)
     assert events == []
-    assert robot.dropped == 0
+    assert robot.sessions.dropped == 0
 
 
 async def test_without_set_points_the_arm_brakes_and_reports_danger(
@@ -167,7 +168,7 @@ async def test_without_set_points_the_arm_brakes_and_reports_danger(
     ahead = np.array(joints.positions) - HOME - 0.05
     assert np.all(ahead < 0.1 * (DEADMAN + 0.03)), "it went on for the deadman's time and braked"
     robot.set_point(at(1000, HOME, session=session.session))
-    assert robot.dropped == 1, "the session is over"
+    assert robot.sessions.dropped == 1, "the session is over"
     result = await robot.end_servo(session.session)
     assert (result.outcome, result.reason) == ("stopped", "no_set_point")
 
@@ -187,18 +188,18 @@ async def test_stale_and_foreign_set_points_are_dropped_and_counted(cell: Device
     robot = cell["robot"]
     await robot.connect()
     robot.set_point(at(1, HOME))
-    assert robot.dropped == 1, "no session"
+    assert robot.sessions.dropped == 1, "no session"
     first = await robot.begin_servo()
     robot.set_point(at(5, HOME, session=first.session))
     for number, session in ((5, first.session), (4, first.session), (6, first.session + 1), (6, first.session - 1)):
         robot.set_point(at(number, HOME + 0.1, session=session))
-    assert robot.dropped == 5
+    assert robot.sessions.dropped == 5
     await clock.sleep(0.05)
     await robot.end_servo(first.session)
     second = await robot.begin_servo()
     assert second.session > first.session
     robot.set_point(at(100, HOME + 0.1, session=first.session))
-    assert robot.dropped == 6
+    assert robot.sessions.dropped == 6
     assert np.allclose((await robot.hold()).positions, HOME, atol=1e-4)
 
 
@@ -228,7 +229,7 @@ async def test_whoever_comes_late_does_not_end_the_session_of_another(cell: Devi
     with pytest.raises(DeviceError, match=f"session {first} is over"):
         await robot.end_servo(first)
     await stream(cell, clock, 0.1)
-    assert robot.dropped == 0, "the second session goes on"
+    assert robot.sessions.dropped == 0, "the second session goes on"
     assert (await robot.end_servo(second)).outcome == "done"
 
 
@@ -259,8 +260,8 @@ async def test_a_lost_connection_ends_a_session(cell: Devices, clock: Clock, by:
     joints = await robot.connect()
     assert not joints.moving
     assert np.all(np.array(joints.positions) - HOME < 0.05)
-    robot.set_point(at(1000, HOME, session=robot._session))
-    assert robot.dropped == 1
+    robot.set_point(at(1000, HOME, session=robot.sessions.number))
+    assert robot.sessions.dropped == 1
 
 
 async def test_nothing_else_moves_the_arm_during_a_session(cell: Devices, clock: Clock) -> None:

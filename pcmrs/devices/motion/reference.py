@@ -1,4 +1,4 @@
-"""What the controller follows: a joint trajectory sampled at 1 kHz with its velocities and accelerations."""
+"""What an arm follows: a joint trajectory sampled at its rate, with velocities and accelerations."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from scipy.interpolate import CubicSpline
 
 from pcmrs.messages import DeviceEvent, JointTrajectory
 from pcmrs.spatial import Floats
-from sim.plant import STEP
 
 
 class SetPoint(Protocol):
@@ -46,7 +45,7 @@ class Reference:
     """A moving set point that stays at its last sample for ever.
 
     Args:
-        samples: Position rad, velocity rad/s and acceleration rad/s^2 of n joints at every `STEP`, (N, 3, n).
+        samples: Position rad, velocity rad/s and acceleration rad/s^2 of n joints at every step, (N, 3, n).
     """
 
     halt: str | None = None
@@ -63,11 +62,16 @@ class Reference:
         return cls(np.stack((posture, np.zeros_like(posture), np.zeros_like(posture)))[None])
 
     @classmethod
-    def along(cls, trajectory: JointTrajectory, present: SetPoint) -> Self:
+    def along(cls, trajectory: JointTrajectory, present: SetPoint, step: float) -> Self:
         """Follows a trajectory from the present set point: a cubic spline, clamped to end at rest.
 
         A trajectory starts near the present set point, not exactly on it; the difference fades out linearly. One of
         a single posture is no motion.
+
+        Args:
+            trajectory: Where to go.
+            present: What is followed now.
+            step: Time between samples, s.
         """
         if len(trajectory.positions) == 1:
             return cls.standing(present.position)
@@ -75,7 +79,7 @@ class Reference:
         positions += np.linspace(present.position - positions[0], 0.0, len(positions))
         times = np.arange(len(positions)) * trajectory.period
         spline = CubicSpline(times, positions, bc_type=((1, present.velocity), (1, np.zeros_like(present.velocity))))
-        grid = np.linspace(0.0, times[-1], 1 + int(np.ceil(times[-1] / STEP)))
+        grid = np.linspace(0.0, times[-1], 1 + int(np.ceil(times[-1] / step)))
         samples = np.stack([spline(grid, order) for order in range(3)], axis=1)
         samples[-1, 2] = 0.0  # it stays there
         return cls(samples)

@@ -1,4 +1,4 @@
-"""What the arm's controller refuses to follow."""
+"""What an arm refuses to follow."""
 
 from __future__ import annotations
 

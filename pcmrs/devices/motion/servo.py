@@ -9,7 +9,6 @@ from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.messages import DeviceEvent, JointSetpoint
 from pcmrs.spatial import Floats
-from sim.plant import STEP
 
 DEADMAN = 0.1
 """Without a fresh set point for so long the session is over, s of the cell."""
@@ -32,6 +31,7 @@ class Servo:
         posture: Where it begins, at rest, rad, (n,).
         facts: The arm and its limits.
         limits: Acceleration and jerk of the joints, with which it can also brake.
+        step: Time between samples, s.
 
     Attributes:
         number: Of the last set point taken.
@@ -41,7 +41,7 @@ class Servo:
 
     ended = False
 
-    def __init__(self, posture: Floats, facts: ArmFacts, limits: MotionLimits) -> None:
+    def __init__(self, posture: Floats, facts: ArmFacts, limits: MotionLimits, step: float) -> None:
         joints = len(facts.joints)
         self._lower = np.array([joint.lower for joint in facts.joints])
         self._upper = np.array([joint.upper for joint in facts.joints])
@@ -56,7 +56,8 @@ class Servo:
         self._profile = Trajectory(joints)
         self._sample = np.stack((posture, np.zeros(joints), np.zeros(joints)))
         self._target: tuple[Floats, Floats] | None = None
-        self._steps = -round(FIRST / STEP)  # since the last set point
+        self._step = step
+        self._steps = -round(FIRST / step)  # since the last set point
         self.number = 0
         self.halt: str | None = None
         self.alarm: DeviceEvent | None = None
@@ -80,11 +81,11 @@ class Servo:
     def advance(self) -> Floats:
         """The next sample, (3, n)."""
         self._steps += 1
-        if self._steps * STEP > DEADMAN:
+        if self._steps * self._step > DEADMAN:
             self._refuse("no_set_point", f"no set point came for {DEADMAN:g} s", limit=DEADMAN)
         if self._target is not None:
             position, velocity = self._target
-            time = self._steps * STEP
+            time = self._steps * self._step
             sample = np.array(self._profile.at_time(time))
             sample[0] += position + velocity * time
             sample[1] += velocity
@@ -118,9 +119,9 @@ class Servo:
 
     def _check_room(self) -> None:
         """Halts while the arm can still brake before the ends of its joints."""
-        speed = np.abs(self.velocity) + self._acceleration * STEP  # as it may be at the next look
+        speed = np.abs(self.velocity) + self._acceleration * self._step  # as it may be at the next look
         ahead = np.where(self.velocity > 0.0, self._upper - self.position, self.position - self._lower)
-        room = ahead - _braking_distance(speed, self._acceleration, self._jerk) - 2 * STEP * speed
+        room = ahead - _braking_distance(speed, self._acceleration, self._jerk) - 2 * self._step * speed
         joint = int(room.argmin())
         if room[joint] < 0.0 and self.velocity[joint] != 0.0:
             self._refuse("joint_limit", f"joint {joint + 1} comes too fast towards its end", joint=joint + 1)

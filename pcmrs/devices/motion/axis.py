@@ -9,7 +9,6 @@ import numpy as np
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import DeviceEvent
 from pcmrs.spatial import Floats
-from sim.plant import STEP
 
 DAMPING = 0.01
 """Of the inverse of the Jacobian (Nakamura, Hanafusa 1986; Wampler 1986): joints stay slow near singularities."""
@@ -30,6 +29,7 @@ class AxisMotion(ABC):
         velocity: What still moves then, rad/s, (n,).
         axis_in_flange: Unit vector, (3,).
         travel: Longest way along it, m.
+        step: Time between samples, s.
 
     Attributes:
         ended: It stands still for good.
@@ -38,13 +38,20 @@ class AxisMotion(ABC):
     """
 
     def __init__(
-        self, model: ArmModel, position: Floats, velocity: Floats, axis_in_flange: Floats, travel: float
+        self,
+        model: ArmModel,
+        position: Floats,
+        velocity: Floats,
+        axis_in_flange: Floats,
+        travel: float,
+        step: float,
     ) -> None:
         self._model = model
         self._position, self._carried = position.copy(), velocity.copy()
         self._velocity = velocity
         self._axis = model.forward(self._position).rotation @ axis_in_flange
         self._travel = travel
+        self._step = step
         self._speed = 0.0
         self.travelled = 0.0
         self.ended = False
@@ -59,15 +66,16 @@ class AxisMotion(ABC):
         wanted = min(self._wanted(), (self._travel - self.travelled) / SLOWING)
         if self.ended:
             return np.stack((self._position, np.zeros_like(self._position), np.zeros_like(self._position)))
-        self._speed += (wanted - self._speed) * STEP / LAG
-        self.travelled += self._speed * STEP
-        self._carried *= 1 - STEP / LAG
+        step = self._step
+        self._speed += (wanted - self._speed) * step / LAG
+        self.travelled += self._speed * step
+        self._carried *= 1 - step / LAG
         before = self._velocity
         self._velocity = self._carried + self._joint_velocity()
-        self._position += self._velocity * STEP
+        self._position += self._velocity * step
         if not np.all((self._model.lower < self._position) & (self._position < self._model.upper)):
             self.halt = "joint_limit"
-        return np.stack((self._position, self._velocity, (self._velocity - before) / STEP))
+        return np.stack((self._position, self._velocity, (self._velocity - before) / step))
 
     @property
     def alarm(self) -> DeviceEvent | None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from pcmrs.devices.motion.axis import AxisMotion
+from pcmrs.devices.motion.force import FlangeForce
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import DeviceEvent, PressRequest
 from pcmrs.spatial import Floats
-from sim.axis import AxisMotion
-from sim.force import ForceSensor
-from sim.plant import STEP
 
 RESISTANCE = 500.0
 """D of the admittance ``v = (F_target - F) / D``, N s/m: 3 N approach at 6 mm/s, and on a skin of 1 kN/m the force
@@ -34,11 +33,14 @@ class Press(AxisMotion):
         position: Where it begins, at rest, rad, (n,).
         request: What is asked for.
         sensor: Of the force on the flange.
+        step: Time between samples, s.
     """
 
-    def __init__(self, model: ArmModel, position: Floats, request: PressRequest, sensor: ForceSensor) -> None:
+    def __init__(
+        self, model: ArmModel, position: Floats, request: PressRequest, sensor: FlangeForce, step: float
+    ) -> None:
         direction = np.array(request.direction_in_flange)
-        super().__init__(model, position, np.zeros_like(position), direction, request.travel)
+        super().__init__(model, position, np.zeros_like(position), direction, request.travel, step)
         self._request = request
         self._direction = direction
         self._sensor = sensor
@@ -52,8 +54,8 @@ class Press(AxisMotion):
     def _wanted(self) -> float:
         request = self._request
         missing = request.force - self.force
-        self._time += STEP
-        self._steady = self._steady + STEP if abs(missing) <= TOLERANCE else 0.0
+        self._time += self._step
+        self._steady = self._steady + self._step if abs(missing) <= TOLERANCE else 0.0
         if self._steady >= STEADY:
             self.ended = True
         elif self._at_end and missing > TOLERANCE:
@@ -73,12 +75,20 @@ class Relief(AxisMotion):
         travel: Longest way, m; 0 to halt at once.
         sensor: Of the force on the flange.
         limit: That the force exceeded, N.
+        step: Time between samples, s.
     """
 
     def __init__(
-        self, model: ArmModel, position: Floats, velocity: Floats, travel: float, sensor: ForceSensor, limit: float
+        self,
+        model: ArmModel,
+        position: Floats,
+        velocity: Floats,
+        travel: float,
+        sensor: FlangeForce,
+        limit: float,
+        step: float,
     ) -> None:
-        super().__init__(model, position, velocity, sensor.axis, travel)
+        super().__init__(model, position, velocity, sensor.axis, travel, step)
         self._sensor = sensor
         self._force = sensor.magnitude
         self._limit = limit

@@ -1,0 +1,43 @@
+"""The force on the flange, from what the joints feel of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.spatial import Floats
+
+DAMPING = 0.01
+"""Of the inverse of the Jacobian, so that the estimate stays finite at singularities; elsewhere it takes about 1 %."""
+
+
+class TorqueForce:
+    """Implements `pcmrs.devices.motion.force.FlangeForce` by least squares of ``tau = J^T wrench``.
+
+    The wrench is ``(J J^T + damping^2 I)^-1 J tau``; for the statics see Siciliano et al., Robotics, 2009, section 3.8.
+
+    Args:
+        model: The arm.
+        axis_in_flange: Unit vector of the tool's +z, along which contact pushes, (3,).
+
+    Attributes:
+        axis: The same.
+        flange_force: N, along the flange's axes.
+    """
+
+    def __init__(self, model: ArmModel, axis_in_flange: Floats) -> None:
+        self._model = model
+        self.axis = axis_in_flange
+        self.flange_force = (0.0, 0.0, 0.0)
+
+    def update(self, positions: Floats, torques: Floats) -> None:
+        """Takes measured joints, rad, and external torques, N m, (n,) each."""
+        jacobian = self._model.jacobian(positions)
+        wrench = np.linalg.solve(jacobian @ jacobian.T + DAMPING**2 * np.eye(6), jacobian @ torques)
+        x, y, z = (self._model.forward(positions).rotation.T @ wrench[:3]).tolist()
+        self.flange_force = (x, y, z)
+
+    @property
+    def magnitude(self) -> float:
+        """Of the force, N."""
+        return float(np.linalg.norm(self.flange_force))

@@ -1,0 +1,132 @@
+"""References at the rate of a streamed arm: the same limits hold as at that of a control loop."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pcmrs.devices.motion.follower import Follower, brake_limits
+from pcmrs.devices.motion.force import ForceSettings
+from pcmrs.devices.motion.press import RESISTANCE
+from pcmrs.kinematics.arms import ARMS
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.messages import JointSetpoint, JointTrajectory, PressRequest
+from pcmrs.spatial import Floats
+
+MODEL = ArmModel(ARMS["iiwa14"])
+HOME = np.array(ARMS["iiwa14"].home)
+ACCELERATION, JERK = 10.0, 200.0
+LIMITS = brake_limits(MODEL.facts, ACCELERATION, JERK)
+STEPS = pytest.mark.parametrize("step", [1 / 1000, 1 / 200])
+
+
+class Spring:
+    """The tool at a spring that begins `gap` m before it, seen without delay."""
+
+    axis = np.array((0.0, 0.0, -1.0))
+
+    def __init__(self, gap: float, stiffness: float = 1000.0) -> None:
+        self._gap, self._stiffness = gap, stiffness
+        self.magnitude = 0.0
+        self._start = MODEL.forward(HOME)
+
+    def look(self, posture: Floats) -> None:
+        way = self._start.inverse() @ MODEL.forward(posture).translation
+        self.magnitude = max(0.0, float(way[2]) - self._gap) * self._stiffness
+
+    @property
+    def flange_force(self) -> tuple[float, float, float]:
+        return (0.0, 0.0, -self.magnitude)
+
+
+def follower(step: float, sensor: Spring | None = None, posture: Floats = HOME, **force: float) -> Follower:
+    return Follower(MODEL, LIMITS, ForceSettings(**force), sensor or Spring(1.0), posture, step)
+
+
+def run(arm: Follower, sensor: Spring, step: float, seconds: float) -> Floats:
+    """Samples until the arm stands, (N, 3, n)."""
+    samples = []
+    for _ in range(round(seconds / step)):
+        samples.append(arm.advance().copy())
+        sensor.look(samples[-1][0])
+        if arm.reference.ended:
+            break
+    return np.array(samples)
+
+
+@STEPS
+def test_a_trajectory_ends_where_and_when_it_should(step: float) -> None:
+    time = np.linspace(0.0, 1.0, 101)
+    way = (10 * time**3 - 15 * time**4 + 6 * time**5)[:, None] * 0.3
+    arm = follower(step)
+    arm.follow(JointTrajectory(period=0.01, positions=(HOME + way * np.ones(7)).tolist()))
+    samples = run(arm, Spring(1.0), step, 5.0)
+    assert len(samples) == round(1.0 / step)
+    assert np.allclose(samples[-1, 0], HOME + 0.3)
+    assert np.allclose(samples[-1, 1:], 0.0)
+    assert np.allclose(np.diff(samples[:, 0], axis=0) / step, samples[1:, 1], atol=3.0 * step)
+
+
+@STEPS
+@pytest.mark.parametrize("again", [False, True])
+def test_a_held_motion_brakes_as_fast_as_the_limits_allow(step: float, again: bool) -> None:
+    arm = follower(step)
+    arm.follow(JointTrajectory(period=1.0, positions=[HOME.tolist(), (HOME + 0.3).tolist(), (HOME + 0.6).tolist()]))
+    speed = float([arm.advance() for _ in range(round(1.0 / step))][-1][1].max())
+    samples = np.array([arm.reference.advance()])
+    arm.hold()
+    while not arm.reference.ended:
+        samples = np.concatenate((samples, arm.advance()[None]))
+        if again:
+            arm.hold()
+    assert arm.stopped == "held"
+    assert np.all(samples[1:, 1] <= samples[:-1, 1] + 1e-9), "never faster"
+    assert len(samples) * step == pytest.approx(speed / ACCELERATION + ACCELERATION / JERK, abs=2.1 * 0.005)
+
+
+@settings(max_examples=25)
+@given(st.lists(st.tuples(st.floats(-0.19, 0.19), st.floats(-3.0, 3.0), st.integers(1, 20)), min_size=1, max_size=15))
+def test_whatever_is_sent_to_a_streamed_arm_stays_within_all_limits(course: list[tuple[float, float, int]]) -> None:
+    step = 1 / 200
+    near_end = HOME.copy()
+    near_end[5] = MODEL.upper[5] - 0.15
+    arm = follower(step, posture=near_end)
+    servo = arm.servo()
+    samples = [near_end]
+    for number, (jump, speed, steps) in enumerate(course, start=1):
+        if arm.reference is servo:
+            wanted = np.clip(servo.position + jump, MODEL.lower, MODEL.upper).tolist()
+            servo.take(JointSetpoint(session=1, number=number, sent=0.0, positions=wanted, velocities=[speed] * 7))
+        samples += [arm.advance()[0].copy() for _ in range(steps)]
+    arm.hold()
+    while not arm.reference.ended:
+        samples.append(arm.advance()[0].copy())
+    positions = np.array(samples)
+    assert np.all((MODEL.lower <= positions) & (positions <= MODEL.upper))
+    assert np.all(np.abs(np.diff(positions, axis=0)) <= MODEL.velocity * step * 1.05)
+
+
+@STEPS
+def test_a_press_reaches_its_force(step: float) -> None:
+    sensor = Spring(gap=0.002)
+    arm = follower(step, sensor)
+    press = arm.press(
+        PressRequest(force=3.0, direction_in_flange=(0.0, 0.0, 1.0), travel=0.010, speed=0.02, timeout=8.0)
+    )
+    samples = run(arm, sensor, step, 10.0)
+    assert arm.stopped is None
+    assert press.force == pytest.approx(3.0, abs=0.3)
+    speeds = np.array([np.linalg.norm(MODEL.jacobian(q)[:3] @ v) for q, v, _ in samples])
+    assert speeds.max() <= 3.0 / RESISTANCE * 1.05
+
+
+@STEPS
+def test_too_great_a_force_is_relieved_and_told(step: float) -> None:
+    sensor = Spring(gap=-0.03)  # 30 N at once
+    sensor.look(HOME)
+    arm = follower(step, sensor, force_limit=20.0, relief_mm=2.0)
+    samples = run(arm, sensor, step, 5.0)
+    (alarm,) = arm.alarms
+    assert (alarm.code, alarm.danger) == ("force_limit", True)
+    way = MODEL.forward(HOME).inverse() @ MODEL.forward(samples[-1, 0]).translation
+    assert np.allclose(way, (0.0, 0.0, -0.002), atol=1e-4)
