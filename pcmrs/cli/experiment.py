@@ -39,6 +39,9 @@ def placements(wanted: Wanted, trials: int, seeds: int, plot: Path | None, as_js
 
     Example: pcmrs experiment placements --seeds 10 --report placements.json --plot placements.png
 
+    With --drivers virtual robot and tracker are driven as real ones are: by the drivers kst and ndi, over TCP, from a
+    virtual cabinet and a virtual tracker that share the simulated cell; that takes real time.
+
     With several seeds each has a daemon of its own, one after the other; exit status 1 when a command of one was
     refused, such as a registration.
     """
@@ -161,16 +164,49 @@ def thresholds(subjects: int, seed: int, interval: float, plot: Path | None, as_
         save_png(thresholds_figure(report, hunted), plot)
 
 
+@experiment.command()
+@click.option("--subjects", type=click.IntRange(min=1), default=200, show_default=True, help="How many.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the simulated subjects.")
+@click.option(
+    "--intensity",
+    type=Finite(50.0, 200.0),
+    default=120.0,
+    show_default=True,
+    help="Of the pulses, percent of the subject's motor threshold.",
+)
+@plot_option
+@json_option
+@readable_errors
+def hotspots(subjects: int, seed: int, intensity: float, plot: Path | None, as_json: bool) -> None:
+    """Search the hot-spots of simulated subjects: pulses until 5 mm from them, and errors, without a daemon.
+
+    Example: pcmrs experiment hotspots --subjects 200 --seed 1 --plot hotspots.png
+    """
+    from pcmrs.analysis.plots import save_png
+    from pcmrs.cli.hotspot_tables import hotspot_table
+    from pcmrs.experiment.hotspots import run_hotspots
+    from pcmrs.experiment.hotspots_plot import hotspots_figure
+
+    with progress_bar() as progress:
+        report, searched, mesh = run_hotspots(subjects, seed, intensity, progress)
+    print_report(report, hotspot_table(report), as_json=as_json)
+    if plot is not None:
+        save_png(hotspots_figure(report, searched, mesh), plot)
+
+
 @click.command()
 @experiment_options("ratms")
 @readable_errors
 def demo(wanted: Wanted) -> None:
     """Run a whole procedure on the simulated cell: plan, digitize, register, and 12 placements.
 
-    With --workflow femoroplasty the bone is drilled and injected at the last of them.
+    With --workflow femoroplasty the bone is drilled and injected at the last of them. With --drivers virtual the daemon
+    moves the arm and reads the tracker through the drivers of real ones.
     """
+    speed = "in real time" if wanted.rate == 1.0 else f"{wanted.rate:g} times as fast as real time"
+    devices = ", behind a virtual KUKA cabinet and a virtual NDI tracker" if wanted.drivers == "virtual" else ""
     click.echo(
-        f"A simulated cell, {wanted.rate:g} times as fast as real time; speed limits as configured. "
+        f"A simulated cell, {speed}{devices}; speed limits as configured. "
         "Commands go over UDP, as from 3D Slicer.\nResearch software, not a medical device."
     )
     _placements(wanted, 12, as_json=False)

@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import NamedTuple
+from functools import cache, lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
+from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 from pcmrs.spatial import Floats, Transform
 from pcmrs.tms.chart import Chart, as_message, as_transform
@@ -109,9 +110,10 @@ def condition(candidates: Floats, inputs: Floats, outputs: Floats) -> tuple[Floa
 def _draw(chart: Chart, pulses: tuple[MapPulse, ...]) -> Peaks:
     """The same draws for the same pulses: a search can be replayed."""
     candidates = _candidates(chart)
-    mean, covariance = condition(candidates, *_data(chart, pulses))
     normals = np.random.default_rng((SEED, len(pulses))).normal(size=(len(candidates), DRAWS))
-    values = mean[:, None] + cholesky(covariance + JITTER * np.eye(len(candidates)), lower=True) @ normals
+    with _threads().limit(limits=1):  # so small matrices in several threads take 20 times as long on a busy machine
+        mean, covariance = condition(candidates, *_data(chart, pulses))
+        values = mean[:, None] + cholesky(covariance + JITTER * np.eye(len(candidates)), lower=True) @ normals
     peaks = candidates[np.argmax(values, axis=0)]
     return Peaks(values, peaks, _weights(chart, peaks), np.maximum(np.diag(covariance), 0.0))
 
@@ -120,8 +122,16 @@ def _weights(chart: Chart, peaks: Floats) -> Floats:
     """How probable peaks (K, 4) are before any pulse: hot-spots lie around the centre, normally distributed."""
     place, heading = chart.settings.prior_mm / 1e3 / LENGTH, math.radians(chart.settings.prior_deg) / HEADING_LENGTH
     deviations = (peaks - _features(chart, chart.places[:1])) / np.array((place, place, place, heading))
-    weights = np.exp(-0.5 * np.sum(deviations**2, axis=1))
-    return weights / weights.sum()
+    squared = np.sum(deviations**2, axis=1)
+    weights: Floats = np.exp(-0.5 * (squared - squared.min()))
+    weights /= weights.sum()
+    return weights
+
+
+@cache
+def _threads() -> Any:
+    """Of the libraries for linear algebra; to look for these takes longer than to draw."""
+    return ThreadpoolController()
 
 
 @lru_cache(maxsize=4)

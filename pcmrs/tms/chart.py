@@ -28,9 +28,8 @@ class Chart:
         self.settings = settings
         self.places = tuple(as_transform(place) for place in places)
         self.positions: Floats = np.array([place.translation for place in self.places])
-        reach, step = settings.heading_reach_deg, settings.heading_step_deg
-        count = int(reach / step + 1e-9)
-        self.headings: Floats = np.radians(step * np.arange(-count, count + 1))
+        turns = settings.turns
+        self.headings: Floats = np.radians(settings.heading_step_deg * np.arange(-turns, turns + 1))
         """Against the place's own pose, rad, in order."""
 
         self.poses = tuple(turned(place, float(angle)) for place in self.places for angle in self.headings)

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from typing import Self
 
 import msgspec
 
 from pcmrs.errors import RefusalError
 from pcmrs.messages import PoseMessage
-from pcmrs.spatial import Transform
+from pcmrs.spatial import Floats, Transform
 from pcmrs.tms import adaptive, mapping
 from pcmrs.tms.chart import Chart, as_message, as_transform, chart_of
 from pcmrs.tms.grid import grid_on_scalp
 from pcmrs.tms.hotspot_settings import Hotspot, HotspotSettings, MapPulse
 from pcmrs.tms.scalp import Closest
 
+MOST_AMPLITUDE = 0.1
+"""V: no muscle evokes a tenth of it."""
+
 
 class HotspotSearch(msgspec.Struct, frozen=True):
     """Where pulses may go and what they evoked; nothing else counts, so that it can be journalled and replayed.
 
-    ``search = HotspotSearch.begin(settings, closest, centre)``, then ``search = search.after(measured, amplitude)`` for a
-    pulse at ``search.next()`` until `finished`. All pulses are given at one intensity.
+    ``search = HotspotSearch.begin(settings, closest, centre)``, then ``search = search.after(measured, amplitude)``
+    with the pulse at ``search.next()`` until `finished`. All pulses are given at one intensity.
 
     Attributes:
         places: ``image_from_coil`` of the places, in the order of the map; the first is the centre.
@@ -72,9 +75,9 @@ class HotspotSearch(msgspec.Struct, frozen=True):
             RefusalError: ``bad_amplitude``.
             GeometryError: The pose is none.
         """
-        if not (math.isfinite(amplitude) and amplitude >= 0.0):
-            text = f"A peak-to-peak amplitude is 0 V or more, not {amplitude:g} V; leave the pulse out."
-            raise RefusalError("bad_amplitude", text, amplitude=amplitude)
+        if not 0.0 <= amplitude <= MOST_AMPLITUDE:  # nan is not within either
+            text = f"A peak-to-peak amplitude is 0 to {MOST_AMPLITUDE:g} V, not {amplitude:g} V; leave the pulse out."
+            raise RefusalError("bad_amplitude", text, amplitude=amplitude, limit=MOST_AMPLITUDE)
         as_transform(image_from_coil)
         pulse = MapPulse(image_from_coil, amplitude)
         return msgspec.structs.replace(self, pulses=(*self.pulses, pulse))
@@ -110,6 +113,14 @@ class HotspotSearch(msgspec.Struct, frozen=True):
         if self.settings.method == "grid":
             return mapping.estimate(self._chart, self.pulses)
         return adaptive.estimate(self._chart, self.pulses)
+
+    def expected(self, image_from_coil: Sequence[Transform]) -> Floats:
+        """Amplitudes that are expected at poses, V, (K,), after at least one pulse: the map, by either method."""
+        return adaptive.expected(self._chart, self.pulses, image_from_coil)
+
+    def between(self, position: Floats, angle: float = 0.0) -> Transform:
+        """The pose on the scalp at a position in the region, turned by `angle` (rad) from the places around it."""
+        return self._chart.pose(position, angle)
 
     def _certain(self) -> bool:
         return self.estimate.uncertainty * 1e3 <= self.settings.uncertainty_mm

@@ -13,6 +13,10 @@ Count = Annotated[int, msgspec.Meta(ge=1)]
 HotspotMethod = Literal["adaptive", "grid"]
 
 
+MOST_POSES = 1000
+"""Places with headings: more would take an adaptive search too long from pulse to pulse."""
+
+
 class HotspotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Where and how a hot-spot is searched for.
 
@@ -29,6 +33,9 @@ class HotspotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         min_pulses: ``adaptive`` does not end before.
         max_pulses: ``adaptive`` ends then at the latest.
         uncertainty_mm: ``adaptive`` ends when the place is known as well as this, rms.
+
+    Raises:
+        ValueError: There are too many poses to search, or fewer pulses at most than at least.
     """
 
     method: HotspotMethod = "adaptive"
@@ -42,9 +49,17 @@ class HotspotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     prior_deg: Positive = 30.0
     min_pulses: Count = 20
     max_pulses: Annotated[int, msgspec.Meta(ge=1, le=500)] = 60
-    uncertainty_mm: Positive = 3.0
+    uncertainty_mm: Positive = 3.5
+
+    @property
+    def turns(self) -> int:
+        """Headings to either side of the one at the centre."""
+        return int(self.heading_reach_deg / self.heading_step_deg + 1e-9)
 
     def __post_init__(self) -> None:
+        poses = (1 + 3 * self.rings * (self.rings + 1)) * (1 + 2 * self.turns)
+        if poses > MOST_POSES:
+            raise ValueError(f"there are {poses} places with headings, but {MOST_POSES} at most are searched in time")
         if self.min_pulses > self.max_pulses:
             raise ValueError(f"min_pulses is {self.min_pulses}, but max_pulses is only {self.max_pulses}")
 

@@ -30,7 +30,7 @@ def proposal(chart: Chart, pulses: Sequence[MapPulse]) -> Transform:
 
 
 def estimate(chart: Chart, pulses: Sequence[MapPulse]) -> Hotspot:
-    """The middle of what is mapped; how uncertain it is counts the scatter of the amplitudes, not what is not mapped."""
+    """The middle of what is mapped; its uncertainty counts the scatter of the amplitudes, not what is not mapped."""
     position, uncertainty = _middle_of_places(chart, pulses)
     turning = pulses[_spatial(chart) :]
     angles = np.array([[chart.located(as_transform(pulse.image_from_coil))[1]] for pulse in turning])
@@ -61,7 +61,10 @@ def _weights(chart: Chart, pulses: Sequence[MapPulse]) -> Floats:
 
 
 def _weighted_mean(values: Floats, weights: Floats) -> tuple[Floats, float]:
-    """The mean of values (N, D), (D,), and its standard error: that of a ratio, amplitudes varying as much as they are."""
+    """The mean of values (N, D), (D,), and its standard error.
+
+    That of a ratio whose weights scatter as much as they weigh (W. G. Cochran, Sampling Techniques, 1977, 2.11).
+    """
     mean: Floats = weights @ values / weights.sum()
     scatter = np.sum((weights[:, None] * (values - mean)) ** 2)
     return mean, float(np.sqrt(scatter) / weights.sum())

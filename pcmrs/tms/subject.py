@@ -55,12 +55,17 @@ class Subject:
     image_from_hotspot: Transform
 
     def effective(self, image_from_coil: Transform, intensity: float) -> float:
-        """Intensity that would do the same at the hot-spot, in the unit of `intensity`."""
+        """Intensity that would do the same at the hot-spot, in the unit of `intensity`.
+
+        Of a tilted coil only the part along the head counts, the cosine: what stands upright on a conductor induces
+        little in it (P. S. Tofts, Phys. Med. Biol. 35 (1990) 1119).
+        """
         target = image_from_coil.inverse() @ (self.image_from_hotspot @ np.array((0.0, 0.0, -DEPTH)))
         aside = float(target[0] ** 2 + target[1] ** 2)
         deeper = abs(float(target[2])) - DEPTH
-        field = 2.0 ** -(math.pi * aside / HALF_AREA + deeper / HALF_DEPTH)
-        return intensity * field * _direction(heading(self.image_from_hotspot, image_from_coil))
+        field = float(2.0 ** -(math.pi * aside / HALF_AREA + deeper / HALF_DEPTH))
+        upright = abs(float(self.image_from_hotspot.rotation[:, 2] @ image_from_coil.rotation[:, 2]))
+        return intensity * field * upright * _direction(heading(self.image_from_hotspot, image_from_coil))
 
     def response(self, image_from_coil: Transform, intensity: float, rng: np.random.Generator) -> float:
         """Peak-to-peak amplitude after one pulse from a pose, V.
@@ -92,6 +97,6 @@ def draw(closest: Closest, centre: Transform, rng: np.random.Generator) -> Subje
 
 
 def _direction(angle: float) -> float:
-    """Share of the intensity that counts at an angle from the best orientation: of the lowest threshold in that there."""
+    """Share of the intensity that counts at an angle from the best orientation: the threshold there, inverted."""
     lowest = THRESHOLD_MEAN - THRESHOLD_TWICE - THRESHOLD_ONCE
     return lowest / (THRESHOLD_MEAN - THRESHOLD_TWICE * math.cos(2.0 * angle) - THRESHOLD_ONCE * math.cos(angle))
