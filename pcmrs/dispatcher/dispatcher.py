@@ -60,7 +60,7 @@ class Dispatcher(Generic[C, D]):
         self._workflow = workflow
         self._clock = clock
         self._recorder = recorder
-        self._publish = publish
+        self._publishers = [publish]
         self._tasks = Tasks()
         self._hold = Hold(hold, self._tasks)
         stage = Stage(workflow, self.procedure, cell, clock, self._hold, self._tasks, self._show_snapshot)
@@ -97,6 +97,10 @@ class Dispatcher(Generic[C, D]):
     def on_stop(self, callback: Callable[[], None]) -> None:
         """Has `callback` called synchronously at every stop, whatever way it came."""
         self._stop_listeners.append(callback)
+
+    def on_publish(self, callback: Callable[[Snapshot | Verdict | DeviceEvent], None]) -> None:
+        """Has `callback` called, too, with every new snapshot, verdict and device event."""
+        self._publishers.append(callback)
 
     async def stop(self, source: str, reason: Reason | None = None) -> bool:
         """Stops everything: never queues, wins in every state, latches until acknowledged.
@@ -255,6 +259,10 @@ class Dispatcher(Generic[C, D]):
         text = "Robot or stimulator have not confirmed that they are stopped: look at them, use their own emergency stop."
         event = DeviceEvent(device=source, code="hold_not_confirmed", text=text, danger=True)
         await self._tell(event)
+
+    def _publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+        for publish in self._publishers:
+            publish(message)
 
     async def _tell(self, event: DeviceEvent) -> None:
         """Makes an event known, and durable."""

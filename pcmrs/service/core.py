@@ -28,6 +28,9 @@ class GatewayCore:
     def on_stop(self, callback: Callable[[], None]) -> None:
         self._dispatcher.on_stop(callback)
 
+    def on_publish(self, callback: Callable[[Snapshot | Verdict | DeviceEvent], None]) -> None:
+        self._dispatcher.on_publish(callback)
+
     def snapshot(self) -> Snapshot:
         return self._dispatcher.snapshot()
 

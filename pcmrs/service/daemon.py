@@ -17,6 +17,7 @@ import structlog
 from pcmrs.bus import Bus, CommandEdge
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.devices.dwell import DwellPointer
+from pcmrs.devices.jumps import PoseLimits
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.remote import RemoteEmg, RemotePointer, RemoteRobot, RemoteStimulator
 from pcmrs.dispatcher import Dispatcher, Workflow
@@ -38,6 +39,7 @@ from pcmrs.settings import DWELL, Settings
 from pcmrs.workflows import find_workflow, open_workflow
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.settings import TrackingSettings
 
 log = structlog.get_logger(__name__)
 
@@ -195,7 +197,7 @@ def _open_cell(settings: Settings, bus: Bus, clock: SystemClock) -> Cell:
         pointer=RemotePointer(bus, machine, procedure.registration.touch_timeout_s),
         stimulator=RemoteStimulator(bus, machine) if settings.stimulator.driver != "none" else None,
         emg=RemoteEmg(bus, machine) if settings.emg.driver != "none" else None,
-        poses=PoseFeed(clock, procedure.max_pose_age),
+        poses=PoseFeed(clock, procedure.max_pose_age, _pose_limits(procedure.tracking)),
         arm=ArmModel(find_arm(settings.robot.model)),
         clock=clock,
         settings=procedure,
@@ -204,6 +206,10 @@ def _open_cell(settings: Settings, bus: Bus, clock: SystemClock) -> Cell:
         cell.pointer = DwellPointer(cell.poses, clock, cell.pointer_from_tip, settings.pointer.dwell)
     log.info("calibration", **cell.calibrations(), id=cell.calibration_id)
     return cell
+
+
+def _pose_limits(tracking: TrackingSettings) -> PoseLimits:
+    return PoseLimits(tracking.error_mm / 1000.0, tracking.speed, tracking.turn, tracking.steady)
 
 
 def _open_dispatcher(

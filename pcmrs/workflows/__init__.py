@@ -7,8 +7,7 @@ from typing import Any
 from pcmrs.dispatcher import Registry, Workflow
 from pcmrs.errors import BlueprintError, ConfigurationError
 from pcmrs.fsm import Blueprint, load_blueprint
-from pcmrs.fsm.files.bounded import read_bounded
-from pcmrs.fsm.files.toml import convert, read_toml
+from pcmrs.fsm.files.load import as_written
 from pcmrs.workflows.alignment import register_alignment
 from pcmrs.workflows.calibration import register_calibration_checks
 from pcmrs.workflows.cell import Cell
@@ -39,12 +38,10 @@ def read_workflow(name: str) -> Blueprint:
     """
     place = find_workflow(name)
     try:
-        raw = read_bounded(place.blueprint)
+        return as_written(place.blueprint)
     except OSError as error:
         text = f"{place.blueprint} cannot be read: {error.strerror}."
         raise ConfigurationError(text, file=str(place.blueprint)) from None
-    table, places = read_toml(raw, str(place.blueprint))
-    return convert(table, Blueprint, places, str(place.blueprint))
 
 
 def open_workflow(name: str) -> Workflow[Cell, PlacementData]:

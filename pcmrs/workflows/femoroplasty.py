@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -19,6 +18,7 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, as_message, as_transform
 from pcmrs.workflows.data import settle as settle_placement
 from pcmrs.workflows.motion import as_result, errors_of, measure_coil
+from pcmrs.workflows.names import PersonName
 from pcmrs.workflows.placement import planned
 from pcmrs.workflows.toolplan import accept_pose
 from pcmrs.workflows.units import check_metres
@@ -32,9 +32,6 @@ NEARLY_PARALLEL = 0.99
 
 AT_THE_HOLE = ("drilling", "drilling_interrupted", "drilled", "checked", "injecting", "injecting_interrupted")
 """States of the treatment in which there is a hole, or will be, that work goes on at."""
-
-NAME = r"\A(?=.*\w)[^\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]+\Z"
-"""Something to read, and nothing that would write on another line or place of a record: no control characters."""
 
 
 class Data(PlacementData, frozen=True, kw_only=True):
@@ -60,7 +57,7 @@ class Trajectory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Confirmation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Arguments of what only the surgeon can know: the name of the surgeon who says so."""
 
-    surgeon: Annotated[str, msgspec.Meta(max_length=100, pattern=NAME)]
+    surgeon: PersonName
 
 
 def guide_pose(entry: Floats, target: Floats) -> Transform:

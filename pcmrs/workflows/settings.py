@@ -9,6 +9,8 @@ import msgspec
 from pcmrs.calibration import ToolType
 from pcmrs.errors import GeometryError
 from pcmrs.spatial import Transform
+from pcmrs.tms import IntervalSettings, MepSettings, ThresholdSettings
+from pcmrs.tms.hotspot_settings import HotspotSettings
 
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
@@ -98,6 +100,22 @@ class RegistrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
     reference_limit_mm: Positive = 1.5
     reference_limit_deg: Positive = 1.0
     reference_frames: Annotated[int, msgspec.Meta(ge=2)] = 6
+
+
+class TrackingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """When a tracked pose is not believed.
+
+    Attributes:
+        error_mm: It fits worse than this to the geometry of its marker body.
+        speed: The body went faster since the frame before, m/s: more than hand, head or arm do.
+        turn: It turned faster, rad/s.
+        steady: After that it is believed again when so many frames have shown no jump.
+    """
+
+    error_mm: Positive = 1.0
+    speed: Positive = 2.0
+    turn: Positive = 20.0
+    steady: Annotated[int, msgspec.Meta(ge=1)] = 10
 
 
 class MotionSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -248,6 +266,49 @@ class ContactSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     timeout: Annotated[float, msgspec.Meta(gt=0.0, le=20.0)] = 15.0
 
 
+class StimulationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """When a pulse may be given, and how its response is measured and used.
+
+    Attributes:
+        tolerance_mm: The coil may be so far from its planned pose in the newest frame.
+        tolerance_deg: The same for its rotation.
+        pose_age: That frame is so old at most, s.
+        body_speed: The planned pose on the body moves so fast at most, m/s: at 0.010 the head goes 0.6 mm in 60 ms, of
+            which the tracker cannot know yet.
+        speed_time: By the frames of so long, s.
+        ready_time: Longest wait for a stimulator that charges, s.
+        dialled: An operator turns the stimulator's dial: the intensity that a hunt needs next is then to be set by
+            `stimulation.set_intensity`, and no pulse of another one is given.
+        epoch_before: Of the signal before a pulse, s.
+        epoch_after: The same after it.
+        intervals: How soon after another, and how many.
+        mep: What counts as a response.
+        threshold: How a threshold is hunted.
+        hotspot: How a hot-spot is searched for.
+
+    Raises:
+        ValueError: An epoch would not hold what is looked at in it.
+    """
+
+    tolerance_mm: Positive = 1.5
+    tolerance_deg: Positive = 3.0
+    pose_age: Annotated[float, msgspec.Meta(gt=0.0, le=0.2)] = 0.15
+    body_speed: Positive = 0.010
+    speed_time: Annotated[float, msgspec.Meta(ge=0.1, le=0.5)] = 0.25
+    ready_time: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 3.0
+    dialled: bool = False
+    epoch_before: Positive = 0.120
+    epoch_after: Positive = 0.100
+    intervals: IntervalSettings = IntervalSettings()
+    mep: MepSettings = MepSettings()
+    threshold: ThresholdSettings = ThresholdSettings()
+    hotspot: HotspotSettings = HotspotSettings()
+
+    def __post_init__(self) -> None:
+        if -self.epoch_before > self.mep.baseline_start or self.epoch_after < self.mep.window_end:
+            raise ValueError("epoch_before and epoch_after must cover mep.baseline_start and mep.window_end")
+
+
 class ToolSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The tool's shape: a cylinder about its z axis, from the tool point along +z, away from the body; m."""
 
@@ -349,12 +410,14 @@ class ProcedureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     home: tuple[float, ...] = ()
     calibration: CalibrationSettings = CalibrationSettings()
     tool: ToolType = "coil"
+    tracking: TrackingSettings = TrackingSettings()
     registration: RegistrationSettings = RegistrationSettings()
     motion: MotionSettings = MotionSettings()
     placement: PlacementSettings = PlacementSettings()
     alignment: AlignmentSettings = AlignmentSettings()
     following: FollowingSettings = FollowingSettings()
     contact: ContactSettings = ContactSettings()
+    stimulation: StimulationSettings = StimulationSettings()
     zones: ZoneSettings = ZoneSettings()
     body: BodySettings = BodySettings()
     limits: dict[str, float] = {}

@@ -21,7 +21,7 @@ WORKFLOWS = sorted(Path("pcmrs/workflows").glob("*.toml"))
 
 
 def workflow(path: Path) -> Blueprint:
-    blueprint, findings = read_blueprint(path.read_bytes(), str(path))
+    blueprint, findings = read_blueprint(path.read_bytes(), str(path), path.parent)
     assert blueprint is not None, findings
     return blueprint
 

@@ -21,7 +21,7 @@ WORKFLOWS = Path("pcmrs/workflows")
 
 
 def workflow(name: str) -> Blueprint:
-    blueprint, findings = read_blueprint((WORKFLOWS / name).read_bytes(), name)
+    blueprint, findings = read_blueprint((WORKFLOWS / name).read_bytes(), name, WORKFLOWS)
     assert blueprint is not None, findings
     return blueprint
 

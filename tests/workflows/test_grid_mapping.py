@@ -36,6 +36,7 @@ def three_points(tmp_path_factory: pytest.TempPathFactory) -> Workflow[Cell, Pla
     assert text.count("count = 9") == 1
     own = folder / "my_grid.toml"
     own.write_text(text.replace("count = 9", "count = 3"))
+    (folder / "ratms.toml").write_text(find_workflow("ratms").blueprint.read_text())
     own.with_suffix(".py").write_text(shipped.code.read_text())
     return open_workflow(str(own))
 
@@ -266,11 +267,13 @@ REQUIRED = 'requires = { registration = ["111"], toolplan = ["1"], robot = ["1"]
     ["", REQUIRED.replace('"placed"', '"placed", "standoff"'), REQUIRED.replace(', placement = ["placed"]', "")],
 )
 def test_the_verifier_notices_points_that_could_be_performed_elsewhere(weaker: str) -> None:
-    text = find_workflow("grid_mapping").blueprint.read_text().replace("count = 9", "count = 1")
+    file = find_workflow("grid_mapping").blueprint
+    text = file.read_text().replace("count = 9", "count = 1")
     required = f'{REQUIRED}refusal = "not_at_point"'
     assert text.count(required) == 1
-    assert examine(text.encode()).sound
-    (finding,) = examine(text.replace(required, f'{weaker}refusal = "not_at_point"').encode()).findings
+    assert examine(text.encode(), folder=file.parent).sound
+    weakened = text.replace(required, f'{weaker}refusal = "not_at_point"')
+    (finding,) = examine(weakened.encode(), folder=file.parent).findings
     assert finding.code == "property_violated"
     assert "point_only_in_place" in finding.text
     assert finding.commands is not None

@@ -32,6 +32,7 @@ from sim.cell import open_devices
 PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "ratms_plan.json").read_text())
 LANDMARKS = PLAN["landmarks"]
 POSES = PLAN["poses"]
+DEVICES = ("robot", "tracker", "pointer", "scene", "stimulator", "emg")
 AT_REST = 1e-3
 """Joint velocity below which the simulated arm counts as standing, rad/s."""
 
@@ -123,9 +124,11 @@ class WorkflowBench:
             arm=ArmModel(ARMS["iiwa14"]),
             clock=clock,
             settings=settings,
+            stimulator=devices["stimulator"],
+            emg=devices["emg"],
         )
         recorder = journal or self.recorder
-        self.dispatcher = Dispatcher(workflow, self.cell, clock, recorder, self.robot.hold, self.published.append)
+        self.dispatcher = Dispatcher(workflow, self.cell, clock, recorder, self.cell.make_safe, self.published.append)
         self._ids = itertools.count(1)
 
     @property
@@ -248,7 +251,7 @@ async def open_bench(
     settings = msgspec.convert(values["procedure"], ProcedureSettings)
     clock = FlyingClock()
     async with _background(clock.fly()):
-        devices = open_devices(("robot", "tracker", "pointer", "scene"), {"sim": values["sim"]}, clock)
+        devices = open_devices(DEVICES, {"sim": values["sim"]}, clock)
         async with devices as opened:
             bench = WorkflowBench(opened_workflow, opened, settings, clock, journal)
             async with _background(bench.pump()):

@@ -27,7 +27,7 @@ def design(steps: str, output: Path | None, as_json: bool) -> None:
     from pcmrs.fsm.design import design as design_blueprint
 
     check_json_output(output, as_json=as_json)
-    raw, origin = read(steps)
+    raw, origin, _ = read(steps)
     with search_bar(origin) as progress:
         result = design_blueprint(raw, origin=origin, progress=progress)
     if result.combinations is not None and not as_json:

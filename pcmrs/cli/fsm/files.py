@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 import click
 
@@ -22,8 +22,22 @@ output_option = click.option(
 )
 
 
-def fetch(file: str) -> tuple[bytes, str]:
-    """The bytes of a file, and how findings call it; of a huge one no more than shows that it is too large.
+class Source(NamedTuple):
+    """A file that was read.
+
+    Attributes:
+        raw: Its bytes; of a huge one no more than shows that it is too large.
+        origin: How findings call it.
+        folder: Where it lies; None for standard input.
+    """
+
+    raw: bytes
+    origin: str
+    folder: Path | None
+
+
+def fetch(file: str) -> Source:
+    """The bytes of a file and where they are from.
 
     Args:
         file: The name of an installed workflow, a path with a folder or suffix, or ``-`` for standard input.
@@ -33,9 +47,9 @@ def fetch(file: str) -> tuple[bytes, str]:
     """
     try:
         if file == "-":
-            return _standard_input(), "<stdin>"
+            return Source(_standard_input(), "<stdin>", None)
         path = _installed(file) if file.isidentifier() else Path(file)
-        return read_bounded(path), printable(str(path))
+        return Source(read_bounded(path), printable(str(path)), path.parent)
     except (OSError, ValueError) as error:  # a ValueError where it cannot be a path
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise ConfigurationError(f"{printable(file)} cannot be read: {reason}.", file=file) from None
@@ -46,7 +60,7 @@ def printable(text: str) -> str:
     return text.encode(errors="backslashreplace").decode()
 
 
-def read(file: str) -> tuple[bytes, str]:
+def read(file: str) -> Source:
     """The same, for commands on one file: they end where it cannot be read."""
     try:
         return fetch(file)
@@ -61,8 +75,8 @@ def sound(file: str, *, otherwise: int = EXIT_UNSOUND) -> Blueprint:
         file: See `fetch`.
         otherwise: Exit status for one that is readable, but unsound.
     """
-    raw, origin = read(file)
-    examination = examine(raw, origin=origin)
+    raw, origin, folder = read(file)
+    examination = examine(raw, origin=origin, folder=folder)
     if examination.blueprint is None or examination.findings:
         click.echo(summary(examination.findings), err=True)
         sys.exit(otherwise if examination.readable else EXIT_UNREADABLE)

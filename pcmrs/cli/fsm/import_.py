@@ -33,7 +33,7 @@ def import_(file: str, form: str | None, output: Path | None, as_json: bool) -> 
     from pcmrs.fsm.exchange.importing.written import written
 
     check_json_output(output, as_json=as_json)
-    raw, origin = read(file)
+    raw, origin, _ = read(file)
     readers = {"scxml": from_scxml, "mermaid": from_mermaid, "drawio": from_drawio}
     blueprint, findings = readers[form or _format_of(raw, origin)](raw, origin)
     text = ""

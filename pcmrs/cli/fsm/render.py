@@ -51,12 +51,12 @@ def render(file: str, form: str, current: Mapping[str, str], output: Path | None
 
 def _drawable(file: str) -> Blueprint:
     """The workflow in a file if it keeps the static rules; otherwise its findings are printed and the command ends."""
-    raw, origin = read(file)
-    blueprint, findings = read_blueprint(raw, origin)
+    raw, origin, folder = read(file)
+    blueprint, findings = read_blueprint(raw, origin, folder)
     if blueprint is None:
         end_with(findings, readable=False)
     if any(True for _ in check_rules(blueprint)):
-        end_with(examine(raw, origin=origin).findings, readable=True)
+        end_with(examine(raw, origin=origin, folder=folder).findings, readable=True)
     return blueprint
 
 

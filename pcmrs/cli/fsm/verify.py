@@ -48,12 +48,12 @@ def _examine(file: str, limit: int) -> tuple[str, Examination]:
     from pcmrs.fsm import Examination, examine
 
     try:
-        raw, origin = fetch(file)
+        raw, origin, folder = fetch(file)
     except ConfigurationError as error:
         origin = printable(file)
         return origin, Examination(None, [unread(origin, error.text)])
     with search_bar(origin) as progress:
-        return origin, examine(raw, origin=origin, limit=limit, progress=progress)
+        return origin, examine(raw, origin=origin, folder=folder, limit=limit, progress=progress)
 
 
 def _as_object(origin: str, examination: Examination) -> dict[str, Any]:

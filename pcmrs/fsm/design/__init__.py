@@ -54,19 +54,19 @@ def design(raw: bytes, *, origin: str = "steps", progress: Callable[[int, int], 
     """
     try:
         content, places = read_toml(raw, origin)
-        table = convert(content, StepTable, places, origin)
+        table = convert(content, StepTable, places)
     except BlueprintError as error:
         return Design(findings=error.fields["findings"], readable=False)
     faults = list(check_table(table))
     if faults:
-        return Design(findings=placed(faults, places, origin))
+        return Design(findings=placed(faults, places))
     try:
-        return _design(table, places, origin, progress)
+        return _design(table, places, progress)
     except UndesignableError as error:
-        return Design(findings=placed([error.finding], places, origin))
+        return Design(findings=placed([error.finding], places))
 
 
-def _design(table: StepTable, places: Places, origin: str, progress: Callable[[int, int], None] | None) -> Design:
+def _design(table: StepTable, places: Places, progress: Callable[[int, int], None] | None) -> Design:
     paths = {step.name: path for path, step in paths_of(table.steps)}
     groups = root_groups(table.steps, paths)
     combinations = count_combinations([group.order for group in groups])
@@ -76,7 +76,7 @@ def _design(table: StepTable, places: Places, origin: str, progress: Callable[[i
     text = blueprint_toml(_blueprint(table, groups, branches), comment=HEAD)
     examination = examine(text.encode(), origin="blueprint", progress=progress)
     excess = excess_of(examination, len(text.encode()), branches)
-    findings = placed([excess] if excess else _traced(examination.findings, branches), places, origin)
+    findings = placed([excess] if excess else _traced(examination.findings, branches), places)
     return Design("" if findings else text, combinations, findings)
 
 

@@ -12,9 +12,10 @@ import msgspec
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.files.bounded import read_bounded
+from pcmrs.fsm.files.extend import read_layers
 from pcmrs.fsm.files.places import Places, placed
 from pcmrs.fsm.files.sequence import SequenceError, expand
-from pcmrs.fsm.files.toml import convert, read_toml
+from pcmrs.fsm.files.toml import convert
 from pcmrs.fsm.finding import Finding, summary
 from pcmrs.fsm.rules import check_rules
 from pcmrs.fsm.verify import MAX_JOINT_STATES, verify
@@ -57,20 +58,21 @@ def load_blueprint(path: FilePath) -> Blueprint:
         raw = read_bounded(path)
     except OSError as error:
         raise BlueprintError(f"{path}: cannot be read: {error.strerror}", path=str(path)) from error
-    return parse_blueprint(raw, origin=str(path))
+    return parse_blueprint(raw, origin=str(path), folder=path.parent)
 
 
-def parse_blueprint(raw: bytes, *, origin: str = "blueprint") -> Blueprint:
+def parse_blueprint(raw: bytes, *, origin: str = "blueprint", folder: FilePath | None = None) -> Blueprint:
     """The sound workflow in a file.
 
     Args:
         raw: The file.
         origin: How findings call it.
+        folder: Where it lies; without one it can extend no other file.
 
     Raises:
         BlueprintError: It cannot be read or is unsound; `findings` has all that is wrong.
     """
-    examination = examine(raw, origin=origin)
+    examination = examine(raw, origin=origin, folder=folder)
     if examination.blueprint is None or examination.findings:
         raise BlueprintError(summary(examination.findings), findings=examination.findings)
     return examination.blueprint
@@ -80,6 +82,7 @@ def examine(
     raw: bytes,
     *,
     origin: str = "blueprint",
+    folder: FilePath | None = None,
     limit: int = MAX_JOINT_STATES,
     progress: Callable[[int, int], None] | None = None,
 ) -> Examination:
@@ -88,39 +91,51 @@ def examine(
     Args:
         raw: The file.
         origin: How findings call it.
+        folder: Where it lies; without one it can extend no other file.
         limit: A workflow of more joint states is refused.
         progress: See `pcmrs.fsm.verify.verify`.
     """
     try:
-        blueprint, places = _read(raw, origin)
+        blueprint, places = _read(raw, origin, folder)
     except BlueprintError as error:
         return Examination(None, error.fields["findings"])
     broken = list(check_rules(blueprint))
     if broken:
-        return Examination(blueprint, placed(broken, places, origin))
+        return Examination(blueprint, placed(broken, places))
     found = verify(blueprint, limit=limit, progress=progress)
-    return Examination(blueprint, placed(found.findings, places, origin), found.joint_states, found.transitions)
+    return Examination(blueprint, placed(found.findings, places), found.joint_states, found.transitions)
 
 
-def read_blueprint(raw: bytes, origin: str) -> tuple[Blueprint | None, list[Finding]]:
-    """The workflow in a file, sound or not, or why it cannot be read."""
+def read_blueprint(raw: bytes, origin: str, folder: FilePath | None = None) -> tuple[Blueprint | None, list[Finding]]:
+    """The workflow in a file, sound or not, or why it cannot be read; see `examine` for the arguments."""
     try:
-        return _read(raw, origin)[0], []
+        return _read(raw, origin, folder)[0], []
     except BlueprintError as error:
         return None, error.fields["findings"]
 
 
-def _read(raw: bytes, origin: str) -> tuple[Blueprint, Places]:
-    table, places = read_toml(raw, origin)
-    blueprint = convert(table, Blueprint, places, origin)
+def as_written(path: FilePath) -> Blueprint:
+    """The blueprint at `path` as it and what it extends say: sequences are not expanded, nothing is verified.
+
+    Raises:
+        OSError: It cannot be opened.
+        BlueprintError: It is no blueprint; `findings` has where.
+    """
+    table, places = read_layers(read_bounded(path), str(path), path.parent)
+    return convert(table, Blueprint, places)
+
+
+def _read(raw: bytes, origin: str, folder: FilePath | None) -> tuple[Blueprint, Places]:
+    table, places = read_layers(raw, origin, folder)
+    blueprint = convert(table, Blueprint, places)
     if "hash" in table:
         finding = Finding(code="bad_value", text="`hash` is worked out from the content: leave it out.", path=("hash",))
-        raise BlueprintError(finding.text, findings=placed([finding], places, origin))
+        raise BlueprintError(finding.text, findings=placed([finding], places))
     try:
         blueprint = expand(blueprint)
     except SequenceError as error:
         finding = Finding(code="bad_sequence", text=error.text, path=error.path)
-        raise BlueprintError(error.text, findings=placed([finding], places, origin)) from None
+        raise BlueprintError(error.text, findings=placed([finding], places)) from None
     return msgspec.structs.replace(blueprint, hash=content_hash(blueprint)), places
 
 

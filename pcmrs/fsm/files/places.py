@@ -1,37 +1,58 @@
-"""Where in a TOML file a key is: what the parser of the standard library does not tell."""
+"""Where in TOML files a key is: what the parser of the standard library does not tell."""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from copy import copy
 from typing import Any
 
 import msgspec
 from tree_sitter import Node, Tree
 
-from pcmrs.fsm.finding import Finding, Path, Place
+from pcmrs.fsm.finding import Finding, Path
+
+Spot = tuple[str, int, int]
+"""File, as findings call it; line and column, from 1."""
 
 
 class Places:
-    """Line and column of every key of a file.
+    """File, line and column of every key.
 
     Args:
         tree: The syntax of a file that `tomllib` can read.
         raw: The file.
+        origin: How findings call it.
     """
 
-    def __init__(self, tree: Tree, raw: bytes) -> None:
+    def __init__(self, tree: Tree, raw: bytes, origin: str) -> None:
         self._lines = raw.split(b"\n")
-        self._places: dict[Path, Place] = {}
+        self._origin = origin
+        self._places: dict[Path, Spot] = {}
         self._lengths: dict[Path, int] = {}  # of arrays of tables
         for node in tree.root_node.named_children:
             self._take(node, ())
 
-    def of(self, path: Path) -> Place:
-        """Line and column, from 1, of the key at `path`, or of the nearest above it that is in the file."""
+    def of(self, path: Path) -> Spot:
+        """Where the key at `path` is, or the nearest above it that is in the file."""
         while path and path not in self._places:
             path = path[:-1]
-        return self._places.get(path, (1, 1))
+        return self._places.get(path, (self._origin, 1, 1))
+
+    def over(self, base: Places, moved: Mapping[Path, Path]) -> Places:
+        """Where the keys of this file are, laid over those of another.
+
+        Args:
+            base: Of the other file.
+            moved: Elements of lists of this file, to where they are among those of both.
+        """
+        both = copy(self)
+        taken = set(moved.values())
+        both._places = {path: spot for path, spot in base._places.items() if not taken.intersection(_up(path))}
+        for path, spot in self._places.items():
+            element = next((above for above in _up(path) if above in moved), ())
+            both._places[moved.get(element, ()) + path[len(element) :]] = spot
+        return both
 
     def _take(self, node: Node, above: Path) -> None:
         if node.type == "pair":
@@ -60,7 +81,7 @@ class Places:
         row, byte = node.start_point
         column = len(self._lines[row][:byte].decode(errors="replace"))
         for length in range(len(above) + 1, len(path) + 1):
-            self._places.setdefault(path[:length], (row + 1, column + 1))
+            self._places.setdefault(path[:length], (self._origin, row + 1, column + 1))
 
     def _resolved(self, keys: Path, *, new: bool) -> Path:
         """The path of a header, with the number of the newest element after each array of tables."""
@@ -76,10 +97,15 @@ class Places:
         return (*path, str(self._lengths[path] - 1))
 
 
-def placed(findings: Iterable[Finding], places: Places, origin: str) -> list[Finding]:
+def placed(findings: Iterable[Finding], places: Places) -> list[Finding]:
     """The findings with file, line and column."""
     found = [(finding, *places.of(finding.path)) for finding in findings]
-    return [msgspec.structs.replace(each, file=origin, line=line, column=column) for each, line, column in found]
+    return [msgspec.structs.replace(each, file=file, line=line, column=column) for each, file, line, column in found]
+
+
+def _up(path: Path) -> Iterator[Path]:
+    """The path and all above it."""
+    return (path[:length] for length in range(len(path), 0, -1))
 
 
 def _keys(node: Node) -> Path:

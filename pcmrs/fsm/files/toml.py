@@ -36,14 +36,14 @@ def read_toml(raw: bytes, origin: str) -> tuple[dict[str, Any], Places]:
     tree = Parser(Language(tree_sitter_toml.language())).parse(raw)
     _check_depth(tree, origin)
     try:
-        return tomllib.loads(text), Places(tree, raw)
+        return tomllib.loads(text), Places(tree, raw, origin)
     except RecursionError:  # brackets that nobody closes are no nodes
         refuse(origin, "too_deep", f"Values are nested over {MAX_DEPTH} deep.")
     except ValueError as error:  # more than TOMLDecodeError: a number may have too many digits
         refuse(origin, "not_toml", f"This is not TOML: {_said(error)}.", _place(error, text))
 
 
-def convert(table: Mapping[str, Any], kind: type[T], places: Places, origin: str) -> T:
+def convert(table: Mapping[str, Any], kind: type[T], places: Places) -> T:
     """The table as a typed structure.
 
     Raises:
@@ -54,7 +54,8 @@ def convert(table: Mapping[str, Any], kind: type[T], places: Places, origin: str
     except msgspec.ValidationError as error:
         path = _narrowed(table, kind, error)
         where = ".".join(path) or "the file"
-        refuse(origin, "bad_value", f"In {where}: {_PATH.sub('', str(error))}.", places.of(path), path)
+        origin, line, column = places.of(path)
+        refuse(origin, "bad_value", f"In {where}: {_PATH.sub('', str(error))}.", (line, column), path)
 
 
 def _said(error: ValueError) -> str:

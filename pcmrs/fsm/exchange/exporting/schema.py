@@ -10,10 +10,13 @@ import msgspec
 
 from pcmrs.fsm import blueprint as parts
 from pcmrs.fsm.blueprint import Blueprint, Part
+from pcmrs.fsm.files.extend import EXTENDS, FILE_NAME
 from pcmrs.fsm.rules.names import NAME, STATE_NAME
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 ANY = r"\*"
+PARTIAL = "Partial"
+"""Begins the names of the parts of a file that extends another."""
 
 NAMES = {
     ("Blueprint", "branches"): NAME.pattern,
@@ -31,11 +34,35 @@ _ATTRIBUTE = re.compile(r"^    (\w+): (.*(?:\n        .*)*)", re.MULTILINE)
 
 def schema() -> str:
     """The JSON Schema as text; it says what a file may hold, `pcmrs fsm verify` whether that is sound."""
-    document: dict[str, Any] = {"$schema": DIALECT, "title": "PCMRS blueprint", **msgspec.json.schema(Blueprint)}
-    for name, definition in document["$defs"].items():
+    whole = msgspec.json.schema(Blueprint)["$defs"]
+    for name, definition in whole.items():
         _describe(name, definition, getattr(parts, name))
-    del document["$defs"]["Blueprint"]["properties"]["hash"]
+    del whole["Blueprint"]["properties"]["hash"]
+    document = {
+        "$schema": DIALECT,
+        "title": "PCMRS blueprint",
+        "if": {"required": [EXTENDS]},
+        "then": {"$ref": f"#/$defs/{PARTIAL}Blueprint"},
+        "else": {"$ref": "#/$defs/Blueprint"},
+        "$defs": whole | _partial(whole),
+    }
     return msgspec.json.format(msgspec.json.encode(document), indent=2).decode() + "\n"
+
+
+def _partial(whole: dict[str, Any]) -> dict[str, Any]:
+    """The same for a file that extends another: what that one says need not be said again."""
+    text = msgspec.json.encode(whole).replace(b"#/$defs/", f"#/$defs/{PARTIAL}".encode())
+    definitions: dict[str, Any] = msgspec.json.decode(text)
+    for definition in definitions.values():
+        definition["required"] = []
+    blueprint = definitions["Blueprint"]
+    blueprint["required"] = [EXTENDS, "id", "version"]
+    blueprint["properties"][EXTENDS] = {
+        "type": "string",
+        "pattern": f"^(?:{FILE_NAME.pattern})$",
+        "description": "The file beside this one that is read first; this one's tables are laid over its.",
+    }
+    return {PARTIAL + name: definition for name, definition in definitions.items()}
 
 
 def _describe(name: str, definition: dict[str, Any], part: type[Part]) -> None:

@@ -1,0 +1,101 @@
+"""Lays a blueprint over the one beside it that it extends."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path as FilePath
+from typing import Any
+
+from pcmrs.fsm.files.bounded import read_bounded
+from pcmrs.fsm.files.places import Places
+from pcmrs.fsm.files.toml import read_toml
+from pcmrs.fsm.finding import Path, refuse
+
+EXTENDS = "extends"
+OWN = ("id", "version", "title", "goal", "migrations")
+"""What says which workflow a file is: never taken from the file that it extends."""
+
+FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}\.toml")
+
+Table = dict[str, Any]
+
+
+def read_layers(raw: bytes, origin: str, folder: FilePath | None) -> tuple[Table, Places]:
+    """The table in a blueprint file, laid over that of the file which it extends, and where each key comes from.
+
+    Tables merge. Properties replace those of the same `id` and are else appended, revocations are appended, and
+    anything else replaces what was there.
+
+    Args:
+        raw: The file.
+        origin: How findings call it.
+        folder: Where the file lies; None where nobody knows.
+
+    Raises:
+        BlueprintError: One of the two cannot be read, or is no file that can be extended; `findings` has where.
+    """
+    own, places = read_toml(raw, origin)
+    if EXTENDS not in own:
+        return own, places
+    base, below = _read_base(own.pop(EXTENDS), places, folder)
+    moved: dict[Path, Path] = {}
+    merged = _laid_over(base, own, (), moved)
+    return merged, places.over(below, moved)
+
+
+def _read_base(name: object, places: Places, folder: FilePath | None) -> tuple[Table, Places]:
+    origin, line, column = places.of((EXTENDS,))
+    here = line, column
+    if not (isinstance(name, str) and FILE_NAME.fullmatch(name)):
+        text = f"`extends` is {name!r}; it must be the name of a .toml file beside this one, without a folder."
+        refuse(origin, "bad_extends", text, here, (EXTENDS,))
+    if folder is None:
+        text = f"`extends` names {name}, but this text lies in no folder: give the path of its file."
+        refuse(origin, "bad_extends", text, here, (EXTENDS,))
+    path = folder / name
+    try:
+        if not path.is_file():
+            refuse(origin, "bad_extends", f"`extends` names {name}, but beside this file is none.", here, (EXTENDS,))
+        raw = read_bounded(path)
+    except OSError as error:
+        text = f"`extends` names {name}, which cannot be read: {error.strerror}."
+        refuse(origin, "bad_extends", text, here, (EXTENDS,))
+    base, below = read_toml(raw, str(FilePath(origin).with_name(name)))
+    if EXTENDS in base:
+        text = f"`extends` names {name}, which extends another file itself: extend that one, or write it whole."
+        refuse(origin, "bad_extends", text, here, (EXTENDS,))
+    return {key: value for key, value in base.items() if key not in OWN}, below
+
+
+def _laid_over(base: Mapping[str, Any], own: Mapping[str, Any], above: Path, moved: dict[Path, Path]) -> Table:
+    """`own` over `base`; notes in `moved` where the elements of its lists have got to."""
+    merged = dict(base)
+    for key, value in own.items():
+        path, below = (*above, key), merged.get(key)
+        if isinstance(below, dict) and isinstance(value, dict):
+            merged[key] = _laid_over(below, value, path, moved)
+        elif isinstance(below, list) and isinstance(value, list) and _is_added_to(path):
+            merged[key] = _added(below, value, path, moved)
+        else:
+            merged[key] = value
+    return merged
+
+
+def _is_added_to(path: Path) -> bool:
+    return path == ("properties",) or (path[0] == "branches" and path[2:] == ("revocations",))
+
+
+def _added(below: list[Any], own: list[Any], path: Path, moved: dict[Path, Path]) -> list[Any]:
+    """Both lists; an element takes the place of the one below that has its `id`."""
+    numbers = {element["id"]: index for index, element in enumerate(below) if _identified(element)}
+    result = list(below)
+    for index, element in enumerate(own):
+        number = numbers.get(element["id"], len(result)) if _identified(element) else len(result)
+        result[number : number + 1] = [element]
+        moved[(*path, str(index))] = (*path, str(number))
+    return result
+
+
+def _identified(element: object) -> bool:
+    return isinstance(element, dict) and isinstance(element.get("id"), str)

@@ -1,0 +1,30 @@
+"""Hot-spot and motor threshold: what the workflow adds to RATMS is in `pcmrs.workflows.tms`."""
+
+from __future__ import annotations
+
+from pcmrs.dispatcher import Registry
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.tms.aim import register_aim
+from pcmrs.workflows.tms.arming import register_arming
+from pcmrs.workflows.tms.data import Data, settle
+from pcmrs.workflows.tms.devices import register_device_checks
+from pcmrs.workflows.tms.hotspot import register_hotspot
+from pcmrs.workflows.tms.intensity import register_intensity
+from pcmrs.workflows.tms.pulse import register_pulse
+from pcmrs.workflows.tms.response import register_response
+from pcmrs.workflows.tms.threshold import register_threshold
+
+__all__ = ["Data", "register", "settle"]
+
+
+def register(registry: Registry[Cell, PlacementData]) -> None:
+    """Registers the names that the blueprint uses beside those of all procedures."""
+    register_device_checks(registry)
+    register_intensity(registry)
+    register_arming(registry)
+    register_aim(registry)
+    register_pulse(registry)
+    register_response(registry)
+    register_hotspot(registry)
+    register_threshold(registry)

@@ -1,0 +1,96 @@
+"""What a procedure with stimulation gathers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import msgspec
+
+from pcmrs.dispatcher import Run as AnyRun
+from pcmrs.fsm import Effect
+from pcmrs.messages import Epoch, PoseMessage
+from pcmrs.tms import Estimate, Mep, ThresholdHunt
+from pcmrs.tms.hotspot import HotspotSearch
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.data import settle as settle_placement
+
+
+class Ceiling(msgspec.Struct, frozen=True):
+    """The highest intensity that may be used, percent of the maximum stimulator output, and who has said so."""
+
+    percent: float
+    operator: str
+
+
+class Response(msgspec.Struct, frozen=True, kw_only=True):
+    """One pulse that was given, and what it evoked.
+
+    Attributes:
+        pulse: Number of the pulse.
+        intensity: Percent of the maximum stimulator output.
+        coil: ``image_from_coil`` in the newest frame of the tracker before the pulse.
+        error_mm: Of the coil against its planned pose then.
+        error_deg: The same for its rotation.
+        mep: What was measured; None where there is no measurement.
+        problem: Code of why it says nothing about the muscle; empty where it does.
+        problem_text: The same for people.
+    """
+
+    pulse: int
+    intensity: float
+    coil: PoseMessage
+    error_mm: float
+    error_deg: float
+    mep: Mep | None = None
+    problem: str = ""
+    problem_text: str = ""
+
+
+class Data(PlacementData, frozen=True, kw_only=True):
+    """What a procedure with stimulation gathers.
+
+    The cell's time means nothing after a restart; `last_pulse` is then unknown, and the interval counts from arming.
+    So it does where the stimulator has counted pulses that this procedure has not: their outcome was unknown.
+
+    Attributes:
+        ceiling: None until the operator has set it; then nothing above it is ever asked of the stimulator.
+        intensity: Of the next pulse, percent of the maximum stimulator output; None until it has been set.
+        pulse: Number of the last pulse, by this procedure or by the stimulator, whichever is greater.
+        given: Pulses since the daemon began.
+        last_pulse: When it was given, s of the cell's clock; None before this daemon has armed the stimulator.
+        response: To the last pulse whose outcome is known; all of them are in the journal.
+        epoch: The signal that it was judged by; None where there is none.
+        search: Of the hot-spot, under way or concluded.
+        search_intensity: That all its pulses are given at, percent.
+        hotspot: ``image_from_coil`` at the hot-spot; None until it is found.
+        hunt: For the threshold, under way or concluded.
+        threshold: None until it is found.
+    """
+
+    ceiling: Ceiling | None = None
+    intensity: float | None = None
+    pulse: int = 0
+    given: int = 0
+    last_pulse: float | None = None
+    response: Response | None = None
+    epoch: Epoch | None = None
+    search: HotspotSearch | None = None
+    search_intensity: float | None = None
+    hotspot: PoseMessage | None = None
+    hunt: ThresholdHunt | None = None
+    threshold: Estimate | None = None
+
+
+Run = AnyRun[Cell, Data]
+
+
+def settle(data: Data, states: Mapping[str, str], effects: Sequence[Effect]) -> PlacementData:
+    """Drops what the joint state no longer stands for. Pure."""
+    changes: dict[str, object] = {}
+    if states["hotspot"] == "none":
+        changes |= {"search": None, "search_intensity": None, "hotspot": None}
+    if states["threshold"] == "none":
+        changes |= {"hunt": None, "threshold": None}
+    fitted = msgspec.structs.replace(data, **changes) if changes else data
+    return settle_placement(fitted, states, effects)

@@ -1,0 +1,141 @@
+"""Searching for the hot-spot: the pose that is next, and what the pulse there has taught."""
+
+from __future__ import annotations
+
+import msgspec
+
+from pcmrs.dispatcher import Registry
+from pcmrs.errors import RefusalError
+from pcmrs.registration.triangles import TriangleSurface
+from pcmrs.spatial import Transform
+from pcmrs.tms.hotspot import HotspotSearch
+from pcmrs.tms.hotspot_settings import Count, HotspotMethod, HotspotSettings
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.correction import size_of
+from pcmrs.workflows.data import PlacementData, as_transform
+from pcmrs.workflows.placement import planned
+from pcmrs.workflows.surface import read_surface
+from pcmrs.workflows.tms.data import Response, Run
+from pcmrs.workflows.tms.intensity import known_intensity
+from pcmrs.workflows.toolplan import ToolPose, accept_pose, pose_of
+
+
+class AskedSearch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Arguments of `hotspot.begin`; what is left out is as configured.
+
+    Attributes:
+        centre: ``image_from_coil`` in the middle of the region; None for the plan in force.
+        method: How places are chosen.
+        rings: Of the region around the centre.
+        max_pulses: Budget of an adaptive search.
+    """
+
+    centre: ToolPose | None = None
+    method: HotspotMethod | None = None
+    rings: Count | None = None
+    max_pulses: Count | None = None
+
+
+def search_possible(run: Run) -> None:
+    """Prepares a search on the body's surface; refuses where there is none, or not around that centre."""
+    asked, settings = run.payload, run.cell.settings.stimulation.hotspot
+    given = {"method": asked.method, "rings": asked.rings, "max_pulses": asked.max_pulses}
+    chosen = {key: value for key, value in given.items() if value is not None}
+    try:
+        changed = msgspec.convert(msgspec.to_builtins(settings) | chosen, HotspotSettings)
+    except msgspec.ValidationError as error:
+        raise RefusalError("bad_arguments", f"hotspot.begin: {error}.") from None
+    centre = planned(run.data) if asked.centre is None else pose_of(asked.centre)
+    run.prepared = HotspotSearch.begin(changed, _scalp(run).closest, centre)
+
+
+def _scalp(run: Run) -> TriangleSurface:
+    mesh = read_surface(run.cell.settings)
+    if mesh is None:
+        text = "procedure.body.surface names no surface of the body: a search needs the scalp. Configure it."
+        raise RefusalError("no_surface", text)
+    return TriangleSurface(mesh.vertices, mesh.faces)
+
+
+def begin_search(run: Run) -> None:
+    """Puts the search in force."""
+    search: HotspotSearch = run.prepared
+    run.keep(search=search, search_intensity=run.data.intensity, hotspot=None)
+    run.result |= {
+        "intensity": run.data.intensity,
+        "method": search.settings.method,
+        "next": msgspec.to_builtins(search.next()),
+    }
+
+
+def search_pose_reachable(run: Run) -> None:
+    """Prepares the pose that is next, or the hot-spot, as the plan; refuses what the arm cannot reach."""
+    accept_pose(run, _pose_of(run))
+
+
+def plan_is_of_search(run: Run) -> None:
+    """Refuses a pulse while the plan in force is another pose than the one that is next, or a neighbour of that."""
+    settings, proposed, plan = search_of(run).settings, _pose_of(run), planned(run.data)
+    shift_mm, turn_deg = size_of(proposed.inverse() @ plan)
+    if shift_mm > settings.spacing_mm or turn_deg > settings.heading_step_deg:
+        text = (
+            f"The plan in force is {shift_mm:.1f} mm and {turn_deg:.0f}° from the pose that the search proposes; the "
+            f"limits are {settings.spacing_mm:g} mm and {settings.heading_step_deg:g}°. Ask for toolplan.aim_hotspot; "
+            "where the arm cannot reach that pose, plan one beside it. Then approach."
+        )
+        raise RefusalError("other_pose_planned", text, shift_mm=shift_mm, turn_deg=turn_deg)
+
+
+def intensity_is_of_search(run: Run) -> None:
+    """Refuses a pulse of another intensity than the search was begun with: their responses cannot be compared."""
+    percent, begun = known_intensity(run.data), run.data.search_intensity
+    if percent != begun:
+        text = f"The search was begun at {begun:g} %, and {percent:g} % is set. Set {begun:g} %, or begin anew."
+        raise RefusalError("intensity_changed", text, intensity=percent, search_intensity=begun)
+
+
+def _pose_of(run: Run) -> Transform:
+    return as_transform(search_of(run).next() if run.data.hotspot is None else run.data.hotspot)
+
+
+def learn_place(run: Run) -> None:
+    """Takes in the response; a pulse that says nothing is given again at the same place."""
+    response: Response = run.prepared
+    search = search_of(run)
+    if response.mep is not None and not response.problem:
+        search = search.after(response.coil, response.mep.peak_to_peak)
+        run.keep(search=search)
+    run.outcome = "searching" if not search.finished else "found" if search.responded else "none"
+    run.result["pulses"] = len(search.pulses)
+    if run.outcome == "found":
+        keep_hotspot(run)
+    elif run.outcome == "none":
+        run.result["refusal"] = "no_response"
+
+
+def place_known(run: Run) -> None:
+    """Refuses to conclude a search that has not shown anything yet."""
+    _ = search_of(run).estimate
+
+
+def keep_hotspot(run: Run) -> None:
+    """Puts the hot-spot on record: the best that is known of it."""
+    found = search_of(run).estimate
+    run.keep(hotspot=found.image_from_coil)
+    run.result["hotspot"] = msgspec.to_builtins(found)
+
+
+def search_of(run: Run) -> HotspotSearch:
+    """The search under way. Raises `RefusalError` where there is none."""
+    if run.data.search is None:
+        raise RefusalError("no_search", "No hot-spot is searched for: ask for hotspot.begin first.")
+    return run.data.search
+
+
+def register_hotspot(registry: Registry[Cell, PlacementData]) -> None:
+    """Registers the names that blueprints use for these checks and steps."""
+    registry.payload("hotspot_search", AskedSearch)
+    for check in (search_possible, search_pose_reachable, plan_is_of_search, intensity_is_of_search, place_known):
+        registry.check(check)
+    for step in (begin_search, learn_place, keep_hotspot):
+        registry.step(step)

@@ -1,0 +1,97 @@
+"""Giving one pulse: at its place, armed, within the ceiling, not too soon, and never twice."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+from pcmrs.devices.protocols import Stimulator
+from pcmrs.dispatcher import Registry
+from pcmrs.errors import PcmrsError, RefusalError, UnknownOutcomeError
+from pcmrs.messages import FiredPulse, StimulatorState
+from pcmrs.tms import check_count, check_interval
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData, as_message
+from pcmrs.workflows.tms.aim import check_aim
+from pcmrs.workflows.tms.data import Data, Response, Run
+from pcmrs.workflows.tms.devices import stimulator_of
+from pcmrs.workflows.tms.intensity import check_intensity, check_reported, known_intensity
+
+LOOK_EVERY = 0.02
+"""How often a stimulator that charges is asked whether it is ready, s."""
+
+
+def pulse_allowed_now(run: Run) -> None:
+    """Refuses a pulse too soon after another, or after too many: the published limits of single pulses."""
+    limits, data = run.cell.settings.stimulation.intervals, run.data
+    check_interval(run.clock.monotonic(), data.last_pulse, limits)
+    check_count(data.given, limits)
+
+
+async def fire_pulse(run: Run) -> None:
+    """Fires once, as soon as the stimulator is ready; all that matters is looked at again right before.
+
+    The number of the pulse is one that was never used: a command that is delivered twice, or late, fires nothing. When
+    nobody knows whether it fired, the stimulator is disarmed, and arming it anew makes the interval begin anew.
+
+    Raises:
+        RefusalError: The stimulator is not ready, or reports what does not fit; coil or head are not at their place.
+        DeviceError: The stimulator refuses.
+        UnknownOutcomeError: It does not answer.
+    """
+    stimulator, intensity = stimulator_of(run.cell), known_intensity(run.data)
+    check_intensity(run.data, intensity)
+    _check_state(run.data, await _ready(run, stimulator))
+    aim, number = check_aim(run.cell, run.data), run.data.pulse + 1
+    fired = await _fire(stimulator, number)
+    run.keep(pulse=number, given=run.data.given + 1, last_pulse=run.clock.monotonic())
+    run.prepared = Response(
+        pulse=number,
+        intensity=intensity if fired.intensity is None else fired.intensity,
+        coil=as_message(aim.image_from_coil),
+        error_mm=aim.error_mm,
+        error_deg=aim.error_deg,
+    )
+
+
+async def _ready(run: Run, stimulator: Stimulator) -> StimulatorState:
+    """The state of a stimulator that is armed and charged. Raises `RefusalError` where it does not become so."""
+    limit = run.cell.settings.stimulation.ready_time
+    until = run.clock.monotonic() + limit
+    while True:
+        state = await stimulator.state()
+        if state.armed and state.ready:
+            return state
+        if not state.armed or run.clock.monotonic() >= until:
+            break
+        await run.clock.sleep(LOOK_EVERY)
+    warm = "" if state.coil_temperature is None else f", its coil at {state.coil_temperature:.0f} °C"
+    text = (
+        f"The stimulator is {'armed' if state.armed else 'not armed'}{warm}, and not ready to fire within {limit:g} s."
+    )
+    text += " Let it charge and cool; arm it where it is not armed."
+    raise RefusalError("stimulator_not_ready", text, armed=state.armed, coil_temperature=state.coil_temperature)
+
+
+def _check_state(data: Data, state: StimulatorState) -> None:
+    check_reported(known_intensity(data), state.intensity)
+    if state.pulse > data.pulse:
+        text = (
+            f"The stimulator has fired pulse {state.pulse}; this procedure knows of {data.pulse}. Somebody else fires "
+            "it, or the outcome of a pulse was unknown: disarm it and arm it anew."
+        )
+        raise RefusalError("pulse_unaccounted", text, pulse=state.pulse, known=data.pulse)
+
+
+async def _fire(stimulator: Stimulator, number: int) -> FiredPulse:
+    try:
+        return await stimulator.fire(number)
+    except UnknownOutcomeError:
+        with suppress(PcmrsError):
+            await stimulator.disarm()
+        raise
+
+
+def register_pulse(registry: Registry[Cell, PlacementData]) -> None:
+    """Registers the names that blueprints use for this check and step."""
+    registry.check(pulse_allowed_now)
+    registry.world_step(fire_pulse)

@@ -1,0 +1,98 @@
+"""Hunting the motor threshold at the planned pose."""
+
+from __future__ import annotations
+
+import msgspec
+
+from pcmrs.dispatcher import Registry
+from pcmrs.errors import RefusalError
+from pcmrs.tms import ThresholdHunt, ThresholdSettings
+from pcmrs.tms.threshold_settings import ThresholdMethod
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.tms.data import Response, Run
+from pcmrs.workflows.tms.intensity import check_intensity, set_intensity
+
+
+class AskedHunt(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Arguments of `threshold.begin`: the method, where it is not to be the configured one."""
+
+    method: ThresholdMethod | None = None
+
+
+def hunt_possible(run: Run) -> None:
+    """Prepares a hunt below the ceiling; refuses where there is none, or no room below it."""
+    settings, ceiling = run.cell.settings.stimulation.threshold, run.data.ceiling
+    if ceiling is None:
+        text = "No ceiling of the intensity has been set: an operator does that, by stimulation.set_ceiling."
+        raise RefusalError("no_ceiling", text)
+    within = {"ceiling": min(settings.ceiling, ceiling.percent), "method": run.payload.method or settings.method}
+    try:
+        changed = msgspec.convert(msgspec.to_builtins(settings) | within, ThresholdSettings)
+    except msgspec.ValidationError as error:
+        text = f"Below the ceiling of {ceiling.percent:g} % no threshold can be hunted: {error}. Have it set anew."
+        raise RefusalError("ceiling_too_low", text, ceiling=ceiling.percent) from None
+    run.prepared = ThresholdHunt.begin(changed)
+
+
+def begin_hunt(run: Run) -> None:
+    """Puts the hunt in force."""
+    hunt: ThresholdHunt = run.prepared
+    run.keep(hunt=hunt, threshold=None)
+    run.result |= {"method": hunt.settings.method, "next": hunt.next_intensity()}
+
+
+def hunted_intensity_allowed(run: Run) -> None:
+    """Refuses an intensity above a ceiling that was lowered since, and one that the operator has not dialled yet."""
+    percent = hunt_of(run).next_intensity()
+    check_intensity(run.data, percent)
+    if run.cell.settings.stimulation.dialled and run.data.intensity != percent:
+        text = f"The hunt needs {percent:g} %: turn the dial to that, and say so by stimulation.set_intensity."
+        raise RefusalError("not_dialled", text, percent=percent, intensity=run.data.intensity)
+
+
+async def set_hunted_intensity(run: Run) -> None:
+    """Sets the intensity that the hunt needs next."""
+    await set_intensity(run, hunt_of(run).next_intensity())
+
+
+def learn_threshold(run: Run) -> None:
+    """Takes in the response: hunting, found, or not to be found; a pulse that says nothing is given again."""
+    response: Response = run.prepared
+    hunt = hunt_of(run)
+    if response.mep is not None and not response.problem:
+        amplitude = response.mep.peak_to_peak
+        responded = amplitude * 1e6 >= hunt.settings.response_uv
+        hunt = hunt.after(run.data.intensity or 0.0, responded, amplitude)
+        run.keep(hunt=hunt)
+        run.result["responded"] = responded
+    run.outcome = _outcome(hunt)
+    if run.outcome == "found":
+        run.keep(threshold=hunt.estimate)
+    told = {"next": hunt.next_intensity()} if run.outcome == "hunting" else {}
+    run.result |= {"estimate": msgspec.to_builtins(hunt.estimate), "pulses": len(hunt.pulses), **told}
+    if run.outcome == "none":
+        run.result["refusal"] = hunt.refusal
+
+
+def _outcome(hunt: ThresholdHunt) -> str:
+    if hunt.finished:
+        return "found"
+    return "hunting" if hunt.refusal is None else "none"
+
+
+def hunt_of(run: Run) -> ThresholdHunt:
+    """The hunt under way. Raises `RefusalError` where there is none."""
+    if run.data.hunt is None:
+        raise RefusalError("no_hunt", "No threshold is hunted: ask for threshold.begin first.")
+    return run.data.hunt
+
+
+def register_threshold(registry: Registry[Cell, PlacementData]) -> None:
+    """Registers the names that blueprints use for these checks and steps."""
+    registry.payload("threshold_hunt", AskedHunt)
+    for check in (hunt_possible, hunted_intensity_allowed):
+        registry.check(check)
+    for step in (begin_hunt, learn_threshold):
+        registry.step(step)
+    registry.world_step(set_hunted_intensity)
