@@ -40,6 +40,8 @@ END = JointSetpoint(session=0, number=0, sent=0.0, positions=[], velocities=[])
 class FakeRobot:
     """Does as told and remembers what it was told."""
 
+    trouble = ""
+
     def __init__(self) -> None:
         self.error: Exception | None = None
         self.followed: list[JointTrajectory] = []
@@ -98,6 +100,8 @@ class FakeRobot:
 
 
 class FakeTracker:
+    trouble = "The tracker is unplugged."
+
     def __init__(self) -> None:
         self.stream: asyncio.Queue[Sequence[BodyPose]] = asyncio.Queue()
 

@@ -10,12 +10,19 @@ import pytest
 from gateway_fakes import FakeCore, ManualClock
 
 from pcmrs.devices.lsl.inlet import Inlet
+from pcmrs.devices.lsl.library import load_lsl
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig, MarkersConfig
 from pcmrs.messages import DeviceEvent, Verdict
 
 NO_LINK = LinkConfig()
 PATIENCE = 10.0  # s of the machine
+
+
+@pytest.fixture(autouse=True)
+def _outlets_live_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Until this process ends: liblsl 1.18 crashes now and then when one is destroyed that somebody reads."""
+    monkeypatch.setattr(load_lsl().StreamOutlet, "__del__", lambda _: None)
 
 
 def config(markers: MarkersConfig) -> GatewayConfig:

@@ -139,4 +139,4 @@ async def test_arguments_that_mean_nothing_are_refused(cell: Devices, fault: str
 
 
 def test_every_sensor_row_of_the_tracker_has_its_fault() -> None:
-    assert {fault.row for fault in FAULTS} == {"S1", "S2", "S3", "S4", "S5", "S7", "S8", "S10", "S11"}
+    assert {fault.row for fault in FAULTS} == {"S1", "S2", "S3", "S4", "S5", "S7", "S8", "S9", "S10", "S11"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,14 @@ import structlog
 from pcmrs.devices.lsl.library import load_lsl
 from pcmrs.spatial import Floats
 
-FORGOTTEN = 2.0
+FORGOTTEN = 5.0
 """A stream that does not answer is no longer known after this time, s."""
 
 BUFFER = 10
 """Seconds (of a stream of markers, hundreds of markers) that the library keeps until they are read."""
+
+MOST = 1 << 12
+"""Samples that are read at once."""
 
 log = structlog.get_logger(__name__)
 
@@ -25,10 +29,11 @@ class Inlet:
     Two streams of the same name are read neither: nobody could say which is meant.
 
     Args:
-        name: Of the stream.
+        name: Of the stream; it holds no quotes.
         kind: Its type, such as ``EMG`` or ``Markers``; empty for any.
 
     Attributes:
+        info: Description of the stream that was found last, another object each time; None before.
         problem: Why nothing is read now; empty while the stream is read.
 
     Raises:
@@ -38,11 +43,11 @@ class Inlet:
     def __init__(self, name: str, kind: str = "") -> None:
         self._lsl = load_lsl()
         self._label = f"stream {name!r}" + (f" of type {kind!r}" if kind else "")
-        wanted = f"name={_quoted(name)}" + (f" and type={_quoted(kind)}" if kind else "")
+        wanted = f"name='{name}'" + (f" and type='{kind}'" if kind else "")
         self._resolver = self._lsl.ContinuousResolver(pred=wanted, forget_after=FORGOTTEN)
         self._inlet: Any = None
         self._uid = self._lost = ""
-        self._correction: float | None = None
+        self._again = 0.0
         self.info: Any = None
         self.problem = f"The {self._label} has not been found; start its source"
 
@@ -55,17 +60,16 @@ class Inlet:
         if self._inlet is None:
             return [], np.empty(0)
         try:
-            if self._correction is None:
-                self._inlet.pull_chunk(max_samples=1)  # asks for the data, so that none is missed from now on
-            self._correction = self._inlet.time_correction(timeout=0.0)
-            samples, times = self._inlet.pull_chunk(max_samples=1 << 16, as_numpy=True)
+            correction = self._inlet.time_correction(timeout=0.0)
+            samples, times = self._inlet.pull_chunk(max_samples=MOST, as_numpy=True)
         except self._lsl.util.TimeoutError:
             return [], np.empty(0)
-        except self._lsl.util.LostError:
-            self._drop("has ended; start its source again")
+        except RuntimeError as error:  # the base of all that the library raises
+            self._drop(f"is not sent any more ({error}); start its source again".replace(".)", ")"))
+            self._lost, self._again = self._uid, self._lsl.local_clock() + FORGOTTEN
             return [], np.empty(0)
         self.problem = ""
-        return samples, times + self._correction
+        return samples, times + correction
 
     def close(self) -> None:
         """Ends reading."""
@@ -74,26 +78,25 @@ class Inlet:
     def _follow(self) -> None:
         """Opens the stream when there is just one, and leaves one that has vanished."""
         found = {info.uid(): info for info in self._resolver.results()}
-        if self._lost not in found:
-            self._lost = ""  # it may come back under the same id, after a break of the network
         if self._inlet is not None and self._uid not in found:
             self._drop("does not answer any more; look at its source and the network")
-        found.pop(self._lost, None)
-        if self._inlet is None and len(found) == 1:
-            ((self._uid, self.info),) = found.items()
-            self._inlet = self._lsl.StreamInlet(self.info, max_buflen=BUFFER, recover=False)
-            self._correction = None
-            self.problem = f"The {self._label} has been found; its clock is being compared with ours"
-            log.info("lsl_stream_found", stream=self._label, host=self.info.hostname())
-        elif self._inlet is None and len(found) > 1:
+        if self._lsl.local_clock() < self._again:
+            found.pop(self._lost, None)  # the resolver remembers it, but its source may have ended
+        if len(found) > 1:
+            self._inlet = None
             self.problem = f"There are {len(found)} of the {self._label}; end all but one or configure another name"
+        elif found and self._inlet is None:
+            ((self._uid, self.info),) = found.items()
+            self._open()
+
+    def _open(self) -> None:
+        self.problem = f"The {self._label} has been found; its clock is being compared with ours"
+        log.info("lsl_stream_found", stream=self._label, host=self.info.hostname())
+        with suppress(RuntimeError):  # that it takes time, or what the next pull sees too
+            self._inlet = self._lsl.StreamInlet(self.info, max_buflen=BUFFER, recover=False)
+            self._inlet.open_stream(timeout=0.0)  # asks for the data, so that none is missed from now on
 
     def _drop(self, why: str) -> None:
         self.problem = f"The {self._label} {why}"
         log.warning("lsl_stream_lost", reason=self.problem)
-        self._inlet, self._lost = None, self._uid
-
-
-def _quoted(text: str) -> str:
-    """A literal of XPath 1.0, which knows no escapes: two kinds of quotes."""
-    return f'"{text}"' if "'" in text else f"'{text}'"
+        self._inlet = None

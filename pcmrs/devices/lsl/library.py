@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from pcmrs.errors import ConfigurationError
 
@@ -21,6 +23,12 @@ level = -3
 """Streams of this machine are asked for by unicast as well as by multicast, which a machine without network has not;
 only fatal errors are printed: what matters comes as an error code."""
 
+StreamName = Annotated[str, msgspec.Meta(pattern=r"^[^'\"]+$")]
+"""Of a stream in configuration: streams are asked for by an XPath predicate, in which a quote would end it."""
+
+EMG = "pcmrs_emg"
+"""Name of the stream of the simulated muscle, and of an amplifier unless configured otherwise."""
+
 
 @cache
 def load_lsl() -> Any:
@@ -33,7 +41,8 @@ def load_lsl() -> Any:
         import pylsl
     except (ImportError, RuntimeError, OSError) as error:
         raise ConfigurationError(
-            f"Lab Streaming Layer cannot be used ({error}); install the extra `hardware`: pip install 'pcmrs[hardware]'."
+            f"Lab Streaming Layer cannot be used ({error}); install the extra `hardware`: "
+            "pip install 'pcmrs[hardware]'."
         ) from None
     if "LSLAPICFG" not in os.environ and not any(Path(name).expanduser().exists() for name in CONFIGURATION_FILES):
         pylsl.set_config_content(CONFIGURATION)

@@ -1,9 +1,6 @@
-"""Markers as JSON texts on a stream of irregular rate."""
+"""Markers as texts on a stream of irregular rate; those of pulses are JSON."""
 
 from __future__ import annotations
-
-from typing import Any
-from uuid import uuid4
 
 import msgspec
 
@@ -24,8 +21,13 @@ class PulseMarker(msgspec.Struct, frozen=True):
     pulse: int
     intensity: float | None = None
 
+    @property
+    def text(self) -> str:
+        """What is sent, such as ``{"pulse":3,"intensity":55.0}``."""
+        return msgspec.json.encode(self).decode()
 
-def read_pulse(text: str) -> PulseMarker | None:
+
+def read_pulse(text: str | bytes) -> PulseMarker | None:
     """The pulse that a marker means; None for any other marker."""
     try:
         return msgspec.json.decode(text, type=PulseMarker)
@@ -45,10 +47,10 @@ class MarkerOutlet:
 
     def __init__(self, name: str) -> None:
         lsl = load_lsl()
-        # The library would print a source id that it had to make up.
-        info = lsl.StreamInfo(name, "Markers", 1, lsl.IRREGULAR_RATE, lsl.cf_string, f"{name}-{uuid4().hex}")
+        # A recorder goes on with the stream of the same source after a restart.
+        info = lsl.StreamInfo(name, "Markers", 1, lsl.IRREGULAR_RATE, lsl.cf_string, f"pcmrs:{name}")
         self._outlet = lsl.StreamOutlet(info)
 
-    def push(self, marker: Any, time: float = 0.0) -> None:
-        """Marks `time` (s of the library's clock; 0 is now) with a message or mapping as JSON."""
-        self._outlet.push_sample([msgspec.json.encode(marker).decode()], time)
+    def push(self, text: str, time: float = 0.0) -> None:
+        """Marks `time`, s of the library's clock; 0 is now."""
+        self._outlet.push_sample([text], time)

@@ -1,0 +1,1 @@
+"""The simulated muscle: what its electromyogram shows, pulse or no pulse."""
