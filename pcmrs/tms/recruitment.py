@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import ndtr
-from scipy.stats import genextreme
 
 from pcmrs.spatial import Floats
 
@@ -56,7 +56,7 @@ class Recruitment:
         noise: Peak-to-peak amplitude of the measurement without response, V: where its distribution, a generalized
             extreme value distribution, is located,
         noise_scale: its scale, V,
-        noise_shape: and its shape, positive for a long upper tail.
+        noise_shape: and its shape, positive: a long upper tail.
     """
 
     threshold: float
@@ -77,8 +77,8 @@ class Recruitment:
             rng: Source of the variability.
         """
         x = intensity - self._onset + rng.normal(0.0, self.input_spread)
-        noise = genextreme.rvs(-self.noise_shape, self.noise, self.noise_scale, random_state=rng)
-        return max(float(noise), 0.0) + self._response(x, rng.normal(0.0, self.output_spread))
+        noise = float(self._noise_at(rng.uniform()))
+        return max(noise, 0.0) + self._response(x, rng.normal(0.0, self.output_spread))
 
     def probability(self, intensity: float) -> float:
         """Of a response of at least `RESPONSE` to one pulse; the intensity in percent of the maximum output."""
@@ -88,6 +88,11 @@ class Recruitment:
         """Amplitude without the measurement's noise, V, of the intensity `x` above the onset, in percent."""
         share = 0.0 if x <= 0.0 else 1.0 / (1.0 + self.half * x**-self.steepness)
         return float(LOWEST * 10.0 ** (self.range_decades * share + output))
+
+    def _noise_at(self, quantile: npt.ArrayLike) -> Floats:
+        """The measurement's noise at quantiles of its distribution, V, of their shape."""
+        scaled: Floats = np.expm1(-self.noise_shape * np.log(-np.log(quantile))) / self.noise_shape
+        return self.noise + self.noise_scale * scaled
 
     @cached_property
     def _onset(self) -> float:
@@ -112,7 +117,7 @@ class Recruitment:
     def _needed(self) -> tuple[Floats, Floats]:
         """What it takes above the onset to respond, percent, for a sample of the output's variability; its weights."""
         outputs, weights = OUTPUT_NODES
-        noises = genextreme.ppf(NOISE_QUANTILES, -self.noise_shape, self.noise, self.noise_scale)
+        noises = self._noise_at(NOISE_QUANTILES)
         decades = np.log10(np.maximum(RESPONSE - noises, LOWEST) / LOWEST)
         share = (decades[:, None] - self.output_spread * outputs) / self.range_decades
         within = np.clip(share, 1e-12, 1.0 - 1e-12)
@@ -127,15 +132,15 @@ def draw(rng: np.random.Generator) -> Recruitment:
         subject = Recruitment(
             threshold=0.0,  # follows from the onset
             range_decades=rng.normal(4.532264929, np.sqrt(0.126168431583)),
-            half=half,
-            steepness=steepness,
+            half=float(half),
+            steepness=float(steepness),
             input_spread=10.0 ** rng.normal(0.688273244, 0.023671071119),
             output_spread=10.0 ** rng.normal(-0.96453346025, 0.022758778017),
             noise=10.0 ** rng.normal(-5.081764824125, np.sqrt(0.003570541967)),
             noise_scale=1.55e-6 * 1.5 ** rng.normal(),
             noise_shape=0.14 * 2.0 ** rng.normal(),
         )
-        subject = replace(subject, threshold=onset - subject._onset)
+        subject = replace(subject, threshold=float(onset - subject._onset))
         if _measurable(subject):
             return subject
 
