@@ -22,6 +22,7 @@ COMMANDS = {
     "calibrate": "pcmrs.cli.calibrate:calibrate",
     "experiment": "pcmrs.cli.experiment:experiment",
     "demo": "pcmrs.cli.experiment:demo",
+    "session": "pcmrs.cli.session:session",
     "node": "pcmrs.cli.serve:node",
     "serve": "pcmrs.cli.serve:serve",
 }

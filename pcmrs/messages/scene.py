@@ -16,6 +16,8 @@ class SceneTruth(Message, frozen=True, kw_only=True, omit_defaults=False):
         contact_force: Between body and tool, N.
         tip_in_pointer: Where the pointer's tip truly is, in its marker body, m.
         tip_in_tracker: Where it is now, m; None while the pointer is away.
+        image_from_hotspot: Best pose of a stimulator's coil; None where there is nothing to stimulate.
+        threshold: Motor threshold there, percent of the maximum stimulator output; None likewise.
     """
 
     tracker_from_coil: PoseMessage
@@ -25,6 +27,8 @@ class SceneTruth(Message, frozen=True, kw_only=True, omit_defaults=False):
     contact_force: float = 0.0
     tip_in_pointer: tuple[float, float, float] = (0.0, 0.0, 0.0)
     tip_in_tracker: tuple[float, float, float] | None = None
+    image_from_hotspot: PoseMessage | None = None
+    threshold: float | None = None
 
 
 class HeadStep(Message, frozen=True, kw_only=True, omit_defaults=False):

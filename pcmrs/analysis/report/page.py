@@ -1,0 +1,85 @@
+"""The page itself: what is known goes into a template, as text, never as markup."""
+
+from __future__ import annotations
+
+import base64
+import datetime
+from collections.abc import Mapping
+from pathlib import Path
+
+from pcmrs.analysis.nibs_tables import ALGORITHMS
+from pcmrs.analysis.report.facts import facts_of
+from pcmrs.analysis.session import PulseRecord, SessionRecord
+
+KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
+TEMPLATE = "report.html.j2"
+NONE = "–"
+METHODS = {"adaptive": "adaptive, by a Gaussian process", "grid": "grid, every place in order"}
+
+
+def render_report(record: SessionRecord, pictures: Mapping[str, Path]) -> str:
+    """The report as HTML.
+
+    Args:
+        record: The session.
+        pictures: As `draw_figures` returns them.
+
+    Raises:
+        OSError: A picture cannot be read.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("pcmrs.analysis.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"fixed": fixed, "plain": plain, "minutes": minutes, "date": date, "times": times}
+    return environment.get_template(TEMPLATE).render(
+        record=record,
+        facts=facts_of(record),
+        pictures={name: embedded(path) for name, path in pictures.items()},
+        algorithms=ALGORITHMS,
+        methods=METHODS,
+        flags=flags,
+    )
+
+
+def embedded(path: Path) -> str:
+    """A picture as an address that holds it."""
+    return f"data:{KINDS[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
+
+
+def fixed(value: float | None, digits: int = 2) -> str:
+    """A number with so many decimals; a dash where there is none."""
+    return NONE if value is None else f"{value:.{digits}f}".replace("-", "−")
+
+
+def plain(value: float | None) -> str:
+    """A number with as many decimals as it needs, two at most."""
+    return NONE if value is None else f"{value:.2f}".rstrip("0").rstrip(".").replace("-", "−")
+
+
+def times(value: float | None, factor: float) -> float | None:
+    """A number in another unit, where there is one."""
+    return None if value is None else value * factor
+
+
+def minutes(seconds: float) -> str:
+    """Minutes and seconds."""
+    whole = round(seconds)
+    return f"{whole // 60}:{whole % 60:02d}"
+
+
+def date(unix: float) -> str:
+    """Day and time, UTC."""
+    return datetime.datetime.fromtimestamp(unix, datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def flags(pulse: PulseRecord) -> str:
+    """What is to be said of a pulse in one cell of a table."""
+    if pulse.problem:
+        return f"does not count ({pulse.problem.replace('_', ' ')})"
+    return "yes" if pulse.mep is not None and pulse.mep.present else "none"
