@@ -20,6 +20,10 @@ from pcmrs.workflows.ways import arrange
 LARGEST_ERROR, LARGEST_TURN = 5e-4, float(np.radians(0.25))
 """A tool that is farther behind a quick body errs no more than this by the arm's fault, m and rad."""
 
+BESIDE_TIME = 0.3
+"""A tool that is seen too far from its place for so long, s, though nothing limits it, is not where it is seen: longer
+than what was seen while it caught up is on its way."""
+
 
 class Follower:
     """Works out where the joints shall be next; moves nothing itself.
@@ -59,6 +63,7 @@ class Follower:
         self._correction = Transform.identity()
         self._velocity: Floats = np.zeros(6)
         self._lags = False
+        self._beside = 0.0
         self.positions = cell.posture()
         self.moved = 0.0
         self._floors = Floors(cell, [self.positions])
@@ -67,10 +72,11 @@ class Follower:
         """Takes a frame, and returns the tool's error in it, ``measured_from_desired``.
 
         Raises:
-            RefusalError: The body jumped, or what the arm errs by is too much to be believed.
+            RefusalError: The body jumped, the tool did, or what the arm errs by is too much to be believed.
         """
         passed = self._body.take(frame)
         error = measured_from_desired(frame, self._desired)
+        self._check_beside(error, passed)
         if not self._lags:  # a tool that is limited in its speed is behind, not beside
             gain = passed / self._settings.correction_time
             step = gain * _within(_twist(error), LARGEST_ERROR, LARGEST_TURN)
@@ -99,6 +105,17 @@ class Follower:
         self._keep_out(base_from_body_ref)
         velocities: Floats = (self.positions - before) / passed
         return velocities
+
+    def _check_beside(self, error: Transform, passed: float) -> None:
+        """Refuses a tool that stays seen elsewhere: by then it has been corrected by much less than a millimetre."""
+        try:
+            check_correctable(error, self._cell.settings.placement)
+        except RefusalError:
+            self._beside = 0.0 if self._lags else self._beside + passed
+            if self._beside > BESIDE_TIME:
+                raise
+        else:
+            self._beside = 0.0
 
     def _check_range(self, tracker_from_body_ref: Transform) -> None:
         self.moved = float(np.linalg.norm(tracker_from_body_ref.translation - self._begun))

@@ -14,6 +14,10 @@ from pcmrs.spatial import Floats, Transform
 
 ACCELERATION = 3.0  # rad/s^2
 JERK = 30.0  # rad/s^3
+SLOWEST_PART, SLOWEST = 1e-2, 1e-3
+"""Of the joints' speed, and of a line in m/s: a slower motion takes hours, and none is planned as a whole."""
+FARTHEST = 10.0
+"""No goal of an iiwa is as far from its base, m."""
 
 
 def joint_move(arm: ArmModel, start: Floats, goal: Floats, part: float) -> JointTrajectory:
@@ -26,11 +30,12 @@ def joint_move(arm: ArmModel, start: Floats, goal: Floats, part: float) -> Joint
         part: Of the speed of every joint.
 
     Raises:
-        DeviceError: The part is not in (0, 1].
+        DeviceError: The part is not in [0.01, 1].
         UnreachableError: The goal is out of the joints' ranges.
     """
-    if not 0.0 < part <= 1.0:
-        raise DeviceError(f"The relative joint speed is {part:g}, must be in (0, 1]; send jRelVel first.", part=part)
+    if not SLOWEST_PART <= part <= 1.0:
+        text = f"The relative joint speed is {part:g}, must be in [{SLOWEST_PART:g}, 1]; send jRelVel first."
+        raise DeviceError(text, part=part)
     arm.check_limits(goal)
     request = joint_request(part * arm.velocity, _limits(arm, 1.0))
     request.current_position, request.target_position = start.tolist(), goal.tolist()
@@ -52,11 +57,14 @@ def straight_move(
         speed: Of its origin, m/s.
 
     Raises:
-        DeviceError: The speed is not positive.
+        DeviceError: The speed is below 1 mm/s, or the goal is farther than any arm reaches.
         UnreachableError: The arm cannot follow the line.
     """
-    if not speed > 0.0:
-        raise DeviceError(f"The speed is {speed:g} m/s, must be positive; send jRelVel in mm/s first.", speed=speed)
+    if not speed >= SLOWEST:
+        text = f"The speed is {speed:g} m/s, must be {SLOWEST:g} or more; send jRelVel in mm/s first."
+        raise DeviceError(text, speed=speed)
+    if not np.abs(base_from_tool.translation).max() <= FARTHEST:
+        raise DeviceError(f"The goal is more than {FARTHEST:g} m from the base.", limit=FARTHEST)
     goal = base_from_tool @ flange_from_tool.inverse()
     return straight_motion(arm, start, goal, _limits(arm, speed), flange_from_tool=flange_from_tool)
 

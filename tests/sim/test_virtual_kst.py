@@ -80,7 +80,7 @@ async def test_a_straight_motion_ends_at_its_pose(client: KstClient) -> None:
     assert np.allclose((await client.values("Eef_pos"))[:3], pose[:3], atol=0.1)
 
 
-@pytest.mark.parametrize("preparation", ["jRelVel_0_", "jRelVel_1.5_"])
+@pytest.mark.parametrize("preparation", ["jRelVel_0_", "jRelVel_1.5_", "jRelVel_1e-4_"])
 async def test_an_impossible_speed_is_a_nak_after_the_acceptance(client: KstClient, preparation: str) -> None:
     assert await client.ask(preparation) == DONE
     assert await client.ask("doPTPinJS", replies=2) == DONE + b"nak\n"
@@ -117,6 +117,15 @@ async def test_a_servo_stream_is_followed_to_its_last_set_point(cell: Cell, clie
     assert await client.ask("stopDirectServoJoints") == DONE
     assert await client.ask("startDirectServoJoints") == DONE  # waits until the arm rests
     assert await client.ask("stopDirectServoJoints") == DONE
+
+
+async def test_a_stopped_servo_is_over_when_the_arm_has_braked_however_slowly_it_settles(
+    cell: Cell, client: KstClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(type(cell.world.arm), "at_rest", False)
+    assert await client.ask("startDirectServoJoints") == DONE
+    assert await client.ask("stopDirectServoJoints") == DONE
+    assert len(await client.values("Torques_ext_J")) == 7
 
 
 async def test_the_servo_with_impedance_is_acknowledged_twice_at_its_end(client: KstClient) -> None:

@@ -1,0 +1,510 @@
+"""Time at the devices: servo jitter, Stop at the node, age of poses, OpenIGTLink and EMG, each beside the bare thing.
+
+- `servo`: intervals between the set points of the KST driver at 200 Hz, by their arrival over TCP at a peer in a
+  process of its own, which answers as a cabinet does; beside a bare asyncio timer and a thread's `time.sleep` that
+  send as many lines to the same peer. The three take turns.
+- `stop`: from the arrival of a Stop at the node (`DeviceNode.stop`) to the arrival of the first braking set point at
+  that peer; beside half of a bare round trip over TCP. The limit is 20 ms.
+- `tracker`: age of the coil's newest pose in the daemon's `PoseFeed`, when it arrives and at any moment, with device
+  nodes as the daemon starts them, over the bus; of the simulated tracker, and of the driver `ndi` on a virtual one. A
+  frame is published 30 ms after its exposure, 60 times a second; on the way to the driver `ndi` it takes more time,
+  which no host can know, so ages there are too small by that.
+- `openigtlink`: from a message's stamp to its arrival at `pyigtl`'s client, 100 times a second, from our link and from
+  `pyigtl`'s server.
+- `emg`: from the last sample of an epoch to the epoch, streamed in blocks of 10 ms; beside a bare `pylsl` inlet that
+  is asked every millisecond until it has that sample.
+
+Everything shares the machine's processors, and all is simulated.
+
+    .venv/bin/python benchmarks/devices.py [servo stop tracker openigtlink emg] [--seconds 10] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import multiprocessing
+import os
+import platform
+import socket
+import tempfile
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+import numpy.typing as npt
+import structlog
+import uvloop
+
+from pcmrs.clock import SystemClock
+from pcmrs.devices.drivers import kst, lsl
+from pcmrs.devices.kst.cabinet import Cabinet
+from pcmrs.devices.node import DeviceNode
+from pcmrs.kinematics.arms import ARMS
+from pcmrs.messages import BodyPose, JointTrajectory
+
+Floats = npt.NDArray[np.float64]
+Report = dict[str, dict[str, float]]
+
+HOME = np.array(ARMS["iiwa14"].home)
+PERIOD = 0.005
+STOP_LIMIT_MS = 20.0
+SET_POINTS = (b"jf_", b"jpJP_", b"jpExT_")
+
+
+class Peer:
+    """A cabinet whose arm is at once where it is told to be, and that notes when each set point comes."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._socket = connection
+        self._joints = "_".join(map(str, HOME))
+        self.arrivals: list[float] = []
+
+    def serve(self) -> None:
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        begun = b""
+        while data := self._socket.recv(1 << 16):
+            now = time.monotonic()
+            *lines, begun = (begun + data).split(b"\n")
+            for line in lines:
+                if line.startswith(SET_POINTS):
+                    self.arrivals.append(now)
+                if answer := self._answer(line):
+                    self._socket.sendall(answer)
+
+    def _answer(self, line: bytes) -> bytes:
+        name, _, numbers = line.partition(b"_")
+        if line.startswith(SET_POINTS):
+            self._joints = "_".join(numbers.decode().split("_")[:7])
+        if name in (b"jpJP", b"getJointsPositions"):
+            return f"{self._joints}_\n".encode()
+        if name == b"jpExT" or line == b"Torques_ext_J":
+            return b"0.0_" * 7 + b"\n"
+        if name == b"echo":
+            return b"done\n"
+        return b"" if name in (b"jf", b"end") else b"done\n"
+
+
+def serve_peers(pipe: Any) -> None:
+    """One connection after the other; tells the arrivals of each when it has ended."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        pipe.send(listening.getsockname()[1])
+        while True:
+            connection, _ = listening.accept()
+            peer = Peer(connection)
+            with suppress(ConnectionError):
+                peer.serve()
+            connection.close()
+            pipe.send(peer.arrivals)
+
+
+class PeerProcess:
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, there = context.Pipe()
+        self._process = context.Process(target=serve_peers, args=(there,), daemon=True)
+        self._process.start()
+        self.port: int = self._pipe.recv()
+
+    def arrivals(self) -> Floats:
+        return np.array(self._pipe.recv())
+
+    def close(self) -> None:
+        self._process.terminate()
+        self._process.join()
+
+
+def smooth(start: Floats, goal: Floats, duration: float) -> JointTrajectory:
+    """Minimum-jerk motion, at rest at both ends."""
+    at = np.linspace(0.0, 1.0, 1 + round(duration / PERIOD))
+    way = 10 * at**3 - 15 * at**4 + 6 * at**5
+    return JointTrajectory(period=PERIOD, positions=(start + way[:, None] * (goal - start)).tolist())
+
+
+@asynccontextmanager
+async def connected(port: int) -> AsyncIterator[Any]:
+    async with kst.open_devices(("robot",), {"kst": {"port": port}}, SystemClock()) as devices:
+        await devices["robot"].connect()
+        yield devices["robot"]
+
+
+async def stream_by_driver(port: int, seconds: float) -> None:
+    async with connected(port) as robot:
+        await robot.follow(smooth(HOME, HOME + 0.2, seconds))
+
+
+async def stream_by_asyncio(port: int, seconds: float) -> None:
+    _, writer = await asyncio.open_connection("127.0.0.1", port)
+    due = time.monotonic()
+    for _ in range(round(seconds / PERIOD)):
+        writer.write(b"jf_0_0_0_0_0_0_0_\n")
+        due += PERIOD
+        await asyncio.sleep(due - time.monotonic())
+    writer.close()
+
+
+def stream_by_thread(port: int, seconds: float) -> None:
+    with socket.create_connection(("127.0.0.1", port)) as connection:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        due = time.monotonic()
+        for _ in range(round(seconds / PERIOD)):
+            connection.sendall(b"jf_0_0_0_0_0_0_0_\n")
+            due += PERIOD
+            time.sleep(max(0.0, due - time.monotonic()))
+
+
+def measure_servo(seconds: float) -> Report:
+    peer, turn = PeerProcess(), 2.0
+    streams: dict[str, Callable[[], Any]] = {
+        "set points of the driver": lambda: run(stream_by_driver(peer.port, turn)),
+        "bare asyncio timer": lambda: run(stream_by_asyncio(peer.port, turn)),
+        "bare thread timer": lambda: stream_by_thread(peer.port, turn),
+    }
+    found: dict[str, list[Floats]] = {name: [] for name in streams}
+    for _ in range(max(1, round(seconds / turn))):
+        for name, stream in streams.items():
+            stream()
+            found[name].append(np.diff(peer.arrivals()))
+    peer.close()
+    return {name: summary(np.concatenate(each)) for name, each in found.items()}
+
+
+class Silence:
+    """A bus to which nobody listens, for the device node."""
+
+    def publish(self, _key: str, _message: Any) -> None: ...
+
+    def subscribe(self, _key: str, _kind: Any, _take: Any) -> None: ...
+
+    def serve(self, _key: str, _kind: Any, _answer: Any) -> None: ...
+
+
+async def stop_often(port: int, stops: int) -> tuple[list[float], list[int]]:
+    """When each Stop came, and how many set points had been sent by then."""
+    sent: list[float] = []
+    note_set_points(sent)
+    told, before = [], []
+    bus: Any = Silence()
+    rng = np.random.default_rng(1)
+    async with connected(port) as robot:
+        node = DeviceNode(bus, {"robot": robot}, SystemClock())
+        for number in range(stops):
+            here = np.array((await robot.joints()).positions)
+            going = asyncio.create_task(robot.follow(smooth(here, HOME + 0.3 * (1 - number % 2), 2.0)))
+            await asyncio.sleep(0.4 + PERIOD * rng.random())
+            before.append(len(sent))
+            told.append(time.monotonic())
+            node.stop("benchmark")
+            await going
+    return told, before
+
+
+def note_set_points(sent: list[float]) -> None:
+    for name in ("stream", "stream_for_joints", "stream_for_torques"):
+        setattr(Cabinet, name, noted(getattr(Cabinet, name), sent))
+
+
+def noted(original: Any, sent: list[float]) -> Any:
+    def send(self: Cabinet, positions: Any) -> Any:
+        sent.append(time.monotonic())
+        return original(self, positions)
+
+    return send
+
+
+async def round_trips(port: int, count: int) -> list[float]:
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    found = []
+    for _ in range(count):
+        begin = time.monotonic()
+        writer.write(b"echo\n")
+        await reader.readline()
+        found.append(time.monotonic() - begin)
+        await asyncio.sleep(PERIOD)
+    writer.close()
+    return found
+
+
+def measure_stop(seconds: float) -> Report:
+    peer = PeerProcess()
+    told, before = run(stop_often(peer.port, max(10, round(4 * seconds))))
+    delays = peer.arrivals()[before] - np.array(told)
+    bare = np.array(run(round_trips(peer.port, 500))) / 2
+    peer.close()
+    return {"Stop to first braking set point": summary(delays), "half a bare round trip": summary(bare)}
+
+
+async def tracker_ages(driver: str, seconds: float) -> tuple[Floats, Floats]:
+    """Ages on arrival, and at moments that have nothing to do with it, s."""
+    from pcmrs.bus import Bus
+    from pcmrs.devices.poses import PoseFeed
+    from pcmrs.service.nodes import NodeProcesses
+    from pcmrs.settings import read_settings
+
+    ports = free_port(), free_port()
+    with tempfile.TemporaryDirectory() as folder:
+        own = [f"cell.folder={folder}", "cell.name=benchmark", f"cell.endpoint=tcp/127.0.0.1:{ports[0]}"]
+        settings = read_settings(None, [*own, f"tracker.driver={driver}", f"ndi.device=127.0.0.1:{ports[1]}"])
+        clock, arrived = SystemClock(), []
+        feed = PoseFeed(clock, 0.25)
+
+        def take(_key: str, pose: BodyPose) -> None:
+            feed.update(pose)
+            if pose.body == "coil" and pose.valid:
+                arrived.append(clock.monotonic() - pose.captured)
+
+        async with AsyncExitStack() as stack:
+            bus = await Bus.open(settings.bus("router"))
+            stack.push_async_callback(bus.close)
+            bus.subscribe("state/pose/**", BodyPose, take)
+            nodes = NodeProcesses(settings, lambda devices: print(f"the node of {devices} has ended"))
+            stack.push_async_callback(nodes.stop)
+            await nodes.start()
+            await feed.collect(("coil",), 60, 60.0)
+            arrived.clear()
+            return await looked_at(feed, clock, seconds), np.array(arrived)
+
+
+async def looked_at(feed: Any, clock: SystemClock, seconds: float) -> Floats:
+    rng, found, end = np.random.default_rng(1), [], time.monotonic() + seconds
+    while time.monotonic() < end:
+        await asyncio.sleep(0.01 * rng.random())
+        newest = feed.frames_after(-1, ("coil",))[-1]["coil"]
+        found.append(clock.monotonic() - newest.captured)
+    return np.array(found)
+
+
+def measure_tracker(seconds: float) -> Report:
+    found = {}
+    for driver, name in (("ndi", "virtual NDI"), ("sim", "simulated tracker")):
+        looked, arrived = run(tracker_ages(driver, seconds))
+        found[f"{name}, on arrival"] = summary(arrived)
+        found[f"{name}, at any moment"] = summary(looked)
+    return found
+
+
+class Daemon:
+    """What the link shows: three bodies that are always seen, and nothing else."""
+
+    def __init__(self) -> None:
+        from pcmrs.spatial import Transform
+
+        self._pose = Transform.from_rotvec([0.1, 0.2, 1.5], [0.3, 0.0, 0.1])
+
+    def seen(self) -> dict[str, Any]:
+        return dict.fromkeys(("coil", "pointer", "body_ref"), self._pose)
+
+    def registration(self) -> Any:
+        return self._pose
+
+    def snapshot(self) -> Any:
+        from pcmrs.messages import BlueprintTag, Snapshot
+
+        tag = BlueprintTag(id="benchmark", version="1", hash="")
+        return Snapshot(sequence=1, branches={}, flags={}, running=[], latched=False, blueprint=tag)
+
+    def __getattr__(self, _name: str) -> Any:
+        return lambda *_: None
+
+
+async def ours_to_pyigtl(count: int) -> list[float]:
+    from pcmrs.gateway.links import open_gateway
+    from pcmrs.gateway.settings import GatewayConfig, LinkConfig, OpenIgtLinkConfig
+
+    off = LinkConfig()
+    config = GatewayConfig(
+        planner=off,
+        robot=off,
+        visualization=off,
+        mixed_reality=off,
+        mep=off,
+        tcp_port=None,
+        openigtlink=OpenIgtLinkConfig(enabled=True, port=0, rate_hz=100.0),
+    )
+    core: Any = Daemon()
+    with tempfile.TemporaryDirectory() as folder:
+        async with open_gateway(core, config, SystemClock(), Path(folder)) as gateway:
+            return await asyncio.to_thread(listen, *gateway.addresses["openigtlink"], count)
+
+
+def listen(host: str, port: int, count: int) -> list[float]:
+    import pyigtl
+
+    client = pyigtl.OpenIGTLinkClient(host, port)
+    try:
+        return [delay_of(client) for _ in range(count)]
+    finally:
+        client.stop()
+
+
+def delay_of(client: Any) -> float:
+    message = client.wait_for_message("CoilToImage", 5)
+    return time.time() - float(message.timestamp)
+
+
+def pyigtl_to_pyigtl(count: int) -> list[float]:
+    import pyigtl
+
+    port = free_port()
+    server, client = pyigtl.OpenIGTLinkServer(port=port), pyigtl.OpenIGTLinkClient("127.0.0.1", port)
+    found = []
+    while not server.is_connected():
+        time.sleep(0.01)
+    for _ in range(count):
+        message = pyigtl.TransformMessage(np.eye(4), device_name="CoilToImage", timestamp=time.time())
+        server.send_message(message, wait=False)
+        found.append(delay_of(client))
+        time.sleep(0.01)
+    client.stop()
+    server.stop()
+    return found
+
+
+def measure_openigtlink(seconds: float) -> Report:
+    count = max(100, round(100 * seconds))
+    ours = np.array(run(ours_to_pyigtl(count)))
+    return {"our link": summary(ours), "pyigtl's server": summary(np.array(pyigtl_to_pyigtl(count)))}
+
+
+RATE, BLOCK = 5000, 0.010
+
+
+class Amplifier:
+    """Zeros with time stamps, and the marker outlet beside it."""
+
+    def __init__(self, name: str) -> None:
+        from pcmrs.devices.lsl.library import load_lsl
+        from pcmrs.devices.lsl.markers import MarkerOutlet
+
+        self.lsl = load_lsl()
+        info = self.lsl.StreamInfo(name, "EMG", 1, RATE, self.lsl.cf_float32, name)
+        self._outlet = self.lsl.StreamOutlet(info)
+        self.markers = MarkerOutlet(f"{name}-markers")
+
+    async def run(self) -> None:
+        sent = int(self.lsl.local_clock() * RATE)
+        while True:
+            await asyncio.sleep(BLOCK)
+            due = int(self.lsl.local_clock() * RATE)
+            self._outlet.push_chunk(np.zeros((due - sent, 1), np.float32), (due - 1) / RATE)
+            sent = due
+
+
+async def epoch_delays(count: int, after: float = 0.05) -> tuple[list[float], list[float]]:
+    """Of epochs of the driver, and of a bare inlet, s behind the time of their last sample."""
+    from pcmrs.devices.lsl.markers import PulseMarker
+    from pcmrs.errors import DeviceError
+
+    name = f"benchmark-{uuid4().hex}"
+    amplifier = Amplifier(name)
+    sending = asyncio.create_task(amplifier.run())
+    clock = amplifier.lsl.local_clock
+    ours: list[float] = []
+    bare: list[float] = []
+    settings = {"lsl": {"stream": name, "markers": f"{name}-markers"}}
+    async with lsl.open_devices(("emg",), settings, SystemClock()) as devices:
+        (info,) = await asyncio.to_thread(amplifier.lsl.resolve_byprop, "name", name, 1, 10.0)
+        inlet = amplifier.lsl.StreamInlet(info)
+        inlet.open_stream(timeout=5.0)
+        number = 0
+        while len(ours) < count:
+            number += 1
+            inlet.pull_chunk(max_samples=1 << 16)
+            pulse = clock()
+            amplifier.markers.push(PulseMarker(number, 50.0).text, pulse)
+            waiting = asyncio.create_task(newest_sample(inlet, pulse + after, clock))
+            try:
+                await devices["emg"].epoch(number, 0.05, after)
+            except DeviceError:  # the streams have not been found yet
+                await waiting
+                continue
+            ours.append(clock() - pulse - after)
+            bare.append(await waiting)
+    sending.cancel()
+    return ours, bare
+
+
+async def newest_sample(inlet: Any, wanted: float, clock: Callable[[], float]) -> float:
+    while True:
+        _, times = inlet.pull_chunk(max_samples=1 << 16)
+        if times and times[-1] >= wanted:
+            return clock() - wanted
+        await asyncio.sleep(0.001)
+
+
+def measure_emg(seconds: float) -> Report:
+    ours, bare = run(epoch_delays(max(20, round(5 * seconds))))
+    return {"epoch of the driver": summary(np.array(ours)), "bare inlet": summary(np.array(bare))}
+
+
+def run(coroutine: Any) -> Any:
+    """In the loop that device nodes and daemon have."""
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        return runner.run(coroutine)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def summary(times: Floats) -> dict[str, float]:
+    p50, p99 = np.percentile(times, (50, 99)) * 1e3
+    return {"count": len(times), "p50_ms": float(p50), "p99_ms": float(p99), "max_ms": float(times.max() * 1e3)}
+
+
+MEASUREMENTS: dict[str, tuple[str, Callable[[float], Report]]] = {
+    "servo": ("intervals between set points at 200 Hz, by their arrival", measure_servo),
+    "stop": ("Stop at the node", measure_stop),
+    "tracker": ("age of the newest pose at the dispatcher", measure_tracker),
+    "openigtlink": ("from the stamp to pyigtl's client", measure_openigtlink),
+    "emg": ("from the last sample due to the epoch", measure_emg),
+}
+
+
+def show(title: str, rows: Report) -> None:
+    print(f"{title}\n  {'':34} {'count':>6} {'p50 ms':>8} {'p99 ms':>8} {'max ms':>8} {'p99, ratio':>11}")
+    bare = list(rows.values())[-1]["p99_ms"]
+    for name, row in rows.items():
+        print(
+            f"  {name:34} {row['count']:6.0f} {row['p50_ms']:8.2f} {row['p99_ms']:8.2f} {row['max_ms']:8.2f} "
+            f"{row['p99_ms'] / bare:11.2f}"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "what", nargs="*", metavar="WHAT", help=f"of {', '.join(MEASUREMENTS)}; all where none is named"
+    )
+    parser.add_argument("--seconds", type=float, default=10.0, help="about so long each")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    if unknown := set(arguments.what) - set(MEASUREMENTS):
+        parser.error(f"there is no {', '.join(sorted(unknown))}; choose among {', '.join(MEASUREMENTS)}")
+    structlog.configure(logger_factory=structlog.ReturnLoggerFactory())
+    load = os.getloadavg()[0]
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, load {load:.1f}, Python {platform.python_version()}"
+    results = {}
+    if not arguments.json:
+        print(machine)
+    for name in arguments.what or MEASUREMENTS:
+        title, measure = MEASUREMENTS[name]
+        results[name] = measure(arguments.seconds)
+        if not arguments.json:
+            show(title, results[name])
+    if "stop" in results:
+        worst = results["stop"]["Stop to first braking set point"]["p99_ms"]
+        results["stop"]["limit"] = {"p99_ms": STOP_LIMIT_MS, "kept": worst <= STOP_LIMIT_MS}
+    if arguments.json:
+        print(json.dumps({"machine": machine, "results": results}))
+
+
+if __name__ == "__main__":
+    main()

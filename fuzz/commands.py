@@ -1,0 +1,44 @@
+"""String commands of the gateway: a datagram parses or is refused, and what parses can be written again.
+
+python -m fuzz.commands -max_total_time=60
+"""
+
+from __future__ import annotations
+
+import atheris
+
+from fuzz.running import run
+
+with atheris.instrument_imports(include=["pcmrs.gateway"]):
+    from pcmrs.errors import PayloadError
+    from pcmrs.gateway.commands import COMMANDS
+    from pcmrs.gateway.grammar import MAX_BYTES, format_command, parse, parse_tool_points
+
+NAMES = sorted(COMMANDS)
+
+
+def one(data: bytes) -> None:
+    """The first byte may name a command, so that its tokens are tried, too."""
+    datagram = NAMES[data[0] % len(NAMES)].encode() + data[1:] if data[:1] > b"\x20" else data[1:]
+    try:
+        if parse_tool_points(datagram) is not None:
+            return
+        request = parse(datagram)
+    except PayloadError:
+        return
+    assert len(datagram) <= MAX_BYTES
+    try:
+        again = format_command(request.spec.name, *request.values, client_id=request.id)
+    except PayloadError:  # a number may take more digits than it was given
+        assert len(datagram) > MAX_BYTES / 2
+        return
+    assert parse(again) == request
+
+
+if __name__ == "__main__":
+    run(
+        one,
+        b"\x00stop_now_xxxxxxx;",
+        b"\x00target_rotxxxxxx_0.0_-1.5e-3_0_1_#12;",
+        b"\x00icp_registerxxxx_C:\\a_b.stl_#1;",
+    )

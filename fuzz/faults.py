@@ -1,0 +1,39 @@
+"""Lines on the standard input of `pcmrs-sim`, and what they do to a simulated cell.
+
+python -m fuzz.faults -max_total_time=60
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+
+import atheris
+
+from fuzz.running import in_loop, run
+
+with atheris.instrument_imports(include=["sim"]):
+    from pcmrs.clock import SystemClock
+    from pcmrs.devices.motion.force import ForceSettings
+    from pcmrs.errors import PcmrsError
+    from pcmrs.kinematics.arms import ARMS
+    from sim.cell import Cell
+    from sim.faults import FAULTS, inject, parse_fault
+    from sim.settings import SimSettings
+
+CELL = Cell(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), SystemClock())
+NAMES = sorted(FAULTS)
+
+
+async def one(data: bytes) -> None:
+    """The first byte may name a fault, so that arguments are tried, too."""
+    text = data[1:].decode("utf-8", "replace")
+    line = f"{NAMES[data[0] % len(NAMES)]} {text}" if data[:1] > b"\x20" else text
+    if not line.strip():
+        return
+    with suppress(PcmrsError):
+        inject(CELL, *parse_fault(line))
+
+
+if __name__ == "__main__":
+    run(in_loop(one), *(bytes((33 + n,)) + b" on 3 0.05" for n in range(len(NAMES))), b"\x00occlude coil on")

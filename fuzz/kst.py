@@ -1,0 +1,90 @@
+"""KST: replies of a cabinet as our driver reads them, and requests as the virtual cabinet does.
+
+python -m fuzz.kst -max_total_time=60
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import atheris
+
+from fuzz.running import in_loop, pieces, run
+
+with atheris.instrument_imports(include=["pcmrs.devices.kst", "sim.kst"]):
+    from pcmrs.clock import SystemClock
+    from pcmrs.devices.kst.lines import LONGEST, LineBuffer
+    from pcmrs.devices.kst.link import KstLink
+    from pcmrs.devices.kst.values import parse_values
+    from pcmrs.devices.motion.force import ForceSettings
+    from pcmrs.errors import PayloadError, PcmrsError
+    from pcmrs.kinematics.arms import ARMS
+    from sim.cell import Cell
+    from sim.kst.cabinet import Cabinet
+    from sim.settings import SimSettings
+
+CLOCK = SystemClock()
+CELL = Cell(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), CLOCK)
+
+
+def read_lines(data: bytes) -> None:
+    buffer = LineBuffer()
+    try:
+        lines = [line for piece in pieces(data) for line in buffer.feed(piece)]
+    except PayloadError:
+        return
+    for line in lines:
+        assert len(line) <= LONGEST
+        for count in (3, 6, 7):
+            try:
+                values = parse_values(line, count)
+            except PayloadError:
+                continue
+            assert values.shape == (count,)
+            assert all(map(math.isfinite, values))
+
+
+def hear(data: bytes) -> None:
+    """Who waits for two replies gets both, or an error after which none follows."""
+    link = KstLink("fuzz", CLOCK)
+    replies = link.send("getJointsPositions", 60.0, 60.0)
+    for piece in pieces(data):
+        link.data_received(piece)
+    link.connection_lost(None)
+    for reply in replies:
+        error = reply.exception()
+        assert error is None or isinstance(error, PcmrsError)
+        if error is not None:
+            break
+
+
+def ask_cabinet(data: bytes) -> None:
+    answers: list[str] = []
+    cabinet = Cabinet(CELL, answers.append, lambda: None)
+    for line in data.decode("latin-1").split("\n"):
+        cabinet.receive(line.rstrip("\r"))
+        cabinet.update()
+    cabinet.leave()
+    assert all(answer.isascii() for answer in answers)
+
+
+async def one(data: bytes) -> None:
+    await asyncio.sleep(0)  # lets what the last input has left behind end
+    kind, rest = data[:1], data[1:]
+    if kind < b"\x55":
+        read_lines(rest)
+    elif kind < b"\xaa":
+        hear(rest)
+    else:
+        ask_cabinet(rest)
+
+
+if __name__ == "__main__":
+    numbers = b"0.1_-2.5E-4_3.0_4.0_5.0_6.0_7.0_\n"
+    motion = b"jRelVel_0.5_\njp_0_0.5_0_-1.5_0_1_0_\ndoPTPinJS\n"
+    line = b"cArtixanPosition_500_0_500_0_3.1_0_\njRelVel_100_\ndoPTPinCS\n"
+    servo = b"startDirectServoJoints\njf_0_0.5_0_-1.5_0_1_0_\njpJP_0_0_0_0_0_0_0_\nstopDirectServoJoints\n"
+    tool = b"TFtrans_0_0_150_0_0_0\nEef_pos\nstartSmartImpedneceJoints_1_0_0_80_4000_300_100_\n"
+    requests = [b"\xff" + each for each in (motion, line, servo, tool)]
+    run(in_loop(one), b"\x00\x00" + numbers, b"\x60\x00" + numbers + b"done\n", b"\x60\x00nak\n", *requests)

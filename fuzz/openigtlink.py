@@ -1,0 +1,72 @@
+"""OpenIGTLink: any bytes, and any body with the CRC it needs, up to the frames and plans that are made of them.
+
+python -m fuzz.openigtlink -max_total_time=60
+"""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from contextlib import suppress
+from typing import Any
+
+import atheris
+
+from fuzz.running import in_loop, pieces, run
+
+with atheris.instrument_imports(include=["pcmrs.devices.plus", "pcmrs.gateway.openigtlink", "pyigtl"]):
+    from pyigtl.messages import CRC64
+
+    from pcmrs.devices.plus.frames import Frames
+    from pcmrs.devices.plus.framing import MessageReader
+    from pcmrs.devices.plus.readings import readings
+    from pcmrs.errors import PayloadError, RefusalError
+    from pcmrs.gateway.openigtlink import plans
+
+KINDS = ("TRANSFORM", "POINT", "STRING", "STATUS", "TDATA")
+NAMES = {"CoilToTracker": "coil", "a": "body_ref"}
+HEADER = struct.Struct(">H12s20sQQQ")
+
+
+def framed(data: bytes) -> bytes:
+    """A message whose header is right, of a kind and version that the data say."""
+    choice, stamp, body = data[:1], data[1:9].ljust(8, b"\0"), data[9:]
+    kind, version = KINDS[choice[0] % 5 if choice else 0].encode(), 1 + (choice > b"\x7f")
+    return HEADER.pack(version, kind, b"CoilToTracker", *struct.unpack(">Q", stamp), len(body), CRC64(body)) + body
+
+
+async def one(data: bytes) -> None:
+    raw, rest = data[:1] > b"\xc0", data[1:]
+    stream = asyncio.StreamReader()
+    for piece in pieces(rest) if raw else [framed(rest)]:
+        stream.feed_data(piece)
+    stream.feed_eof()
+    reader, frames = MessageReader(stream, KINDS), Frames(NAMES, 0.02)
+    with suppress(asyncio.IncompleteReadError, ConnectionAbortedError):
+        while True:
+            with suppress(PayloadError):
+                message = await reader.read()
+                if message is not None:
+                    use(message, frames)
+
+
+def use(message: Any, frames: Frames) -> None:
+    if message.message_type in ("TRANSFORM", "TDATA"):
+        frames.take(readings(message), message.timestamp, 1.0, 1.7e9, whole=message.message_type == "TDATA")
+    with suppress(RefusalError):
+        if message.message_type == "TRANSFORM":
+            plans.target(message.matrix.tolist())
+        elif message.message_type == "POINT":
+            plans.landmarks(message.positions, message.names)
+    if message.message_type == "STRING":
+        message.string.strip().lower()
+
+
+if __name__ == "__main__":
+    matrix = struct.pack(">12f", 1, 0, 0, 0, 1, 0, 0, 0, 1, 10, 20, 30)
+    point = struct.pack(">64s32s4B3ff20s", b"Nz", b"", 255, 0, 0, 255, 1, 2, 3, 0, b"")
+    text, tool = struct.pack(">HH4s", 3, 4, b"stop"), struct.pack(">20sBB12f", b"CoilToTracker", 2, 0, *[1.0] * 12)
+    status = struct.pack(">Hq20s3s", 1, 0, b"ok", b"ok\0")
+    contents = enumerate((matrix, 3 * point, text, status, tool))
+    bodies = [bytes((0, kind)) + bytes(8) + content for kind, content in contents]
+    run(in_loop(one), b"\xff\x00" + framed(bodies[0][1:]), *bodies)

@@ -1,0 +1,68 @@
+"""Limits, distances and calibrations of a placement procedure."""
+
+from __future__ import annotations
+
+import msgspec
+
+from pcmrs.calibration import ToolType
+from pcmrs.workflows.settings.measuring import CalibrationSettings, RegistrationSettings, TrackingSettings
+from pcmrs.workflows.settings.moving import (
+    AlignmentSettings,
+    ContactSettings,
+    FollowingSettings,
+    MotionSettings,
+    PlacementSettings,
+    PressForce,
+)
+from pcmrs.workflows.settings.stimulation import StimulationSettings
+from pcmrs.workflows.settings.values import PoseSetting, Positive
+from pcmrs.workflows.settings.zones import TABLE, BodySettings, BoxSettings, ToolSettings, ZoneSettings
+
+__all__ = [
+    "TABLE",
+    "AlignmentSettings",
+    "BodySettings",
+    "BoxSettings",
+    "CalibrationSettings",
+    "ContactSettings",
+    "FollowingSettings",
+    "MotionSettings",
+    "PlacementSettings",
+    "PoseSetting",
+    "PressForce",
+    "ProcedureSettings",
+    "RegistrationSettings",
+    "StimulationSettings",
+    "ToolSettings",
+    "TrackingSettings",
+    "ZoneSettings",
+]
+
+
+class ProcedureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The table ``procedure`` of the configuration.
+
+    Attributes:
+        max_pose_age: A tracked pose older than this is stale, s of the cell's clock.
+        home: Posture for `placement.home`, rad, base to flange; empty for the arm's own.
+        patient: Whose registration it is; a previous registration of another patient is refused.
+        tool: What the workflow places; the calibration file of another type of tool is refused.
+        limits: Further limits of the workflow's own checks, by name; its blueprint's defaults name them all.
+    """
+
+    patient: str = "phantom"
+    max_pose_age: Positive = 0.25
+    home: tuple[float, ...] = ()
+    calibration: CalibrationSettings = CalibrationSettings()
+    tool: ToolType = "coil"
+    tracking: TrackingSettings = TrackingSettings()
+    registration: RegistrationSettings = RegistrationSettings()
+    motion: MotionSettings = MotionSettings()
+    placement: PlacementSettings = PlacementSettings()
+    alignment: AlignmentSettings = AlignmentSettings()
+    following: FollowingSettings = FollowingSettings()
+    contact: ContactSettings = ContactSettings()
+    stimulation: StimulationSettings = StimulationSettings()
+    zones: ZoneSettings = ZoneSettings()
+    body: BodySettings = BodySettings()
+    limits: dict[str, float] = {}
