@@ -101,8 +101,9 @@ class SimRobot:
             self.sessions.take(setpoint, None if self.faults.cut else self._arm)
 
     async def hold(self) -> JointState:
+        if not self.faults.cut:
+            self._arm.hold()
         self._check_link()
-        self._arm.hold()
         await self._rest()
         return self._state()
 
@@ -130,9 +131,9 @@ class SimRobot:
             self._end_waiting(None)
         while self._arm.alarms:
             alarm = self._arm.alarms.popleft()
-            if not self.faults.cut:
+            if not self._mute:
                 self._events.publish(alarm)
-        if time >= self.due and not self.faults.cut:
+        if time >= self.due and not self._mute:
             self._states.publish(self._state())
         while time >= self.due:  # a cell that lags loses states
             self.due += self._period
@@ -172,6 +173,7 @@ class SimRobot:
         waiting = asyncio.get_running_loop().create_future()
         self._waiting.append(waiting)
         await waiting
+        self._check_link()  # it may have fallen silent meanwhile
 
     def _end_waiting(self, error: UnknownOutcomeError | None) -> None:
         for waiting in self._waiting:
@@ -183,8 +185,12 @@ class SimRobot:
                 waiting.set_exception(error)
         self._waiting.clear()
 
+    @property
+    def _mute(self) -> bool:
+        return self.faults.cut or self.faults.silent
+
     def _check_link(self) -> None:
-        if self.faults.cut or self.faults.silent:
+        if self._mute:
             raise _silence()
 
     def _check_connection(self) -> None:

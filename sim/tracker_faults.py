@@ -186,7 +186,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("bad_fit", "S7", "A body fits its markers badly.", ("body", "on"), _of_body("bad_fit")),
     Fault("phantom_marker", "S8", "A reflection moves every other pose.", ("body", "on"), _of_body("phantoms")),
     Fault("tool_swap", "S8", "Two bodies are taken for each other.", ("first", "second", "on"), _swap),
-    Fault("wrong_tool", "S9", "A body carries another tool than the defined one.", ("body", "on"), _of_body("wrong_tools")),
+    Fault("wrong_tool", "S9", "Another tool than the defined one is mounted.", ("body", "on"), _of_body("wrong_tools")),
     Fault("tracker_rate", "S10", "The rate falls; 0 is the tracker's own.", ("hertz",), _rate),
     Fault("stamp_reversed", "S11", "Numbers and stamps run backwards.", ("on",), _flag("reversed")),
     Fault("stamp_future", "S11", "Stamps lie in the future.", ("on",), _flag("future")),

@@ -57,7 +57,7 @@ LINES: Mapping[str, tuple[str, str]] = {
     "offset_joint": ("3 0.05", "3 0"),
     "change_mode": ("on", "off"),
     "close_brakes": ("on", "off"),
-    "guide_by_hand": ("1 0.1", "1 -0.1"),
+    "guide_by_hand": ("1 0.01", "1 -0.01"),
     "refuse_robot": ("on", "off"),
     "drop_client": ("", ""),
     "restart_cabinet": ("", ""),
@@ -89,7 +89,7 @@ def named(text: str) -> list[str]:
 
 
 @cache
-def tests_of(file: str) -> set[str]:
+def defined_in(file: str) -> set[str]:
     """Names of the test functions of a file, those of its classes too."""
     tree = ast.parse((ROOT / "tests" / file).read_text(encoding="utf-8"))
     functions = (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
@@ -111,7 +111,7 @@ def test_every_row_has_its_faults_its_response_and_its_tests(row: str) -> None:
     assert proofs
     for proof in proofs:
         file, _, name = proof.partition("::")
-        assert name in tests_of(file), proof
+        assert name in defined_in(file), proof
 
 
 def test_every_fault_belongs_to_a_row() -> None:
@@ -121,10 +121,9 @@ def test_every_fault_belongs_to_a_row() -> None:
 
 @pytest.mark.parametrize("name", FAULTS)
 async def test_a_line_brings_it_about_and_another_ends_it(cell: Cell, name: str) -> None:
-    begin, end = LINES[name]
-    await act(cell, f"{name} {begin}")
-    await cell.clock.sleep(0.3)
-    await act(cell, f"{name} {end}")
+    for words in LINES[name]:
+        await act(cell, f"{name} {words}")
+        await settled(cell)
     await healthy(cell)
 
 
@@ -133,25 +132,34 @@ async def test_the_scene_brings_it_about_and_ends_it(cell: Cell, name: str) -> N
     scene: Any = cell.devices["scene"]
     for words in LINES[name]:
         await scene.inject(*parse_fault(f"{name} {words}"))
-        await cell.clock.sleep(0.3)
+        await settled(cell)
     await healthy(cell)
 
 
-async def test_a_schedule_brings_all_of_them_about_one_after_the_other(cell: Cell, tmp_path: Path) -> None:
+async def test_a_schedule_brings_all_of_them_about_and_ends_them(
+    cell: Cell, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = [f"{name} {LINES[name][which]}".strip() for which in (0, 1) for name in FAULTS]
     file = tmp_path / "faults.txt"
-    lines = [f"{name} {words}" for name, both in LINES.items() for words in both]
     file.write_text("".join(f"{0.05 * number:.2f} {line}\n" for number, line in enumerate(lines)), encoding="utf-8")
     schedule = read_schedule(file)
-    assert [line.strip() for _, line in schedule] == [line.strip() for line in lines]
+    assert [line for _, line in schedule] == lines
     await follow_schedule(cell, schedule)
+    assert capsys.readouterr().err == "", "nothing was refused"
+    await settled(cell)
     await healthy(cell)
+
+
+async def settled(cell: Cell) -> None:
+    """Lets a fault act for a while, and what it moves come to rest."""
+    await cell.clock.sleep(0.3)
+    while not cell.world.arm.at_rest:
+        await cell.clock.sleep(0.05)
 
 
 async def healthy(cell: Cell) -> None:
     """The robot answers and moves, and the tracker sees it, as if there had been no fault."""
     robot: Any = cell.devices["robot"]
-    while not cell.world.arm.at_rest:
-        await cell.clock.sleep(0.05)
     await robot.connect()
     session = (await robot.begin_servo()).session
     assert (await robot.end_servo(session)).reason in (None, "no_set_point")

@@ -51,6 +51,15 @@ class Frames:
             async for frame in frames:
                 self._queue.put_nowait(frame)
 
+    @property
+    def trouble(self) -> str:
+        return self._tracker.trouble
+
+    async def until_troubled(self) -> None:
+        async with asyncio.timeout(10.0):
+            while not self.trouble:  # noqa: ASYNC110 - what is waited for is no business of this loop
+                await asyncio.sleep(0.02)
+
     async def next(self) -> dict[str, BodyPose]:
         return {pose.body: pose for pose in await self._queue.get()}
 
@@ -116,20 +125,34 @@ async def test_what_the_tracker_says_of_a_body_is_the_reason(seen: tuple[Frames,
     assert (await frames.until(lambda frame: not frame["coil"].valid))["coil"].reason == reason
 
 
+async def test_another_tool_than_the_defined_one_is_no_pose(seen: tuple[Frames, Cell]) -> None:
+    frames, cell = seen
+    inject(cell, "wrong_tool", {"body": "coil"})
+    frame = await frames.until(lambda frame: not frame["coil"].valid)
+    assert frame["coil"].reason in ("wrong_tool", "missing")
+    assert frame["body_ref"].valid
+    inject(cell, "wrong_tool", {"body": "coil", "on": False})
+    await frames.until(lambda frame: frame["coil"].valid)
+
+
 async def test_an_unplugged_tracker_stops_and_recovers(seen: tuple[Frames, Cell]) -> None:
     frames, cell = seen
     inject(cell, "tracker_unplugged", {"on": True})
     await frames.until_quiet()
+    await frames.until_troubled()
     inject(cell, "tracker_unplugged", {"on": False})
     await frames.until(lambda frame: frame["coil"].valid)
+    assert frames.trouble == ""
 
 
 async def test_a_tracker_that_answers_nothing_stops_and_recovers(seen: tuple[Frames, Cell]) -> None:
     frames, cell = seen
     inject(cell, "tracker_absent", {"on": True})
     await frames.until_quiet()
+    await frames.until_troubled()
     inject(cell, "tracker_absent", {"on": False})
     await frames.until(lambda frame: frame["coil"].valid)
+    assert frames.trouble == ""
 
 
 async def test_a_frozen_frame_number_gives_no_valid_pose(seen: tuple[Frames, Cell]) -> None:
