@@ -254,9 +254,9 @@ class Dispatcher(Generic[C, D]):
             )
 
     async def _doubt(self, source: str) -> None:
-        """Tells everybody that a stopped robot has not confirmed that it stands, or a stimulator that it is disarmed."""
+        """Tells everybody that robot or stimulator have not confirmed that they are stopped."""
         self.in_doubt = True
-        text = "Robot or stimulator have not confirmed that they are stopped: look at them, use their own emergency stop."
+        text = "Robot or stimulator have not confirmed that they are stopped: look, and use their own emergency stop."
         event = DeviceEvent(device=source, code="hold_not_confirmed", text=text, danger=True)
         await self._tell(event)
 
