@@ -14,9 +14,11 @@ from pcmrs.cli.options import POSITIVE, OutputFile
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the experiments.
-    from pcmrs.experiment.setup import Setup, ShowProgress
+    from pcmrs.experiment.setup import Drivers, Setup, ShowProgress
 
 DEFAULT_RATE = 5.0
+REAL_TIME = 1.0
+"""Drivers of real devices know no other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +28,7 @@ class Wanted:
     workflow: str | None
     seed: int
     rate: float
+    drivers: Drivers
     plan_file: Path | None
     overrides: tuple[str, ...]
     picture: Path | None
@@ -37,7 +40,7 @@ class Wanted:
         from pcmrs.experiment.setup import Setup
 
         plan = read_plan(self.plan_file or example_plan(workflow))
-        return Setup(plan, workflow, self.seed, self.rate, self.overrides, progress)
+        return Setup(plan, workflow, self.seed, self.rate, self.drivers, self.overrides, progress)
 
 
 def experiment_options(
@@ -54,6 +57,7 @@ def experiment_options(
         @functools.wraps(function)
         def command(**given: Any) -> Any:
             shared = {field.name: given.pop(field.name) for field in fields(Wanted)}
+            shared["rate"] = _rate(shared["rate"], shared["drivers"], rate)
             return function(wanted=Wanted(**shared), **given)
 
         for option in _options(workflow, rate):
@@ -61,6 +65,14 @@ def experiment_options(
         return command
 
     return add
+
+
+def _rate(given: float | None, drivers: Drivers, default: float) -> float:
+    if drivers == "builtin":
+        return default if given is None else given
+    if given not in (None, REAL_TIME):
+        raise click.UsageError(f"--drivers virtual runs in real time: leave out --rate {given:g}.")
+    return REAL_TIME
 
 
 def _options(workflow: str | None, rate: float) -> tuple[Callable[..., Any], ...]:
@@ -83,9 +95,15 @@ def _options(workflow: str | None, rate: float) -> tuple[Callable[..., Any], ...
         click.option(
             "--rate",
             type=POSITIVE,
-            default=rate,
-            show_default=True,
+            show_default=f"{rate:g}; 1 with virtual drivers",
             help="Speed of the simulation against real time.",
+        ),
+        click.option(
+            "--drivers",
+            type=click.Choice(["builtin", "virtual"]),
+            default="builtin",
+            show_default=True,
+            help="virtual: the drivers kst and ndi, over TCP, with a virtual cabinet and tracker.",
         ),
         click.option(
             "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the simulated errors."

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from pcmrs.service import Ready
     from pcmrs.settings import Settings
 
+TCP_LINKS = ("tcp", "openigtlink")
+
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @config_options
@@ -84,7 +86,7 @@ def _text(ready: Ready) -> str:
         f"  bus            {ready.endpoint}, keys {ready.prefix}/** (list them: pcmrs keys)",
     ]
     for name, (host, port) in ready.links.items():
-        lines.append(f"  {name:<14} {'tcp' if name == 'tcp' else 'udp'} {host}:{port}")
+        lines.append(f"  {name:<14} {'tcp' if name in TCP_LINKS else 'udp'} {host}:{port}")
     lines.append(f"  journal        {ready.journal}")
     return "\n".join([*lines, "ready"])
 

@@ -144,7 +144,8 @@ class DeviceNode:
             return DeviceHealth(device=name, connected=True)
         now = self._clock.monotonic()
         if now - self._heard.get(name, self._begun) > STREAM_TIMEOUT:
-            return DeviceHealth(device=name, connected=False, text="The device sends nothing.")
+            text = self._devices[name].trouble or "The device sends nothing."
+            return DeviceHealth(device=name, connected=False, text=text)
         return DeviceHealth(device=name, connected=True) if name in self._heard else None
 
     async def _publish_frames(self, tracker: TrackerDriver) -> None:

@@ -53,10 +53,14 @@ class PoseFeed:
         clock: The cell's clock.
         max_age: Age beyond which a pose is stale, s.
         limits: Beyond which a pose is not believed.
+
+    Attributes:
+        trouble: Why the tracker sends nothing, as its node says; empty while it does. Refusals tell it.
     """
 
     def __init__(self, clock: Clock, max_age: float, limits: PoseLimits = NO_LIMITS) -> None:
         self.dropped: Counter[str] = Counter()
+        self.trouble = ""
         self._clock = clock
         self._max_age = max_age
         self._limits = limits
@@ -190,4 +194,6 @@ class PoseFeed:
 
     def _why_missing(self, bodies: Sequence[str]) -> str:
         reasons = [f"{body}: {self._last_reason[body]}" for body in bodies if body in self._last_reason]
+        if self.trouble:  # then the others are of old
+            reasons = [self.trouble.rstrip(".")]
         return f" ({', '.join(reasons)})" if reasons else ""

@@ -180,6 +180,10 @@ class Scene(Protocol):
 class RobotDriver(Robot, Protocol):
     """A robot as its node has it: the protocol plus streams of states and events, and set points without answer."""
 
+    @property
+    def trouble(self) -> str:
+        """Why it sends no states, and what to do; empty while it does."""
+
     def states(self) -> AsyncIterator[JointState]:
         """Measured joints at the driver's own rate while connected or not."""
 
@@ -199,6 +203,10 @@ class StimulatorDriver(Stimulator, Protocol):
 
 class TrackerDriver(Protocol):
     """An optical tracker as its node has it."""
+
+    @property
+    def trouble(self) -> str:
+        """Why it sends no frames, and what to do; empty while it does."""
 
     def frames(self) -> AsyncIterator[Sequence[BodyPose]]:
         """All bodies of one tracker frame, at the tracker's rate."""

@@ -34,6 +34,9 @@ T = TypeVar("T")
 ANSWER_TIME = 2.0
 """A device that is not moving answers within this, s."""
 
+CONNECTING_TIME = 15.0
+"""A robot that is not there is known not to be within this, s: longer than any driver waits for one."""
+
 CHARGING_TIME = 10.0
 """A stimulator is charged within this, s."""
 
@@ -87,7 +90,7 @@ class RemoteRobot(RemoteDevice):
         super().__init__(link, "robot", clock)
 
     async def connect(self) -> JointState:
-        return await self.call("connect", JointState)
+        return await self.call("connect", JointState, CONNECTING_TIME)
 
     async def disconnect(self) -> None:
         await self.call("disconnect", type(None))

@@ -60,7 +60,9 @@ async def private_bench(overrides: Sequence[str]) -> AsyncIterator[Bench]:
         cell = f"experiment-{os.getpid()}"
         own = [f"cell.name={cell}", f"cell.folder={folder}", f"cell.endpoint=tcp/127.0.0.1:{_free_port()}"]
         links = [f"gateway.{link}.port=0" for link in ("planner", "robot", "visualization", "mep")]
-        settings = [*own, *links, "gateway.tcp_port=0", *overrides]
+        # Where virtual devices are served, if a driver looks for them.
+        virtual = [f"kst.port={_free_port()}", f"ndi.device=127.0.0.1:{_free_port()}"]
+        settings = [*own, *links, "gateway.tcp_port=0", *virtual, *overrides]
         async with _daemon(settings, Path(folder) / "log") as ready, AsyncExitStack() as stack:
             bus = await Bus.open(BusSettings(endpoint=ready.endpoint, cell=cell))
             stack.push_async_callback(bus.close)

@@ -28,6 +28,7 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import BlueprintTag, BodyPose, DeviceEvent, DeviceHealth, JointState, Snapshot, Verdict
 from pcmrs.service.core import GatewayCore
+from pcmrs.service.health import HealthWatch
 from pcmrs.service.hearing import Hearing, awaited
 from pcmrs.service.nodes import NodeProcesses
 from pcmrs.service.publishing import Publishing, answer_queries
@@ -129,7 +130,7 @@ class Daemon:
     async def _start_devices(
         self, stack: AsyncExitStack, bus: Bus, cell: Cell, dispatcher: Dispatcher[Cell, PlacementData]
     ) -> None:
-        """Starts the nodes, and waits until robot and tracker have been heard, where they are needed."""
+        """Starts the nodes, and waits until their devices have been heard, or are known to be absent."""
 
         def connected() -> bool:
             return dispatcher.procedure.joint().get("robot") == "1"
@@ -156,12 +157,7 @@ class Daemon:
         bus.subscribe("state/pose/*", BodyPose, take_pose)
         bus.subscribe("state/joints", JointState, take_joints)
 
-        def take_health(_key: str, health: DeviceHealth) -> None:
-            if not health.connected and not hearing.complete:
-                log.warning("device_not_connected", device=health.device, reason=health.text)
-                hearing.hear(health.device)
-
-        bus.subscribe("dev/*/state", DeviceHealth, take_health)
+        bus.subscribe("dev/*/state", DeviceHealth, HealthWatch(hearing, cell.poses).take)
         bus.subscribe("dev/*/event", DeviceEvent, lambda _, event: dispatcher.report_later(event))
         nodes = NodeProcesses(self._settings, lose)
         stack.push_async_callback(nodes.stop)

@@ -1,4 +1,4 @@
-"""Waiting at the start until robot and tracker have been heard, or are known to be absent."""
+"""Waiting at the start until all devices have been heard, or are known to be absent."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ NEEDED_BY = {"robot": "robot", "tracker": "registration"}
 
 
 def awaited(settings: Settings, branches: Collection[str]) -> set[str]:
-    """Robot and tracker, as far as a daemon starts them itself or the workflow needs them.
+    """The devices that a daemon starts itself, and robot and tracker where the workflow needs them.
 
-    Others, as pointer and scene, are not waited for: they say nothing before they are asked.
+    All of them, for the node of one may serve what that of another connects to.
     """
     here = {device for devices in settings.drivers().values() for device in devices}
-    return {device for device, branch in NEEDED_BY.items() if device in here or branch in branches}
+    return here | {device for device, branch in NEEDED_BY.items() if branch in branches}
 
 
 class Hearing:

@@ -348,6 +348,8 @@ async def test_the_node_beats_for_every_device(bench: Bench) -> None:
         assert len(numbers) >= 1.0 / BEAT_PERIOD
     devices = ("robot", "tracker", "pointer", "scene")
     health = {device: bench.link.published[f"dev/{device}/state"][-1].connected for device in devices}
+    why = {device: bench.link.published[f"dev/{device}/state"][-1].text for device in ("robot", "tracker")}
+    assert why == {"robot": "The device sends nothing.", "tracker": "The tracker is unplugged."}
     assert health == {"robot": False, "tracker": False, "pointer": True, "scene": True}, "two have sent nothing yet"
     bench.robot_device.stream.put_nowait(JointState(captured=1, sent=1, positions=[], velocities=[], torques=[]))
     await bench.clock.advance(1.0)

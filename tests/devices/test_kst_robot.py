@@ -15,7 +15,7 @@ from kst_peer import HOME, Peer, line, served
 
 from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers.kst import open_devices
-from pcmrs.devices.kst.drive import STALLED
+from pcmrs.devices.kst.drive import LATE, STALLED
 from pcmrs.devices.kst.force import TorqueForce
 from pcmrs.devices.protocols import OpenDriver, RobotDriver
 from pcmrs.errors import (
@@ -402,17 +402,19 @@ async def test_a_session_does_not_outlive_its_connection(lab: Lab) -> None:
         await lab.robot.end_servo(session)
 
 
-async def test_a_stream_that_was_held_up_is_braked() -> None:
+async def test_a_stream_that_was_held_up_ends_where_the_arm_has_stopped_meanwhile() -> None:
     async with laboratory(reply_timeout=2.0) as lab:
         await lab.robot.connect()
         following = asyncio.create_task(lab.robot.follow(smooth(START, START + 0.5, 2.0)))
         await lab.moving()
+        sent = lab.robot._drive.follower.reference.position.copy()  # the last one, on its way or there
         time.sleep(STALLED + 0.05)  # noqa: ASYNC251 - the process itself hangs
         result = await following
         assert (result.outcome, result.reason) == ("stopped", "stalled")
         assert [(event.code, event.danger) for event in lab.events] == [("stalled", True)]
         points = np.array([point for point, _ in lab.peer.set_points()])
-        assert np.abs(np.diff(points, axis=0)).max() < 0.02, "it does not leap after what it missed"
+        np.testing.assert_allclose(points[-1], sent, atol=1e-5, err_msg="not one step more")
+        assert np.abs(points - START).max() == pytest.approx(np.abs(sent - START).max(), abs=1e-5)
 
 
 async def test_a_cabinet_that_comes_to_rest_later_than_its_arm_is_waited_for(lab: Lab) -> None:
@@ -425,3 +427,45 @@ async def test_a_cabinet_that_comes_to_rest_later_than_its_arm_is_waited_for(lab
     del lab.peer.answers["Torques_ext_J"]
     assert (await following).outcome == "done"
     assert lab.events == []
+
+
+async def test_a_motion_waits_for_a_cabinet_that_is_late() -> None:
+    async with laboratory(reply_timeout=2.0) as lab:
+        await lab.robot.connect()
+        following = asyncio.create_task(lab.robot.follow(smooth(START, START + 0.2, 1.0)))
+        await lab.moving()
+        owed = await be_silent(lab)
+        waiting = np.array(lab.peer.joints)
+        assert waiting.max() - START.max() < 0.19, "the motion does not go on without the arm"
+        await asyncio.sleep(0.1)
+        assert np.array_equal(lab.peer.joints, waiting)
+        lab.peer.answers.clear()
+        lab.peer.say(line(list(waiting)) if owed == "jpJP" else line([0.0] * 7))
+        assert (await following).outcome == "done"
+        assert np.allclose(lab.peer.joints, START + 0.2, atol=1e-5)
+        assert lab.events == []
+
+
+async def test_hold_does_not_wait_for_a_cabinet_that_is_late() -> None:
+    async with laboratory(reply_timeout=2.0) as lab:
+        await lab.robot.connect()
+        following = asyncio.create_task(lab.robot.follow(smooth(START, START + 0.2, 1.0)))
+        await lab.moving()
+        await be_silent(lab)
+        sent = len(lab.peer.set_points())
+        holding = asyncio.create_task(lab.robot.hold())
+        await lab.when(lambda: len(lab.peer.set_points()) > sent + 5)
+        lab.peer.close()
+        for ended in (following, holding):
+            with pytest.raises(UnknownOutcomeError):
+                await ended
+
+
+async def be_silent(lab: Lab) -> str:
+    """The cabinet answers nothing any more; returns once no set point comes, with what it still owes a reply."""
+    lab.peer.answers |= {"jpJP": None, "jpExT": None}
+    heard = -1
+    while len(lab.peer.heard) > heard:
+        heard = len(lab.peer.heard)
+        await asyncio.sleep(2 * LATE)
+    return next(name for text in reversed(lab.peer.lines) if (name := text.partition("_")[0]) in lab.peer.answers)

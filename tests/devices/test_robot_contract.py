@@ -44,6 +44,7 @@ async def test_nothing_moves_before_it_is_connected(driver: str) -> None:
                 await call()
         assert np.allclose((await lab.robot.connect()).positions, HOME, atol=1e-4)
         assert np.allclose((await lab.robot.connect()).positions, HOME, atol=1e-4), "once more does no harm"
+        assert lab.robot.trouble == ""
 
 
 async def test_a_trajectory_is_followed_to_its_end(lab: Bench) -> None:

@@ -19,7 +19,15 @@ from pcmrs.experiment.setup import Setup
 
 def setups(*overrides: str, seed: int = 1) -> list[Setup]:
     return [
-        Setup(read_plan(example_plan(workflow)), workflow, seed, 1.0, overrides, lambda _text, _done, _total: None)
+        Setup(
+            read_plan(example_plan(workflow)),
+            workflow,
+            seed,
+            1.0,
+            "builtin",
+            overrides,
+            lambda _text, _done, _total: None,
+        )
         for workflow in PUBLISHED
     ]
 

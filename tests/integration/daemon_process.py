@@ -137,6 +137,18 @@ def own_settings(folder: Path) -> list[str]:
     ]
 
 
+def virtual_drivers() -> list[str]:
+    """Settings by which robot and tracker are driven as real ones are; the simulated cell serves virtual ones."""
+    cabinet, tracker = free_port(), free_port()
+    return [
+        "cell.rate=1",
+        "robot.driver=kst",
+        f"kst.port={cabinet}",
+        "tracker.driver=ndi",
+        f"ndi.device=127.0.0.1:{tracker}",
+    ]
+
+
 def as_words(settings: Sequence[str]) -> list[str]:
     """The settings as words of a command line."""
     return [word for setting in settings for word in ("--set", setting)]
@@ -151,7 +163,7 @@ def running_daemon(settings: Sequence[str], folder: Path) -> Iterator[ServeProce
     nodes: list[int] = []
     try:
         assert process.stdout is not None
-        line = _first_line(process.stdout)
+        line = first_line(process.stdout)
         assert line, f"the daemon did not start: {(folder / 'log').read_text()}"
         nodes = _children(process.pid)
         yield ServeProcess(process, msgspec.json.decode(line, type=Ready), settings, folder)
@@ -209,7 +221,8 @@ def _children(pid: int) -> list[int]:
     return [int(child) for task in tasks for child in task.read_text().split()]
 
 
-def _first_line(stream: IO[bytes]) -> bytes:
+def first_line(stream: IO[bytes]) -> bytes:
+    """The line with which a process says that it is ready; empty when it does not in time."""
     os.set_blocking(stream.fileno(), False)
     read = b""
 

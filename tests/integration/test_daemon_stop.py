@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
-from daemon_process import SLOW, ServeProcess, own_settings, running_daemon
+import pytest
+from daemon_process import SLOW, ServeProcess, own_settings, running_daemon, virtual_drivers
 from driving import accepted, approaching, stands_still
 
 from pcmrs.client import Client
@@ -32,8 +33,11 @@ async def stop_by_command_line(daemon: ServeProcess, client: Client) -> None:
     assert ended.returncode == 0, ended.stderr
 
 
-async def test_stop_from_every_edge_holds_a_moving_arm_and_latches(tmp_path: Path) -> None:
-    with running_daemon([*own_settings(tmp_path), *SLOW], tmp_path) as daemon:
+@pytest.mark.parametrize("drivers", [list, pytest.param(virtual_drivers, marks=pytest.mark.slow)])
+async def test_stop_from_every_edge_holds_a_moving_arm_and_latches(
+    tmp_path: Path, drivers: Callable[[], list[str]]
+) -> None:
+    with running_daemon([*own_settings(tmp_path), *SLOW, *drivers()], tmp_path) as daemon:
         async with daemon.client() as client:
             for stop in (stop_by_udp, stop_by_query, stop_by_put, stop_by_command_line):
                 await _stop_and_recover(daemon, client, stop)

@@ -11,17 +11,20 @@ from pcmrs.errors import DeviceError
 from pcmrs.service.hearing import DEVICES_TIME, Hearing, awaited
 from pcmrs.settings import DeviceSettings, RobotSettings, Settings
 
+OTHERS = {"pointer", "scene", "stimulator", "emg"}
+NOWHERE = DeviceSettings(driver="none")
 ELSEWHERE = Settings(robot=RobotSettings(driver="none"), tracker=DeviceSettings(driver="none"))
 
 
 @pytest.mark.parametrize(
     ("settings", "branches", "devices"),
     [
-        (Settings(), ["lamp"], {"robot", "tracker"}),
-        (ELSEWHERE, ["lamp"], set()),
-        (ELSEWHERE, ["robot"], {"robot"}),
-        (ELSEWHERE, ["registration", "lamp"], {"tracker"}),
-        (Settings(robot=RobotSettings(driver="none")), ["registration"], {"tracker"}),
+        (Settings(), ["lamp"], {"robot", "tracker"} | OTHERS),
+        (ELSEWHERE, ["lamp"], OTHERS),
+        (ELSEWHERE, ["robot"], {"robot"} | OTHERS),
+        (ELSEWHERE, ["registration", "lamp"], {"tracker"} | OTHERS),
+        (Settings(robot=RobotSettings(driver="none")), ["registration"], {"tracker"} | OTHERS),
+        (Settings(scene=NOWHERE, emg=NOWHERE), ["lamp"], {"robot", "tracker", "pointer", "stimulator"}),
     ],
 )
 def test_what_is_started_here_or_needed_by_the_workflow_is_waited_for(

@@ -44,6 +44,7 @@ __all__ = ["KstRobot", "KstSettings", "open_devices"]
 
 END_TIMEOUT = 2.0
 """An arm stands still so long after it was told to hold, s."""
+ONE_CLIENT = "It accepts several clients and answers one: see that no other is connected."
 NOT_CONNECTED = "The robot is not connected; connect it first."
 
 log = structlog.get_logger(__name__)
@@ -80,7 +81,10 @@ class KstRobot:
 
     async def connect(self) -> JointState:
         async with self._connecting:
-            drive = self._drive or await self._open()
+            if (drive := self._drive) is None:
+                drive = await self._open()
+            else:
+                await drive.rest()  # seen anew: the newest reading may be of before this process was held up
         return drive.state
 
     async def disconnect(self) -> None:
@@ -156,16 +160,29 @@ class KstRobot:
         cabinet = await Cabinet.open(own.host, own.port, self._clock, own.connect_timeout, own.reply_timeout)
         try:
             posture = await cabinet.joints()
-        except BaseException:
+        except BaseException as error:
             cabinet.end()
+            if isinstance(error, UnknownOutcomeError):
+                raise UnknownOutcomeError(f"{error.text} {ONE_CLIENT}", **error.fields) from None
             raise
         drive = Drive(
             cabinet, posture, own, self._model, self._force, self._clock, self._states.publish, self._events.publish
         )
         self._drive, self._lost, self.sessions.servo = drive, None, None
         self._driving = asyncio.create_task(self._run(drive), name="KST drive")
-        await drive.rest()  # until it has been read once
+        try:
+            await drive.rest()  # until it has been read once
+        except BaseException:
+            await self._abandon(drive)
+            raise
         return drive
+
+    async def _abandon(self, drive: Drive) -> None:
+        """Who was told that the connection failed has none."""
+        if self._drive is drive:
+            self._drive = None
+            await self._stop_driving()
+            await drive.end()
 
     async def _run(self, drive: Drive) -> None:
         try:

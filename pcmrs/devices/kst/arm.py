@@ -27,7 +27,7 @@ class MeasuredArm:
     Args:
         model: The arm.
         tool_axis: Unit vector of the tool's +z in the flange's axes, (3,).
-        step: Time between set points, s.
+        step: Time between set points of a stream that is not held up, s.
 
     Attributes:
         force: On the flange.
@@ -40,7 +40,8 @@ class MeasuredArm:
         self.force = TorqueForce(model, tool_axis)
         self.positions = self.velocities = self._torques = np.zeros(model.joints)
         self.captured = -np.inf
-        self._told: deque[Floats] = deque(maxlen=round(LAG / step))
+        self._lag = round(LAG / step)
+        self._told: deque[tuple[float, Floats]] = deque()
 
     def take_joints(self, positions: Floats, captured: float) -> None:
         """A reading of the joints, rad, (n,), that was asked for at `captured`."""
@@ -48,25 +49,30 @@ class MeasuredArm:
         if np.isfinite(elapsed):
             self.velocities = (positions - self.positions) / elapsed
         self.positions, self.captured = positions, captured
+        while len(self._told) > self._lag and self._told[self._lag][0] <= captured:
+            self._told.popleft()  # not by their age: an arm is no farther behind when its stream was held up
 
     def take_torques(self, torques: Floats) -> None:
         """A reading of the external torques, N m, (n,)."""
         self._torques = torques
         self.force.update(self.positions, torques)
 
-    def told(self, positions: Floats) -> None:
-        """A set point was sent, rad, (n,)."""
-        self._told.append(positions)
+    def told(self, positions: Floats, time: float) -> None:
+        """A set point was sent at `time`, rad, (n,)."""
+        self._told.append((time, positions))
 
     def begin(self) -> None:
         """It is told to stay where it is, before a stream."""
         self._told.clear()
-        self.told(self.positions)
+        self.told(self.positions, self.captured)
 
     @property
     def deviation(self) -> float:
-        """How far the worst joint is from all it was lately told, rad."""
-        told = np.array(self._told)
+        """How far the worst joint is from all it was told, from a little before the question until now, rad.
+
+        When between question and answer the joints were measured is not known.
+        """
+        told = np.array([positions for _, positions in self._told])
         return float(np.maximum(told.min(axis=0) - self.positions, self.positions - told.max(axis=0)).max())
 
     def at_rest(self, target: Floats, ended: float) -> bool:

@@ -27,8 +27,10 @@ READINGS_HZ = 100.0
 """Of an arm that moves: half of them its joints, half its torques."""
 CATCH_UP = 0.02
 """A stream that is later than this loses time, and the motion takes longer: set points never come in a burst, s."""
+LATE = 0.1
+"""While a reply is outstanding for longer, the motion waits: the arm is not sent ahead of what it says of itself, s."""
 STALLED = 0.3
-"""A stream that has paused for so long is braked, s."""
+"""A stream that has paused for so long ends where it is, s."""
 
 Waiting = list[asyncio.Future[None]]
 
@@ -189,19 +191,36 @@ class Drive:
 
     async def _tick_until_rest(self) -> None:
         due, number = self._clock.monotonic(), 0
+        ticked = due
         every = max(1, round(self._settings.rate_hz / READINGS_HZ))
         while not self._at_rest() or self._reply is not None:
             self._cabinet.check()
             self._hear()
-            self._send(ask=number % every == 0)
-            number += 1
+            ticked = self._stand_if_stalled(ticked)
+            if not self._waits():
+                self._send(ask=number % every == 0)
+                number += 1
             due = await self._until(due + self._step)
+
+    def _waits(self) -> bool:
+        """Whether the cabinet is late; who brakes does not wait for it."""
+        late = self._reply is not None and self._clock.monotonic() - self._asked > LATE
+        return late and self.follower.stopped is None
+
+    def _stand_if_stalled(self, ticked: float) -> float:
+        """Leaves the arm where it is when this process was held up since `ticked`; returns the present time, s.
+
+        It has stopped long ago: to brake from the speed that it had then would move it once more.
+        """
+        now = self._clock.monotonic()
+        if now - ticked > STALLED:
+            self.follower.stand(self.follower.reference.position.copy(), "stalled")
+            self._alarm("stalled", f"stands: its stream was held up for {now - ticked:.2f} s")
+        return now
 
     async def _until(self, due: float) -> float:
         """Waits for the next moment of the stream, and returns it; it is another one when that has long passed."""
         now = self._clock.monotonic()
-        if now - due > STALLED:
-            self._hold("stalled", f"its stream was held up for {now - due:.2f} s")
         if now - due > CATCH_UP:
             due = now
         await self._clock.sleep(due - now)
@@ -211,10 +230,11 @@ class Drive:
         target = self.follower.advance()[0].copy()
         while self.follower.alarms:
             self._report(self.follower.alarms.popleft())
-        self.arm.told(target)
+        now = self._clock.monotonic()
+        self.arm.told(target, now)
         if ask and self._reply is None:
             stream, self._take = next(self._asks)
-            self._asked = self._clock.monotonic()
+            self._asked = now
             self._reply = stream(target)
         else:
             self._cabinet.stream(target)
@@ -230,13 +250,14 @@ class Drive:
         deviation, limit = self.arm.deviation, self._settings.pose_limit
         if deviation > limit and not self._deviated:
             self._deviated = True
-            self._hold("pose_differs", f"a joint is {deviation:.3f} rad from where it was told to be, limit {limit:g}")
+            self.follower.hold("pose_differs")
+            far = f"a joint is {deviation:.3f} rad from where it was told to be, limit {limit:g}"
+            self._alarm("pose_differs", f"brakes: {far}")
         self._publish(self.state)
 
-    def _hold(self, reason: str, text: str) -> None:
-        self.follower.hold(reason)
-        text = f"The robot brakes: {text}. Look at the arm before going on."
-        self._report(DeviceEvent(device="robot", code=reason, text=text, danger=True))
+    def _alarm(self, code: str, text: str) -> None:
+        text = f"The robot {text}. Look at the arm before going on."
+        self._report(DeviceEvent(device="robot", code=code, text=text, danger=True))
 
     def _at_rest(self) -> bool:
         reference = self.follower.reference

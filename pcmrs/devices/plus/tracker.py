@@ -38,6 +38,9 @@ class PlusTracker:
         names: Body to the name of its transform into the tracker's frame.
         latency: From exposure to arrival where the server's clock does not agree with ours, s.
         clock: Stamps the frames.
+
+    Attributes:
+        trouble: Why there are no frames; empty while there are.
     """
 
     def __init__(self, host: str, port: int, names: Mapping[str, str], latency: float, clock: Clock) -> None:
@@ -46,6 +49,7 @@ class PlusTracker:
         self._frames = Frames({name: body for body, name in names.items()}, latency)
         self._stream: Stream[Sequence[BodyPose]] = Stream()
         self._next_log = self._last_frame = clock.monotonic()
+        self.trouble = f"The PLUS server at {host}:{port} has not been reached yet."
 
     def frames(self) -> AsyncIterator[Sequence[BodyPose]]:
         return self._stream.read()
@@ -105,14 +109,16 @@ class PlusTracker:
         now = self._clock.monotonic()
         for frame in frames:
             self._last_frame = now
+            self.trouble = ""
             self._stream.publish(frame)
         if now - self._last_frame > SILENCE:
             raise ConnectionAbortedError("its stamps do not advance, or it sends no transform that plus.names has")
 
     def _complain(self, why: str) -> None:
-        """Says what is wrong, at most once per `LOG_PERIOD`."""
+        """Keeps what is wrong, and logs it at most once per `LOG_PERIOD`."""
+        do = "Start PlusServer, or set plus.host and plus.port."
+        self.trouble = f"The PLUS server at {self._host}:{self._port}: {why}. {do}"
         now = self._clock.monotonic()
         if now >= self._next_log:
             self._next_log = now + LOG_PERIOD
-            do = "Start PlusServer, or set plus.host and plus.port."
             log.warning("plus_server", server=f"{self._host}:{self._port}", reason=why, do=do)

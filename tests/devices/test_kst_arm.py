@@ -1,0 +1,54 @@
+"""What is known of an arm behind a cabinet: readings are as old as their questions, at the most."""
+
+import numpy as np
+import pytest
+
+from pcmrs.devices.kst.arm import LAG, MeasuredArm
+from pcmrs.kinematics.arms import ARMS
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.spatial import Floats
+
+HOME = np.array(ARMS["iiwa14"].home)
+STEP = 0.005
+
+
+def streamed(speed: float, until: float) -> MeasuredArm:
+    """An arm that stood at home and was told, from 0 s on, to go at `speed`, rad/s."""
+    arm = MeasuredArm(ArmModel(ARMS["iiwa14"]), np.array([0.0, 0.0, -1.0]), STEP)
+    arm.take_joints(HOME, 0.0)
+    arm.begin()
+    for time in np.arange(STEP, until + STEP / 2, STEP):
+        arm.told(told_at(speed, time), time)
+    return arm
+
+
+def told_at(speed: float, time: float) -> Floats:
+    return HOME + speed * time
+
+
+def test_an_answer_may_be_as_old_as_its_question() -> None:
+    arm = streamed(speed=1.0, until=0.6)
+    arm.take_joints(told_at(1.0, 0.1), captured=0.1)
+    assert arm.deviation < 1e-9
+
+
+def test_an_arm_that_lags_more_than_it_may_deviates() -> None:
+    arm = streamed(speed=1.0, until=0.6)
+    arm.take_joints(told_at(1.0, 0.6 - LAG), captured=0.6)
+    assert arm.deviation < STEP + 1e-9
+    arm = streamed(speed=1.0, until=0.6)
+    arm.take_joints(told_at(1.0, 0.3 - LAG), captured=0.6)
+    assert arm.deviation == pytest.approx(0.3, abs=2 * STEP)
+
+
+def test_a_stream_that_was_held_up_does_not_put_an_arm_farther_behind() -> None:
+    arm = streamed(speed=1.0, until=0.6)
+    arm.told(told_at(1.0, 0.6 + STEP), 1.6)
+    arm.take_joints(told_at(1.0, 0.5), captured=1.7)
+    assert arm.deviation < 1e-9
+
+
+def test_an_arm_beside_its_way_deviates_however_slow_the_answer() -> None:
+    arm = streamed(speed=0.0, until=0.6)
+    arm.take_joints(HOME + 0.03, captured=0.01)
+    assert arm.deviation == pytest.approx(0.03)
