@@ -58,7 +58,7 @@ def parse_fault(line: str) -> tuple[str, dict[str, Any]]:
     name, *words = line.split()
     fault = find_fault(name)
     if len(words) > len(fault.arguments):
-        raise DeviceError(f"{line!r} has {len(words)} arguments; write: {_usage(fault)}.", fault=name)
+        raise DeviceError(f"{line.strip()!r} has {len(words)} arguments; write: {_usage(fault)}.", fault=name)
     return name, dict(zip(fault.arguments, map(_value, words), strict=False))
 
 

@@ -10,7 +10,8 @@ import msgspec
 from rich.console import RenderableType
 
 from pcmrs.cli.experiment_options import Wanted, experiment_options
-from pcmrs.cli.options import Finite, json_option, plot_option
+from pcmrs.cli.number import Finite
+from pcmrs.cli.options import json_option, plot_option
 from pcmrs.cli.printing import print_report, save_svg
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pcmrs.cli.options import POSITIVE, OutputFile
+from pcmrs.cli.number import POSITIVE
+from pcmrs.cli.options import OutputFile
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the experiments.

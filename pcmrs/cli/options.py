@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 import os
 from collections.abc import AsyncIterator, Callable, Collection
 from contextlib import asynccontextmanager
@@ -75,20 +74,6 @@ def config_options(function: F) -> F:
     ):
         function = option(function)
     return function
-
-
-class Finite(click.FloatRange):
-    """A number within a range; nan would pass any."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The number, or a usage error."""
-        number = super().convert(value, param, ctx)
-        if not math.isfinite(number):
-            self.fail(f"{value} is not finite; give a number.", param, ctx)
-        return number
-
-
-POSITIVE = Finite(0.0, min_open=True)
 
 
 class OutputFile(click.Path):

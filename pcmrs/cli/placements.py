@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcmrs.cli.options import Finite, json_option, plot_option
+from pcmrs.cli.number import Finite
+from pcmrs.cli.options import json_option, plot_option
 from pcmrs.cli.printing import print_report
 from pcmrs.cli.running import readable_errors
 

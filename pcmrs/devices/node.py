@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 from collections.abc import Awaitable, Callable, Mapping
+from math import inf
 from typing import Any, get_type_hints
 
 import msgspec
@@ -22,7 +23,7 @@ from pcmrs.devices.protocols import (
     StimulatorDriver,
     TrackerDriver,
 )
-from pcmrs.errors import PayloadError, PcmrsError
+from pcmrs.errors import DeviceError, PayloadError, PcmrsError
 from pcmrs.messages import Beat, DeviceHealth, DeviceReply, DeviceRequest, JointSetpoint, Reason, StimulatorState
 
 log = structlog.get_logger(__name__)
@@ -43,6 +44,9 @@ STREAM_TIMEOUT = 1.0
 
 BEAT_PERIOD = 0.05
 """Seconds of the machine between heartbeats."""
+
+DAEMON_BEAT = "dev/daemon/beat"
+"""Key of the daemon's heartbeats: one on which no device node beats, for another node may outlive the daemon."""
 
 BEAT_TIMEOUT = 0.5
 """Without a heartbeat of the daemon for so long, s of the machine, a robot in motion is held and an armed stimulator
@@ -67,7 +71,8 @@ class DeviceNode:
         self._clock = clock
         self._last_beat = clock.monotonic()
         self._moving = False
-        self._begun = self._last_beat
+        self._begun = self._awake = self._last_beat
+        self._held_up = -inf
         self._heard: dict[str, float] = {}
         self._holds: set[asyncio.Task[None]] = set()
 
@@ -81,7 +86,7 @@ class DeviceNode:
             if "tracker" in self._devices:
                 tasks.create_task(self._publish_frames(self._devices["tracker"]))
             if "robot" in self._devices or "stimulator" in self._devices:
-                self._link.subscribe("dev/robot/beat", Beat, self._hear_beat)
+                self._link.subscribe(DAEMON_BEAT, Beat, self._hear_beat)
                 tasks.create_task(self._watch_beat())
             if "robot" in self._devices:
                 robot: RobotDriver = self._devices["robot"]
@@ -121,6 +126,8 @@ class DeviceNode:
 
         async def answer(_key: str, request: DeviceRequest) -> DeviceReply:
             try:
+                if (name, request.method) == ("stimulator", "fire"):
+                    self._check_not_held_up()
                 result = await _call(device, methods, request)
             except PcmrsError as error:
                 return DeviceReply(failure=Reason(code=error.code, text=error.text, fields=error.fields))
@@ -137,6 +144,19 @@ class DeviceNode:
                 if number % 20 == 1 and (health := self._health(name)) is not None:
                     self._link.publish(f"dev/{name}/state", health)
             await self._clock.sleep(BEAT_PERIOD)
+            self._wake_up()
+
+    def _wake_up(self) -> None:
+        now = self._clock.monotonic()
+        if now - self._awake > BEAT_TIMEOUT:
+            self._held_up = now
+        self._awake = now
+
+    def _check_not_held_up(self) -> None:
+        """Refuses a pulse that may have waited here: coil and head were looked at before, not now."""
+        self._wake_up()
+        if self._awake - self._held_up < BEAT_TIMEOUT:
+            raise DeviceError("No pulse was given: the stimulator's node was held up just before. Fire again.")
 
     def _health(self, name: str) -> DeviceHealth | None:
         """None while it is too early to say."""

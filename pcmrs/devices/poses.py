@@ -166,8 +166,7 @@ class PoseFeed:
         silence, self._arrivals[pose.body] = now - self._arrivals.get(pose.body, now), now
         known = self._sightings.get(pose.body)
         if known and pose.frame_number < known[-1].frame_number and silence > RESTART_TIME:
-            self._jumps.forget(pose.body)
-            known.clear()  # the tracker was restarted and counts anew; a frozen one repeats its number
+            self._forget()  # the tracker was restarted and counts anew; a frozen one repeats its number
         if known and pose.frame_number <= known[-1].frame_number:
             return None, "frame_not_advancing"
         if known and pose.captured <= known[-1].exposed:
@@ -180,6 +179,12 @@ class PoseFeed:
         if doubt:
             return None, doubt
         return Sighting(pose.frame_number, pose.captured, self._clock.monotonic() - age, tracker_from_body), ""
+
+    def _forget(self) -> None:
+        """Of every body: a number of before would name another frame now."""
+        for body, sightings in self._sightings.items():
+            self._jumps.forget(body)
+            sightings.clear()
 
     def _newest(self, body: str) -> Sighting:
         known = self._sightings.get(body)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 
 from pcmrs.clock import Clock
+from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.messages import Beat, DeviceEvent
 
 PERIOD = 0.05
@@ -50,7 +51,7 @@ class RobotWatch:
         while True:
             number += 1
             if not self._in_doubt():
-                self._publish("dev/robot/beat", Beat(number=number))
+                self._publish(DAEMON_BEAT, Beat(number=number))
             silence = self._clock.monotonic() - self._heard
             if silence > SILENCE and self._connected():
                 await self.lose(f"The robot has not reported its joints for {silence:.1f} s.")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pcmrs.cli.number import POSITIVE
 from pcmrs.cli.running import readable_errors, run
 from sim.cli.options import host_option, world_options
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 PORT = click.IntRange(0, 65535)
 accept_option = click.option(
     "--accept-timeout",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=POSITIVE,
     default=60.0,
     show_default=True,
     metavar="S",

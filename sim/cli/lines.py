@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import math
+import signal
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import cast
 
@@ -59,11 +62,18 @@ def read_schedule(file: Path) -> Schedule:
             try:
                 time, _, action = line.partition(" ")
                 check_line(action)
-                found.append((float(time), action))
+                found.append((_seconds(time), action))
             except (PcmrsError, ValueError, IndexError) as error:
                 reason = error.text if isinstance(error, PcmrsError) else "write: seconds, then a fault"
                 raise ConfigurationError(f"{file}, line {number}: {reason}", file=str(file), line=number) from None
     return sorted(found)
+
+
+def _seconds(word: str) -> float:
+    seconds = float(word)
+    if not 0.0 <= seconds < math.inf:
+        raise ConfigurationError(f"the time is {word}; it must be 0 s or later from the start")
+    return seconds
 
 
 async def follow_schedule(cell: Cell, schedule: Schedule) -> None:
@@ -97,12 +107,12 @@ def _read_in_thread(take: Callable[[str], object]) -> None:
     """Standard input may be a terminal, a pipe or a file, and only a thread can wait for all of them."""
 
     def read() -> None:
-        for line in sys.stdin:
-            try:
+        with suppress(RuntimeError, OSError):  # the loop has ended; the terminal listens to somebody else
+            for line in sys.stdin:
                 take(line)
-            except RuntimeError:  # the loop has ended
-                return
 
+    # In the background of a shell ("pcmrs-sim cell &") reading from the terminal would stop the whole process.
+    signal.signal(signal.SIGTTIN, signal.SIG_IGN)
     threading.Thread(target=read, name="standard input", daemon=True).start()
 
 

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
+from pcmrs.cli.number import Finite
 from pcmrs.config import overlaid, set_values
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -32,7 +33,7 @@ def world_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
     for option in (
         click.option("--json", "as_json", is_flag=True, help="Say where it listens as one line of JSON."),
-        click.option("--duration", type=click.FloatRange(min=0.0), metavar="S", help="End after so many seconds."),
+        click.option("--duration", type=Finite(min=0.0), metavar="S", help="End after so many seconds."),
         click.option(
             "--schedule",
             type=click.Path(exists=True, dir_okay=False, path_type=Path),

@@ -78,8 +78,10 @@ def _read_lines(tell: Callable[[str], None]) -> None:
             click.echo(error.text, err=True)
 
     def read() -> None:
-        with suppress(RuntimeError):  # the loop has ended
+        with suppress(RuntimeError, OSError):  # the loop has ended; the terminal listens to somebody else
             for line in filter(str.strip, sys.stdin):
                 loop.call_soon_threadsafe(take, line)
 
+    # In the background of a shell ("pcmrs-sim muscle &") reading from the terminal would stop the whole process.
+    signal.signal(signal.SIGTTIN, signal.SIG_IGN)
     threading.Thread(target=read, daemon=True, name="standard input").start()

@@ -12,7 +12,7 @@ import pytest
 from clock import ManualClock, settle
 from memory_link import MemoryLink
 
-from pcmrs.devices.node import BEAT_PERIOD, BEAT_TIMEOUT, DeviceNode
+from pcmrs.devices.node import BEAT_PERIOD, BEAT_TIMEOUT, DAEMON_BEAT, DeviceNode
 from pcmrs.devices.remote import ANSWER_TIME, MOTION_MARGIN, RemotePointer, RemoteRobot, RemoteScene
 from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.messages import (
@@ -362,7 +362,7 @@ async def test_a_moving_robot_is_held_when_the_daemon_falls_silent(bench: Bench)
     )
     bench.robot_device.stream.put_nowait(moving)
     for number in range(20):
-        bench.link.hear("dev/robot/beat", Beat(number=number))
+        bench.link.hear(DAEMON_BEAT, Beat(number=number))
         await bench.clock.advance(0.1)
     assert bench.robot_device.holds == 0
     await bench.clock.advance(BEAT_TIMEOUT + 2 * BEAT_PERIOD)
@@ -371,11 +371,11 @@ async def test_a_moving_robot_is_held_when_the_daemon_falls_silent(bench: Bench)
 
 async def test_a_node_that_was_held_up_itself_hears_first_what_has_arrived(bench: Bench) -> None:
     bench.robot_device.stream.put_nowait(msgspec.structs.replace(STATE, moving=True))
-    bench.link.hear("dev/robot/beat", Beat(number=1))
+    bench.link.hear(DAEMON_BEAT, Beat(number=1))
     await bench.clock.advance(0.1)
     bench.clock.stall(2 * BEAT_TIMEOUT)
     await bench.clock.advance(BEAT_PERIOD / 2)
-    bench.link.hear("dev/robot/beat", Beat(number=2))
+    bench.link.hear(DAEMON_BEAT, Beat(number=2))
     await bench.clock.advance(2 * BEAT_PERIOD)
     assert bench.robot_device.holds == 0
     for _ in range(2):  # held up all the time, it does not wait for ever

@@ -364,6 +364,40 @@ async def test_disconnection_brakes_and_ends_the_application(lab: Lab) -> None:
     assert lab.events == []
 
 
+async def test_a_connection_that_is_asked_for_while_the_arm_brakes_waits_for_its_rest(lab: Lab) -> None:
+    following = asyncio.create_task(lab.robot.follow(smooth(START, START + 0.5, 2.0)))
+    await lab.moving()
+    disconnecting = asyncio.create_task(lab.robot.disconnect())
+    await asyncio.sleep(0)
+    await lab.robot.connect()
+    await disconnecting
+    result = await following
+    assert (result.outcome, result.reason) == ("stopped", "held")
+    assert lab.peer.lines.index("stopDirectServoJoints") < lab.peer.lines.index("end")
+    assert lab.peer.clients == 2
+
+
+async def test_a_disconnection_during_a_connection_is_the_last_word() -> None:
+    async with laboratory() as lab:
+        connecting = asyncio.create_task(lab.robot.connect())
+        await asyncio.sleep(0)
+        await lab.robot.disconnect()
+        await connecting
+        with pytest.raises(DeviceError, match="not connected"):
+            await lab.robot.joints()
+
+
+async def test_a_defect_of_the_driver_frees_the_cabinet_for_the_next_connection(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: Any) -> None:
+        raise ValueError("a defect")
+
+    monkeypatch.setattr(lab.robot._drive.arm, "take_joints", fail)
+    await lab.when(lambda: lab.peer.lines[-1] == "end")
+    assert [(event.code, event.danger) for event in lab.events] == [("link_lost", True)]
+
+
 async def test_impedance_is_asked_for_as_configured() -> None:
     async with laboratory(mode="impedance", impedance={"tool_mass": 0.5}) as lab:
         await lab.robot.connect()

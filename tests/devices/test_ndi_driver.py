@@ -166,6 +166,10 @@ async def test_the_reader_ends_with_its_parent() -> None:
     [
         ({"device": "10.0.0.1:8765"}, r"ndi\.tools is empty"),
         ({"device": "/dev/ttyUSB0"}, r"ndi\.tools is empty"),
+        ({"device": "127.0.0.1"}, r"ndi\.device is '127\.0\.0\.1'; it must be host:port"),
+        ({"device": "127.0.0.1:999999"}, "1 to 65535"),
+        ({"device": "127.0.0.1:0"}, "1 to 65535"),
+        ({"device": ":8765"}, "must be host:port"),
         ({"tools": {"coil": "/no/such.rom"}}, "cannot be read"),
         ({"tools": {"coil/../x": "/no/such.rom"}}, r"The table \[ndi\]"),
         ({"latency": -1.0}, r"The table \[ndi\]"),

@@ -193,3 +193,17 @@ async def test_a_tracker_that_was_restarted_is_believed_again() -> None:
     await clock.advance(RESTART_TIME + PERIOD)
     feed.update(_pose(2))
     assert feed.seen("coil")
+
+
+async def test_frames_of_before_a_restart_are_never_paired_with_those_after_it() -> None:
+    clock, feed = _feed()
+    for body in ("coil", "body_ref"):
+        feed.update(_pose(5, body))
+    await clock.advance(RESTART_TIME + PERIOD)
+    for number in range(1, 7):  # the reference is not seen any more
+        feed.update(_pose(number))
+        await clock.advance(PERIOD)
+    assert feed.frames_after(0, ("coil", "body_ref")) == []
+    assert _reason(feed, "body_ref") == "pose_missing"
+    feed.update(_pose(7, "body_ref"))
+    assert feed.seen("body_ref")

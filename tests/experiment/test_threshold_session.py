@@ -162,6 +162,14 @@ async def test_a_latch_is_acknowledged(client: FakeClient) -> None:
     assert client.asked == ["robot.acknowledge", "placement.back_off"]
 
 
+async def test_a_latch_that_stays_is_told_with_what_latched(client: FakeClient) -> None:
+    client.branches["placement"], client.latched = "held", True
+    client.answers["placement.back_off"] = [("failed", Reason(code="link_lost", text="The link is lost."))]
+    client.answers["robot.acknowledge"] = [("accepted", None), rejected("invalid_in_state")]
+    with pytest.raises(CommandRefusedError, match=r"back_off was failed in held: The link is lost\."):
+        await operator(client).place()
+
+
 async def test_a_stimulator_that_disarmed_by_itself_is_armed_anew(client: FakeClient) -> None:
     client.answers["threshold.pulse"] = [rejected("not_armed"), ("accepted", None)]
     client.leads["stimulation.arm"] = {}  # it does not stay so

@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator
 import pytest
 from clock import ManualClock, settle
 
+from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.messages import Beat, DeviceEvent
 from pcmrs.service.watch import PERIOD, SILENCE, RobotWatch
 
@@ -23,7 +24,7 @@ class Bench:
         self.watch = RobotWatch(self._beat, lambda: self.connected, lambda: False, self._report, self.clock)
 
     def _beat(self, key: str, beat: Beat) -> None:
-        assert key == "dev/robot/beat"
+        assert key == DAEMON_BEAT
         self.beats.append(beat.number)
 
     async def _report(self, event: DeviceEvent) -> None:

@@ -1,12 +1,15 @@
 """The command pcmrs-sim as a real process."""
 
 import json
+import os
+import pty
+import shlex
 import signal
 import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -110,6 +113,20 @@ def test_a_command_ends_by_itself_at_the_end_of_its_time() -> None:
     assert ended.stdout.startswith("serving ndi on /dev/")
 
 
+def test_in_the_background_of_a_terminal_it_goes_on() -> None:
+    shell = "set -m; " + shlex.join([*COMMAND, "ndi", "--pty", "--duration", "0.5"]) + " & wait $!; echo status $?"
+    child, terminal = pty.fork()
+    if child == 0:
+        os.execvp("bash", ["bash", "-c", shell])
+    said = b""
+    with suppress(OSError):  # the terminal is closed at its end
+        while chunk := os.read(terminal, 4096):
+            said += chunk
+    os.close(terminal)
+    os.waitpid(child, 0)
+    assert b"status 0" in said
+
+
 @pytest.mark.parametrize(
     ("arguments", "status", "text"),
     [
@@ -117,6 +134,8 @@ def test_a_command_ends_by_itself_at_the_end_of_its_time() -> None:
         (["kst", "--port", "0", "--set", "sim.seeed=3"], 4, "seeed"),
         (["cell", "--phantom", "knee"], 2, "knee"),
         (["ndi", "--port", "70000"], 2, "70000"),
+        (["ndi", "--port", "0", "--duration", "nan"], 2, "nan is not finite"),
+        (["kst", "--port", "0", "--accept-timeout", "nan"], 2, "nan is not finite"),
     ],
 )
 @pytest.mark.usefixtures("quiet_log")
@@ -155,6 +174,8 @@ def taken_port() -> Iterator[int]:
         ("5.0 occlud coil", "line 1: There is no fault 'occlud'"),
         ("\nsoon e_stop", "line 2: write: seconds, then a fault"),
         ("5.0", "line 1: write: seconds, then a fault"),
+        ("-5 e_stop", "line 1: the time is -5; it must be 0 s or later"),
+        ("nan e_stop", "line 1: the time is nan"),
         ("1 cut_robot on now", "line 1: 'cut_robot on now' has 2 arguments"),
     ],
 )

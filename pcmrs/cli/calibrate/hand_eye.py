@@ -9,7 +9,7 @@ import click
 import numpy as np
 
 from pcmrs.cli.calibrate.options import Asked, calibration_options
-from pcmrs.cli.options import POSITIVE
+from pcmrs.cli.number import POSITIVE
 from pcmrs.cli.running import readable_errors
 
 if TYPE_CHECKING:

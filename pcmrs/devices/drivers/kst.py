@@ -81,26 +81,20 @@ class KstRobot:
 
     async def connect(self) -> JointState:
         async with self._connecting:
-            if (drive := self._drive) is None:
-                drive = await self._open()
-            else:
-                await drive.rest()  # seen anew: the newest reading may be of before this process was held up
+            known = self._drive
+            drive = known or await self._open()
+        if drive is known:
+            await drive.rest()  # seen anew: the newest reading may be of before this process was held up
         return drive.state
 
     async def disconnect(self) -> None:
-        drive, self._drive = self._drive, None  # nothing begins any more
-        self._lost = None
-        if drive is None:
-            return
-        drive.follower.hold()
-        try:
-            async with self._clock.timeout(END_TIMEOUT):
-                await drive.rest()
-        except TimeoutError:
-            log.warning("kst_not_at_rest", limit=END_TIMEOUT)
-        finally:
-            await self._stop_driving()
-            await drive.end()
+        if self._drive is not None:
+            self._drive.follower.hold()
+        async with self._connecting:  # which would end the stream that brakes
+            drive, self._drive = self._drive, None  # nothing begins any more
+            self._lost = None
+            if drive is not None:
+                await self._end_connection(drive)
 
     async def joints(self) -> JointState:
         return self._connected().state
@@ -177,6 +171,17 @@ class KstRobot:
             raise
         return drive
 
+    async def _end_connection(self, drive: Drive) -> None:
+        drive.follower.hold()
+        try:
+            async with self._clock.timeout(END_TIMEOUT):
+                await drive.rest()
+        except TimeoutError:
+            log.warning("kst_not_at_rest", limit=END_TIMEOUT)
+        finally:
+            await self._stop_driving()
+            await drive.end()
+
     async def _abandon(self, drive: Drive) -> None:
         """Who was told that the connection failed has none."""
         if self._drive is drive:
@@ -196,6 +201,7 @@ class KstRobot:
             self._drive, self._lost = None, lost
             event = DeviceEvent(device="robot", code="link_lost", text=lost.text, danger=True, fields=lost.fields)
             self._events.publish(event)
+        await drive.end()  # after a defect the link still works, and the cabinet takes no other one
 
     async def _stop_driving(self) -> None:
         if self._driving is not None:

@@ -44,6 +44,9 @@ class NdiSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         latency: From the exposure until the frame can be had, s.
         max_error_mm: Beyond this fit error there is no pose.
         baud: Of a serial port.
+
+    Raises:
+        ConfigurationError: `device` is neither an address with a port nor a path.
     """
 
     device: str = "127.0.0.1:8765"
@@ -52,6 +55,16 @@ class NdiSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     latency: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.030
     max_error_mm: Annotated[float, msgspec.Meta(gt=0.0)] = 1.0
     baud: Literal[9600, 14400, 19200, 38400, 57600, 115200, 921600] = 115200
+
+    def __post_init__(self) -> None:
+        host, _, port = self.device.rpartition(":")
+        # The library would take a greater port modulo 65536, and an address without a port for a serial line.
+        if not (self.device.startswith("/") or (host and port.isdecimal() and 0 < int(port) < 65536)):
+            raise ConfigurationError(
+                f"ndi.device is {self.device!r}; it must be host:port with a port of 1 to 65535, such as "
+                "192.168.1.50:8765, or the path of a serial port, such as /dev/ttyUSB0.",
+                device=self.device,
+            )
 
 
 class NdiTracker:

@@ -29,6 +29,8 @@ CATCH_UP = 0.02
 """A stream that is later than this loses time, and the motion takes longer: set points never come in a burst, s."""
 LATE = 0.1
 """While a reply is outstanding for longer, the motion waits: the arm is not sent ahead of what it says of itself, s."""
+UNSETTLED = 5.0
+"""An arm that does not stand still so long after its reference ended is pushed, or oscillates, s."""
 STALLED = 0.3
 """A stream that has paused for so long ends where it is, s."""
 
@@ -139,8 +141,10 @@ class Drive:
 
     async def end(self) -> None:
         """Ends the KST application and the link, when `run` has ended."""
-        await self._cabinet.drain()
-        self._cabinet.end()
+        try:
+            await self._cabinet.drain()
+        finally:
+            self._cabinet.end()
 
     async def _wait(self, waiting: Waiting) -> None:
         future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -197,6 +201,7 @@ class Drive:
             self._cabinet.check()
             self._hear()
             ticked = self._stand_if_stalled(ticked)
+            self._check_settles()
             if not self._waits():
                 self._send(ask=number % every == 0)
                 number += 1
@@ -206,6 +211,11 @@ class Drive:
         """Whether the cabinet is late; who brakes does not wait for it."""
         late = self._reply is not None and self._clock.monotonic() - self._asked > LATE
         return late and self.follower.stopped is None
+
+    def _check_settles(self) -> None:
+        if self._clock.monotonic() - self._ended > UNSETTLED:
+            text = f"The arm does not stand still within {UNSETTLED:g} s of its motion's end: look what moves it."
+            raise DeviceError(text, limit=UNSETTLED)
 
     def _stand_if_stalled(self, ticked: float) -> float:
         """Leaves the arm where it is when this process was held up since `ticked`; returns the present time, s.

@@ -119,9 +119,12 @@ class Operator:
     async def _go(self, leads: Mapping[str, str]) -> None:
         """Asks for what leads on, state by state, until nothing does."""
         failures = 0
+        verdict: Verdict | None = None
         while (state := (snapshot := await self._client.state()).branches["placement"]) in leads:
             if snapshot.latched:
-                await self.ask("robot.acknowledge")
+                acknowledged = await self._attempt("robot.acknowledge")
+                if acknowledged.decision != "accepted":  # what latched says more: the link to the robot may be lost
+                    raise refused(verdict or acknowledged)
             verdict = await self._attempt(leads[state])
             failures += verdict.decision != "accepted" or verdict.state == state
             if failures == ATTEMPTS:

@@ -30,7 +30,7 @@ def pulse_allowed_now(run: Run) -> None:
 async def fire_pulse(run: Run) -> None:
     """Fires once, as soon as the stimulator is ready; all that matters is looked at again right before.
 
-    The number of the pulse is one that was never used: a command that is delivered twice, or late, fires nothing. When
+    The number of the pulse is one that was never used: a command that is delivered twice fires once. When
     nobody knows whether it fired, the stimulator is disarmed, and arming it anew makes the interval begin anew.
 
     Raises:
