@@ -22,6 +22,8 @@ from sim.settings import SimSettings
 
 REST_ERROR = 5e-5  # rad; about 0.03 mm at the flange
 REST_SPEED = 1e-3  # rad/s
+STILL_ERROR = 1e-6  # rad
+STILL_SPEED = 1e-6  # rad/s
 SETTLING_STEPS = 2000  # at the start, until the integral action holds the arm against what the model gets wrong
 
 
@@ -55,17 +57,32 @@ class Arm(Follower):
         self._controller = Controller(nominal_model(facts, own, flange_from_coil, phantom, rng), facts, own, home)
         self.contact = Contact(self._plant, phantom, settings.contact, STEP)
         self.disturbance = Disturbance(self._plant)
+        self._posture, self._base_from_flange = home, self._true_model.forward(home)
         self.step(SETTLING_STEPS)
 
     def step(self, steps: int) -> None:
-        """Advances control and physics by `steps` steps of `STEP` seconds."""
+        """Advances control and physics by `steps` steps of `STEP` seconds.
+
+        Of an arm that nothing moves only the noise of the force is simulated: most of the time it stands.
+        """
         data = self._data
-        for _ in range(steps):
+        for _ in range(self._steps_awake(steps)):
             data.ctrl[:] = self._controller.torque(self.disturbance.shifted(self.advance()), data.qpos, data.qvel)
             self.contact.apply(data)
             push = self.disturbance.apply(data)
             mujoco.mj_step(self._plant, data)
             self.sensor.update(self.contact.force + push)
+
+    def _steps_awake(self, steps: int) -> int:
+        """How many of `steps` are left after those for which the arm stands still, free, and undisturbed."""
+        free = self.contact.clear(self._data) and self.disturbance.none
+        if not (free and self._stands(STILL_ERROR, STILL_SPEED)):
+            return steps
+        while steps and self.reference.ended:
+            self.supervise()
+            self.sensor.update(0.0)
+            steps -= 1
+        return steps
 
     def track(self, reference: SetPoint) -> None:
         """Takes a reference of somebody else's making; the arm must be at rest."""
@@ -74,10 +91,13 @@ class Arm(Follower):
     @property
     def at_rest(self) -> bool:
         """Whether the reference has ended and the arm stands still on it."""
+        return self._stands(REST_ERROR, REST_SPEED)
+
+    def _stands(self, error: float, speed: float) -> bool:
         return (
             self.reference.ended
-            and bool(np.abs(self._controller.error).max() < REST_ERROR)
-            and bool(np.abs(self._data.qvel).max() < REST_SPEED)
+            and bool(np.abs(self._controller.error).max() < error)
+            and bool(np.abs(self._data.qvel).max() < speed)
         )
 
     @property
@@ -97,4 +117,7 @@ class Arm(Follower):
 
     def base_from_flange(self) -> Transform:
         """Where the flange truly is."""
-        return self._true_model.forward(self.positions)
+        if not np.array_equal(self._data.qpos, self._posture):
+            self._posture = self.positions
+            self._base_from_flange = self._true_model.forward(self._posture)
+        return self._base_from_flange

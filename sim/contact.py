@@ -50,12 +50,16 @@ class Contact:
 
     def apply(self, data: Any) -> None:
         """Sets the external force on the tool for the next step of the physics."""
-        x, y, z = data.xpos[self._tool].tolist()
-        a, b, c = self._centre
-        if (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2 < self._reach_squared:
+        if not self.clear(data):
             self._touch(data)
         elif self._depth:
             self._release(data)
+
+    def clear(self, data: Any) -> bool:
+        """Whether the tool is too far from the body to touch it."""
+        x, y, z = data.xpos[self._tool].tolist()
+        a, b, c = self._centre
+        return bool((x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2 >= self._reach_squared)
 
     def _touch(self, data: Any) -> None:
         place, face, tool = self._world_from_image, self._face, self._tool

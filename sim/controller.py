@@ -40,7 +40,7 @@ class Controller:
         self._damping = 2 * DAMPING_RATIO * np.sqrt(self._stiffness * _joint_inertias(nominal, home))
         self._integral_gain = self._stiffness * settings.integral_rate * STEP
         self._integral = np.zeros_like(home)
-        self.error = np.zeros_like(home)
+        self.error = np.full_like(home, np.inf)  # nobody knows before the first step
 
     def torque(self, wanted: Floats, position: Floats, velocity: Floats) -> Floats:
         """Joint torques, N m, (n,).

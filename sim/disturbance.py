@@ -32,6 +32,11 @@ class Disturbance:
         self.push = 0.0
         self.offset = np.zeros(plant.nv)
 
+    @property
+    def none(self) -> bool:
+        """Whether nothing is set, and nothing of what was set is left."""
+        return not self.push and not self.offset.any() and not self._shift[0].any()
+
     def shifted(self, sample: Floats) -> Floats:
         """What the controller takes for wanted, where `sample` is commanded, (3, n)."""
         missing = self.offset - self._shift[0]

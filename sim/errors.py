@@ -8,7 +8,7 @@ from math import radians
 import numpy as np
 
 from pcmrs.kinematics.arms import ArmFacts
-from pcmrs.spatial import Floats, Transform
+from pcmrs.spatial import Floats, Transform, trusted_transform
 from sim.settings import DigitizationSettings, TrackerSettings, Triple
 
 WAVES = 12
@@ -89,7 +89,7 @@ class TrackerErrors:
         translation = self._translation_bias.at(place) + self._rng.normal(0.0, self._translation_jitter, 3)
         rotation = self._rotation_bias.at(place) + self._rng.normal(0.0, self._rotation_jitter, 3)
         turned = Transform.from_rotvec((0.0, 0.0, 0.0), rotation).rotation @ tracker_from_body.rotation
-        return Transform(turned, place + translation)
+        return trusted_transform(turned, place + translation)
 
     def fit_error(self) -> float:
         """What the tracker itself thinks of one measurement, m: the scatter of its markers, without the bias."""

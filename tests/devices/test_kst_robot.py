@@ -15,6 +15,7 @@ from kst_peer import HOME, Peer, line, served
 
 from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers.kst import open_devices
+from pcmrs.devices.kst import drive
 from pcmrs.devices.kst.drive import LATE, STALLED
 from pcmrs.devices.kst.force import TorqueForce
 from pcmrs.devices.protocols import OpenDriver, RobotDriver
@@ -461,6 +462,23 @@ async def test_a_cabinet_that_comes_to_rest_later_than_its_arm_is_waited_for(lab
     del lab.peer.answers["Torques_ext_J"]
     assert (await following).outcome == "done"
     assert lab.events == []
+
+
+class SwingingPeer(Peer):
+    """Its arm swings about where it was told to be."""
+
+    def _answer(self, command: str) -> str | None:
+        self.offset = -self.offset
+        return super()._answer(command)
+
+
+async def test_an_arm_that_does_not_come_to_rest_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drive, "UNSETTLED", 0.5)
+    async with laboratory(SwingingPeer()) as lab:
+        await lab.robot.connect()
+        lab.peer.offset = 0.001
+        with pytest.raises(DeviceError, match="does not stand still within 0.5 s"):
+            await lab.robot.follow(smooth(START, START + 0.05))
 
 
 async def test_a_motion_waits_for_a_cabinet_that_is_late() -> None:

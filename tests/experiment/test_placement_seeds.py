@@ -97,7 +97,7 @@ def test_a_number_of_seeds_below_one_is_a_usage_error() -> None:
     assert "--seeds" in ended.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_two_seeds_of_the_simulated_cell(tmp_path: Path) -> None:
     plot = tmp_path / "seeds.png"
     words = ["experiment", "placements", "--seeds", "2", "--trials", "2", "--json", "--plot", str(plot)]

@@ -1,4 +1,4 @@
-"""One daemon for all tests of a worker that leave it alive, and fresh ones for the others."""
+"""One daemon for the tests of a file that leave it alive, and fresh ones for the others."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pcmrs.client import Client
 from pcmrs.planner import Planner
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # one that idles while other files are tested costs them a third of a core
 def shared_daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeProcess]:
     folder = tmp_path_factory.mktemp("cell")
     with running_daemon(own_settings(folder), folder) as daemon:

@@ -13,7 +13,7 @@ from pcmrs.fsm.trial.tour import Move
 
 pytestmark = pytest.mark.slow
 
-SECONDS = "15"
+SECONDS = "10"
 
 
 def check(report: TourReport) -> None:

@@ -74,7 +74,11 @@ async def go_to_next(bench: StimulationBench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked", "tolerance"), [({"method": "grid"}, 0.005), ({"method": "adaptive", "max_pulses": 20}, 0.006)]
+    ("asked", "tolerance"),
+    [
+        ({"method": "grid"}, 0.005),
+        pytest.param({"method": "adaptive", "max_pulses": 20}, 0.006, marks=pytest.mark.nightly),
+    ],
 )
 @pytest.mark.slow
 async def test_the_hotspot_is_found_by_pulses(
@@ -177,7 +181,7 @@ async def test_a_new_registration_ends_a_search(registered: StimulationBench) ->
 
 @pytest.mark.parametrize(
     ("method", "off", "most"),
-    [("ml", 5.0, 40), pytest.param("relative_frequency", 8.0, 120, marks=pytest.mark.slow)],
+    [("ml", 5.0, 40), pytest.param("relative_frequency", 8.0, 120, marks=pytest.mark.nightly)],
 )
 async def test_the_threshold_is_found_by_pulses(armed: StimulationBench, method: str, off: float, most: int) -> None:
     muscle, rng = Recruitment(threshold=47.0), np.random.default_rng(5)
