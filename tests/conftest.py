@@ -9,7 +9,9 @@ import pytest
 import structlog
 from hypothesis import settings
 
-settings.register_profile("pcmrs", deadline=None)  # how long an example takes says how busy the machine is
+# How long an example takes says how busy the machine is. `--hypothesis-profile=thorough` tries more of them.
+settings.register_profile("pcmrs", deadline=None, max_examples=40)
+settings.register_profile("thorough", deadline=None, max_examples=1000)
 settings.load_profile("pcmrs")
 
 

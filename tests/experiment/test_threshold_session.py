@@ -376,8 +376,8 @@ def check_sums(folder: Path) -> None:
     assert all(hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest for name, digest in listed.items())
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(300)  # of a machine that does much else
+@pytest.mark.nightly
 async def test_a_session_from_landmarks_to_threshold(tmp_path: Path) -> None:
     asked, told = setup(seed=4, budget=3, overrides=QUICK), []
     report = await run_threshold_session(asked, tmp_path, lambda doing, _done, _total: told.append(doing))
@@ -419,7 +419,7 @@ async def test_an_interrupted_session_keeps_what_was_recorded(tmp_path: Path) ->
     check_sums(tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 async def test_a_muscle_that_is_never_at_rest_ends_the_session(tmp_path: Path) -> None:
     asked = setup(seed=4, budget=3, overrides=(*QUICK, "sim.muscle.preactivation_uv=40"))
     report = await run_threshold_session(asked, tmp_path, lambda *_: None)

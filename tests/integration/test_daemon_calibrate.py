@@ -67,7 +67,7 @@ def test_a_pointer_that_nobody_holds_is_not_calibrated(daemon: ServeProcess) -> 
     assert json.loads(ended.stdout)["reason"]["code"] == "not_enough_poses"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_tool_is_found_where_the_simulation_has_it(tmp_path: Path) -> None:
     with running_daemon(own_settings(tmp_path), tmp_path) as daemon, person(daemon, "hand-eye"):
         ended = calibrate(daemon, "hand-eye", "--poses", "8", "-o", str(tmp_path / "coil.toml"))
