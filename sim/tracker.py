@@ -10,8 +10,6 @@ import msgspec
 from pcmrs.clock import Clock
 from pcmrs.devices.stream import Stream
 from pcmrs.messages import BodyPose
-from pcmrs.spatial import Transform
-from sim.errors import TrackerErrors
 from sim.tracker_faults import BODIES, TrackerFaults
 from sim.world import World
 
@@ -39,7 +37,6 @@ class SimTracker:
         self._frame_number = 0
         self._pending: deque[list[BodyPose]] = deque()
         self._stream: Stream[Sequence[BodyPose]] = Stream()
-        self._steady: dict[str, tuple[Transform, TrackerErrors, BodyPose]] = {}
         self.newest: Sequence[BodyPose] = ()
         self.faults = TrackerFaults()
 
@@ -92,13 +89,10 @@ class SimTracker:
             return BodyPose(
                 body=body, frame_number=self._frame_number, captured=time, sent=time, valid=False, reason=reason
             )
-        errors, known = self._world.tracker_errors, self._steady.get(body)
-        if known is not None and known[:2] == (tracker_from_body, errors):
-            return msgspec.structs.replace(known[2], frame_number=self._frame_number, captured=time, sent=time)
-        measured = errors.measure(tracker_from_body)
+        measured = self._world.tracker_errors.measure(tracker_from_body)
         x, y, z = measured.translation.tolist()
         w, i, j, k = measured.quat_wxyz.tolist()
-        pose = BodyPose(
+        return BodyPose(
             body=body,
             frame_number=self._frame_number,
             captured=time,
@@ -106,8 +100,5 @@ class SimTracker:
             valid=True,
             position=(x, y, z),
             quat_wxyz=(w, i, j, k),
-            error=errors.fit_error(),
+            error=self._world.tracker_errors.fit_error(),
         )
-        if errors.steady:
-            self._steady[body] = (tracker_from_body, errors, pose)
-        return pose

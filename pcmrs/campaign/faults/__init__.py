@@ -1,1 +1,0 @@
-"""How the faults of the catalogue are injected: one module for each class."""
