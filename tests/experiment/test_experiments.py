@@ -39,6 +39,7 @@ def test_placements_are_as_accurate_as_promised() -> None:
     assert "cell.rate=5" in report["settings"]
 
 
+@pytest.mark.nightly
 def test_femoroplasty_goes_on_to_the_injection_at_the_last_pose() -> None:
     report = run_experiment("placements", "--workflow", "femoroplasty", "--trials", "2", "--seed", "2")
     assert (report["workflow"], report["tool"]) == ("femoroplasty", "guide")
@@ -51,6 +52,7 @@ def test_femoroplasty_goes_on_to_the_injection_at_the_last_pose() -> None:
     assert len(named) == 4
 
 
+@pytest.mark.nightly
 def test_every_injected_error_is_rejected_where_the_paper_says() -> None:
     report = run_experiment("failures", "--seed", "2")
     published = {run.run: (workflow, run) for workflow, paper in PUBLISHED.items() for run in paper.failures}

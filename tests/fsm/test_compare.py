@@ -170,6 +170,7 @@ def test_a_branch_that_others_wait_for_shows_in_what_they_answer() -> None:
     assert ("rejected", "placement.confirm", 1) in found
 
 
+@pytest.mark.nightly
 def test_workflows_that_are_too_large_are_refused() -> None:
     with pytest.raises(BlueprintError, match="over 20000 joint states"):
         compare(free(5, 8), RATMS)

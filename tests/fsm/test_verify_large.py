@@ -30,6 +30,7 @@ def test_the_one_joint_state_that_breaks_a_promise_is_found_by_the_shortest_way(
     assert sorted(found[0].commands or ()) == sorted(f"b{n}.on" for n in range(20))
 
 
+@pytest.mark.nightly
 def test_while_something_runs_a_million_joint_states_are_twice_as_many_moments() -> None:
     """Each of four properties has its own, and all of them are part of the progress."""
     (alone,) = promising(20).properties

@@ -27,6 +27,7 @@ def check(report: TourReport) -> None:
     assert report.stops > 0
 
 
+@pytest.mark.nightly
 def test_a_daemon_of_its_own_is_toured(tmp_path: Path) -> None:
     file = tmp_path / "tour.jsonl"
     run = run_pcmrs("fsm", "test", "ratms", "--live", "--json", "--time-limit", SECONDS, "-o", str(file))

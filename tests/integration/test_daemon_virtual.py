@@ -69,6 +69,7 @@ async def register_by_hand(client: Client, cell: VirtualCell) -> None:
     await accepted(client, "toolplan.plan", **PLAN["poses"][0])
 
 
+@pytest.mark.nightly
 async def test_a_daemon_starts_without_its_devices_and_works_once_they_are_there(
     daemon: ServeProcess, cell: VirtualCell
 ) -> None:

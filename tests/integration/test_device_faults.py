@@ -109,6 +109,7 @@ async def test_a_robot_that_fails_in_motion(virtual_daemon: ServeProcess, fault:
         ),
     ],
 )
+@pytest.mark.nightly
 async def test_a_tracker_that_fails_while_the_tool_follows(
     virtual_daemon: ServeProcess, fault: str, begin: dict[str, object], end: dict[str, object]
 ) -> None:

@@ -56,7 +56,7 @@ def test_the_page_and_the_example_are_the_same_files() -> None:
         assert written[name] == (folder / name).read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_new_user_gets_what_the_page_shows(tmp_path: Path) -> None:
     home, cell = tmp_path / "home", tmp_path / "cell"
     home.mkdir()

@@ -11,6 +11,8 @@ from workflow_bench import WorkflowBench, open_bench
 from pcmrs.messages import PoseMessage, Verdict
 from pcmrs.workflows.data import as_transform
 
+pytestmark = pytest.mark.nightly  # minutes of motion
+
 MILLIMETRE = 1e-3
 
 

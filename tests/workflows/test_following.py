@@ -14,6 +14,8 @@ from pcmrs.spatial import Floats, Transform, distance
 from pcmrs.workflows.data import as_transform
 from sim.settings import GeometrySettings
 
+pytestmark = pytest.mark.nightly  # minutes of motion
+
 Z = (0.0, 0.0, 1.0)
 BREATHING = HeadMotion(breathing_amplitude=0.002, breathing_hz=0.25, breathing_direction=Z)
 

@@ -28,6 +28,8 @@ from pcmrs.workflows.surface import read_surface
 from pcmrs.workflows.zones import CellZones
 from sim.head import CENTRE, SEMI_AXES
 
+pytestmark = pytest.mark.nightly  # minutes of motion
+
 TETRAHEDRON = """ply
 format ascii 1.0
 element vertex 4

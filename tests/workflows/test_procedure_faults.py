@@ -25,6 +25,8 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from sim.robot import SimRobot
 
+pytestmark = pytest.mark.nightly  # minutes of motion
+
 Faults = dict[str, Any]
 """Arguments of a fault."""
 

@@ -80,7 +80,7 @@ async def go_to_next(bench: StimulationBench) -> None:
         pytest.param({"method": "adaptive", "max_pulses": 20}, 0.006, marks=pytest.mark.nightly),
     ],
 )
-@pytest.mark.slow
+@pytest.mark.nightly
 async def test_the_hotspot_is_found_by_pulses(
     registered: StimulationBench, asked: dict[str, Any], tolerance: float
 ) -> None:
@@ -200,7 +200,7 @@ async def test_the_threshold_is_found_by_pulses(armed: StimulationBench, method:
     assert result["estimate"]["threshold"] == armed.data.threshold.threshold
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 async def test_the_simulated_subject_has_the_threshold_that_is_found() -> None:
     """The simulated stimulator, muscle and electromyograph in place of the stand-ins; at the subject's own hot-spot."""
     async with open_bench({"stimulation": {"intervals": {"least": 1.1}}}, workflow=workflow()) as bench:

@@ -8,6 +8,7 @@ import itertools
 import json
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -232,6 +233,12 @@ class WorkflowBench:
                 self.cell.poses.update(pose)
 
 
+@cache
+def shipped_workflow(name: str) -> Workflow[Cell, PlacementData]:
+    """Verified once for all tests of a worker: it is never written to."""
+    return open_workflow(name)
+
+
 @asynccontextmanager
 async def open_bench(
     procedure: Mapping[str, Any] | None = None,
@@ -244,7 +251,7 @@ async def open_bench(
 
     The workflow's own defaults are in force; `journal` takes the place of the bench's recorder.
     """
-    opened_workflow = open_workflow(workflow) if isinstance(workflow, str) else workflow
+    opened_workflow = shipped_workflow(workflow) if isinstance(workflow, str) else workflow
     defaults = opened_workflow.blueprint.defaults
     quick = overlaid(defaults, {"procedure": QUICK_PROCEDURE, "sim": QUICK_SIM})
     values = overlaid(quick, {"procedure": procedure or {}, "sim": sim or {}})
