@@ -72,6 +72,7 @@ def again_side_by_side(document: str, rng: Random, length: int = 30) -> int | No
     return moved
 
 
+@pytest.mark.nightly
 def test_an_export_is_imported_again() -> None:
     moved = [again_side_by_side(as_scxml(random_chart(Random(seed))), Random(seed)) for seed in range(150)]
     assert sum(count is not None and count > 3 for count in moved) > len(moved) / 8

@@ -102,6 +102,7 @@ async def test_the_coil_presses_as_asked(bedside: Bedside) -> None:
     assert bedside.alarms.empty()
 
 
+@pytest.mark.nightly
 async def test_a_head_that_leans_on_the_coil_stops_and_latches(bedside: Bedside) -> None:
     for _ in range(20):
         await bedside.push(0.001)
@@ -119,6 +120,7 @@ async def test_a_head_that_leans_on_the_coil_stops_and_latches(bedside: Bedside)
     assert await bedside.force() == 0.0
 
 
+@pytest.mark.nightly
 async def test_too_much_force_ends_a_press(bedside: Bedside) -> None:
     await accepted(bedside.client, "placement.nudge", translation=[0.0, 0.0, 0.008])
     press = asyncio.create_task(bedside.client.call("placement.press", {"force": 1.0}))

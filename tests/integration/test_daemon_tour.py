@@ -38,6 +38,7 @@ def test_a_daemon_of_its_own_is_toured(tmp_path: Path) -> None:
     assert len(moves) == report.subjects["cell"]
 
 
+@pytest.mark.nightly
 def test_a_running_daemon_is_toured_and_serves_on(tmp_path: Path) -> None:
     with running_daemon(own_settings(tmp_path), tmp_path) as daemon:
         address = ("--endpoint", daemon.ready.endpoint, "--site", "test", "--cell", daemon.cell)

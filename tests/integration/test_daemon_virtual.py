@@ -92,6 +92,7 @@ async def test_a_daemon_starts_without_its_devices_and_works_once_they_are_there
             await accepted(client, "robot.disconnect")
 
 
+@pytest.mark.nightly
 async def test_a_cell_that_drops_out_in_motion_latches_and_comes_back_changed(
     daemon: ServeProcess, cell: VirtualCell
 ) -> None:

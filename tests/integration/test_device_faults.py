@@ -70,7 +70,13 @@ async def stands(scene: RemoteScene) -> None:
     assert np.linalg.norm(way) < 2e-4
 
 
-@pytest.mark.parametrize("fault", ["cut_robot", "silence_robot", "drop_client", "e_stop"])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "cut_robot",
+        *(pytest.param(each, marks=pytest.mark.nightly) for each in ("silence_robot", "drop_client", "e_stop")),
+    ],
+)
 async def test_a_robot_that_fails_in_motion(virtual_daemon: ServeProcess, fault: str) -> None:
     lost = fault != "e_stop"
     begin = {} if fault == "drop_client" else {"on": True}

@@ -76,6 +76,7 @@ def test_exact_poses_give_both_transforms_back(
     assert found.rms < 1e-8
 
 
+@pytest.mark.nightly
 def test_the_covariance_is_the_scatter_of_many_calibrations() -> None:
     rng = np.random.default_rng(2)
     flange = postures(rng, 20)

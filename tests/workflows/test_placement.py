@@ -57,6 +57,7 @@ async def test_an_unreachable_pose_is_refused_as_soon_as_it_can_be_known() -> No
         await bench.accept("placement.approach")
 
 
+@pytest.mark.nightly
 async def test_poses_on_all_sides_of_the_head_are_placed_from_home(bench: WorkflowBench) -> None:
     await bench.register()
     for pose in POSES[::4]:
