@@ -99,8 +99,7 @@ class Transform:
         """From a translation (3,) in m and a rotation vector (3,): axis times angle in rad."""
         x, y, z = _array(rotvec, (3,), "rotation vector").tolist()
         half = 0.5 * math.hypot(x, y, z)
-        # sin(a) / a by its series where a is so small that the quotient is rounded away.
-        scale = 0.5 * (math.sin(half) / half if half > 1e-6 else 1.0 - half * half / 6.0)
+        scale = 0.5 * (math.sin(half) / half if half else 1.0)
         return cls._from_unit_quaternion(position, scale * x, scale * y, scale * z, math.cos(half))
 
     @overload

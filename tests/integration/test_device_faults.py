@@ -106,13 +106,8 @@ async def test_a_robot_that_fails_in_motion(virtual_daemon: ServeProcess, fault:
     ("fault", "begin", "end"),
     [
         ("occlude", {"body": "body_ref", "on": True}, {"body": "body_ref", "on": False}),
-        pytest.param("tracker_unplugged", {"on": True}, {"on": False}, marks=pytest.mark.nightly),
-        pytest.param(
-            "pose_jump",
-            {"body": "coil", "millimetres": 15.0},
-            {"body": "coil", "millimetres": 0.0},
-            marks=pytest.mark.nightly,
-        ),
+        ("tracker_unplugged", {"on": True}, {"on": False}),
+        ("pose_jump", {"body": "coil", "millimetres": 15.0}, {"body": "coil", "millimetres": 0.0}),
     ],
 )
 @pytest.mark.nightly

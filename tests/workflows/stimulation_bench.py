@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,12 +13,8 @@ from workflow_bench import WorkflowBench, open_bench
 
 from pcmrs.clock import Clock
 from pcmrs.devices.arming import Arming
-from pcmrs.dispatcher import Workflow
 from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.messages import Epoch, FiredPulse, StimulatorState
-from pcmrs.workflows import open_workflow
-from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.data import PlacementData
 
 RATE_HZ = 5000.0
 QUICK = {"stimulation": {"intervals": {"least": 1.1}}}
@@ -194,11 +189,5 @@ async def stimulation(
 ) -> AsyncIterator[StimulationBench]:
     """A bench of `ratms_threshold`."""
     values = {"stimulation": QUICK["stimulation"] | (procedure or {}).get("stimulation", {})}
-    async with open_bench({**(procedure or {}), **values}, sim, workflow=workflow()) as bench:
+    async with open_bench({**(procedure or {}), **values}, sim, workflow="ratms_threshold") as bench:
         yield StimulationBench(bench)
-
-
-@cache
-def workflow() -> Workflow[Cell, PlacementData]:
-    """Verified once for all tests."""
-    return open_workflow("ratms_threshold")

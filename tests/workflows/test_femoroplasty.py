@@ -6,7 +6,6 @@ import asyncio
 import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +15,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from workflow_bench import WorkflowBench, open_bench
 
-from pcmrs.dispatcher import Workflow
 from pcmrs.messages import DeviceEvent
 from pcmrs.spatial import Transform
-from pcmrs.workflows import open_workflow
-from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.data import PlacementData, as_transform
+from pcmrs.workflows.data import as_transform
 from pcmrs.workflows.femoroplasty import Data, guide_pose
 from sim.plan import TRAJECTORIES, trajectory
 
@@ -37,16 +33,10 @@ coordinate = st.floats(-0.5, 0.5)
 points = st.tuples(coordinate, coordinate, coordinate).map(np.array)
 
 
-@cache
-def workflow() -> Workflow[Cell, PlacementData]:
-    """Proving it takes seconds, so that is done once."""
-    return open_workflow("femoroplasty")
-
-
 @asynccontextmanager
 async def open_femur(procedure: dict[str, Any] | None = None) -> AsyncIterator[WorkflowBench]:
     """The guide placed at a planned trajectory of a registered femur."""
-    async with open_bench(procedure, workflow=workflow()) as bench:
+    async with open_bench(procedure, workflow="femoroplasty") as bench:
         await bench.accept("treatment.confirm_clear", **SURGEON)
         await bench.connect()
         await bench.accept("registration.plan_landmarks", landmarks=PLAN["landmarks"])
@@ -154,7 +144,7 @@ async def test_no_confirmation_without_a_name_and_no_drilling_without_a_guide(fe
 
 
 async def test_after_a_restart_nothing_moves_until_the_surgeon_says_that_nothing_is_in_the_bone() -> None:
-    async with open_bench(workflow=workflow()) as bench:
+    async with open_bench(workflow="femoroplasty") as bench:
         await bench.connect()
         await bench.accept("registration.plan_landmarks", landmarks=PLAN["landmarks"])
         await bench.accept("digitization.digitize_all")

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stimulation_bench import workflow
 from workflow_bench import AT_REST, WorkflowBench, open_bench
 
 from pcmrs.devices.jumps import PoseLimits
@@ -166,7 +165,7 @@ async def test_a_bumped_reference_takes_the_registration_back(bench: WorkflowBen
 @pytest.fixture
 async def armed() -> AsyncIterator[WorkflowBench]:
     """Placed, aligned, armed at 50 %, with the interval behind."""
-    async with guarded({"alignment": {"off_time": 30.0}}, workflow=workflow()) as bench:
+    async with guarded({"alignment": {"off_time": 30.0}}, workflow="ratms_threshold") as bench:
         await bench.to_placed()
         await bench.accept("stimulation.set_ceiling", percent=80.0, operator="Dr Hand")
         await bench.accept("stimulation.set_intensity", percent=50.0)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stimulation_bench import RESPONDING, SILENT, StimulationBench, stimulation, workflow
+from stimulation_bench import RESPONDING, SILENT, StimulationBench, stimulation
 from workflow_bench import POSES, open_bench
 
 from pcmrs.fsm import examine
@@ -74,11 +74,7 @@ async def go_to_next(bench: StimulationBench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked", "tolerance"),
-    [
-        ({"method": "grid"}, 0.005),
-        pytest.param({"method": "adaptive", "max_pulses": 20}, 0.006, marks=pytest.mark.nightly),
-    ],
+    ("asked", "tolerance"), [({"method": "grid"}, 0.005), ({"method": "adaptive", "max_pulses": 20}, 0.006)]
 )
 @pytest.mark.nightly
 async def test_the_hotspot_is_found_by_pulses(
@@ -203,7 +199,7 @@ async def test_the_threshold_is_found_by_pulses(armed: StimulationBench, method:
 @pytest.mark.nightly
 async def test_the_simulated_subject_has_the_threshold_that_is_found() -> None:
     """The simulated stimulator, muscle and electromyograph in place of the stand-ins; at the subject's own hot-spot."""
-    async with open_bench({"stimulation": {"intervals": {"least": 1.1}}}, workflow=workflow()) as bench:
+    async with open_bench({"stimulation": {"intervals": {"least": 1.1}}}, workflow="ratms_threshold") as bench:
         subject = draw_subject("head", seed=1)
         assert subject is not None
         await bench.register()

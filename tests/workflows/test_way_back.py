@@ -13,11 +13,7 @@ import numpy as np
 import pytest
 from workflow_bench import WorkflowBench, open_bench
 
-from pcmrs.dispatcher import Workflow
 from pcmrs.spatial import Transform
-from pcmrs.workflows import open_workflow
-from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.paths import middle_of_body
 
 pytestmark = pytest.mark.nightly  # minutes of motion
@@ -28,12 +24,6 @@ PLACES = [("ratms", 0), ("ratms", 8), ("ratms", 11), ("grid_mapping", 3), ("femo
 SURGEON = {"surgeon": "A. Surgeon"}
 
 Forget = Callable[[WorkflowBench], Awaitable[None]]
-
-
-@cache
-def workflow(name: str) -> Workflow[Cell, PlacementData]:
-    """Proving it takes seconds, so that is done once."""
-    return open_workflow(name)
 
 
 @cache
@@ -58,7 +48,7 @@ async def register(bench: WorkflowBench) -> None:
 
 @asynccontextmanager
 async def open_placed(name: str, pose: int) -> AsyncIterator[WorkflowBench]:
-    async with open_bench(workflow=workflow(name)) as bench:
+    async with open_bench(workflow=name) as bench:
         await may_move(bench)
         await bench.connect()
         await register(bench)
@@ -106,7 +96,7 @@ async def test_a_registration_given_up_leaves_the_way_back_open(name: str, pose:
 async def test_after_a_restart_the_way_back_is_straight_though_it_pass_the_reference(name: str, pose: int) -> None:
     async with open_placed(name, pose) as bench:
         posture = bench.cell.posture().tolist()
-    async with open_bench(sim={"arm": {"home": posture}}, workflow=workflow(name)) as bench:
+    async with open_bench(sim={"arm": {"home": posture}}, workflow=name) as bench:
         await may_move(bench)
         await bench.connect()
         assert bench.states["placement"] == "held"
