@@ -104,6 +104,18 @@ class JournalError(PcmrsError):
     code = "journal_unavailable"
 
 
+class SupervisionError(PcmrsError):
+    """A task of the daemon has died too often for the daemon to go on; motion was held before it ended."""
+
+    code = "task_failed"
+
+
+class ReplayError(PcmrsError):
+    """A journal cannot be replayed by this program; file, row and what is missing are named."""
+
+    code = "not_replayable"
+
+
 class ReentrancyError(PcmrsError):
     """An operation awaited its own dispatcher, which would wait for itself for ever."""
 

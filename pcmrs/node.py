@@ -35,7 +35,7 @@ async def serve_devices(settings: Settings, driver: str, devices: Sequence[str],
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
     if lifeline:
-        _when_input_ends(ended.set)
+        when_input_ends(ended.set)
     (point,) = entry_points(group=DRIVERS, name=driver)
     open_driver: OpenDriver = point.load()
     clock = SystemClock(settings.cell.rate)
@@ -43,7 +43,7 @@ async def serve_devices(settings: Settings, driver: str, devices: Sequence[str],
         bus = await Bus.open(settings.bus("client"))
         stack.push_async_callback(bus.close)
         opened = await stack.enter_async_context(open_driver(devices, as_table(settings), clock))
-        node = DeviceNode(bus, opened, SystemClock())
+        node = DeviceNode(bus, opened, SystemClock(), settings.robot.deadman)
         lane = await StopLane.open(settings.bus("client"), node.stop)
         stack.push_async_callback(lane.close)
         bus.alive(f"node-{driver}")
@@ -57,7 +57,7 @@ async def serve_devices(settings: Settings, driver: str, devices: Sequence[str],
             await serving
 
 
-def _when_input_ends(act: Callable[[], None]) -> None:
+def when_input_ends(act: Callable[[], None]) -> None:
     """Calls `act` once when standard input ends, or anything more arrives on it."""
     loop, descriptor = asyncio.get_running_loop(), sys.stdin.fileno()
 

@@ -18,6 +18,7 @@ from pcmrs.errors import ConfigurationError, PayloadError
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.urdf_arms import find_arm
+from pcmrs.recording.settings import RecordingSettings
 from pcmrs.workflows import find_workflow, read_workflow
 from pcmrs.workflows.settings import ProcedureSettings
 
@@ -91,11 +92,14 @@ class RobotSettings(DeviceSettings, frozen=True, forbid_unknown_fields=True):
     Attributes:
         force_limit: The driver stops the arm when the force on the tool exceeds this, N.
         relief_mm: Before that it draws the tool back along its axis by so much at most, to relieve the force.
+        deadman: Its node holds the moving arm by itself when it has not heard the daemon for so long, s of the machine;
+            a servo session ends so long after its last set point, s of the cell.
     """
 
     model: str = "iiwa14"
     force_limit: Annotated[float, msgspec.Meta(gt=0.0)] = 25.0
     relief_mm: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.0
+    deadman: Annotated[float, msgspec.Meta(ge=0.05, le=1.0)] = 0.1
 
 
 class JournalSettings(Table, frozen=True, forbid_unknown_fields=True):
@@ -123,6 +127,7 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
     procedure: ProcedureSettings = ProcedureSettings()
     gateway: GatewayConfig = GatewayConfig()
     journal: JournalSettings = JournalSettings()
+    recording: RecordingSettings = RecordingSettings()
     sim: dict[str, Any] = {}
     kst: dict[str, Any] = {}
     ndi: dict[str, Any] = {}

@@ -13,7 +13,7 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
 from sim.contact import Contact
 from sim.controller import Controller
-from sim.disturbance import Disturbance
+from sim.disturbance import PlantDisturbance
 from sim.errors import displaced
 from sim.force import ForceSensor
 from sim.phantom import Phantom
@@ -40,7 +40,10 @@ class Arm(Follower):
         contact: Between tool and body.
         sensor: The arm's own estimate of the force.
         disturbance: From outside the controller.
+        stride: So many steps of what is around it may pass at once.
     """
+
+    stride = 1
 
     def __init__(self, facts: ArmFacts, settings: SimSettings, force: ForceSettings, phantom: Phantom) -> None:
         own, flange_from_coil = settings.arm, settings.geometry.flange_from_coil.transform
@@ -56,7 +59,7 @@ class Arm(Follower):
         self._data.qpos[:] = home
         self._controller = Controller(nominal_model(facts, own, flange_from_coil, phantom, rng), facts, own, home)
         self.contact = Contact(self._plant, phantom, settings.contact, STEP)
-        self.disturbance = Disturbance(self._plant)
+        self.disturbance = PlantDisturbance(self._plant)
         self._posture, self._base_from_flange = home, self._true_model.forward(home)
         self.step(SETTLING_STEPS)
 

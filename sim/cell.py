@@ -74,13 +74,15 @@ class Cell:
             "stimulator": self._stimulator,
             "emg": SimEmg(self.world, clock),
         }
+        self._kinematic = settings.arm.physics == "kinematic"
+        self._longest = math.inf if self._kinematic else LONGEST_CATCH_UP
         self.lag = 0.0
 
     async def run(self) -> None:
         """Steps until cancelled; then no device publishes or answers any more."""
         try:
             while True:
-                await self.clock.sleep(BATCH)
+                await self.clock.sleep(self._pause())
                 self.catch_up()
         finally:
             self._robot.close()
@@ -88,6 +90,13 @@ class Cell:
             self._stimulator.close()
             if self.lag:
                 log.warning("the simulated cell was slower than its clock", lag=round(self.lag, 3))
+
+    def _pause(self) -> float:
+        """Until it has to be stepped again, s: what stands, and costs nothing to step, waits for what is due next."""
+        if not (self._kinematic and self.world.arm.at_rest):
+            return BATCH
+        # One step more, for time goes on in whole steps.
+        return max(0.0, min(self._robot.due, self._tracker.due) - self.clock.monotonic()) + STEP
 
     @property
     def robot_faults(self) -> RobotFaults:
@@ -114,7 +123,7 @@ class Cell:
     def advance(self, now: float) -> None:
         """Simulates up to `now`, s of the clock."""
         world = self.world
-        lost = max(0.0, now - world.time - LONGEST_CATCH_UP)
+        lost = max(0.0, now - world.time - self._longest)
         self.lag += lost
         world.time += lost
         while world.time + STEP <= now:

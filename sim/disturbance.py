@@ -18,19 +18,17 @@ class Disturbance:
     """Nothing, until somebody sets it.
 
     Args:
-        plant: The model, with a body ``tool``.
+        joints: Of the arm.
 
     Attributes:
         push: Force on the tool along its +z, N.
         offset: By which the arm misses what is commanded, rad, (n,).
     """
 
-    def __init__(self, plant: Any) -> None:
-        self._plant = plant
-        self._tool = plant.body("tool").id
-        self._shift = np.zeros((3, plant.nv))
+    def __init__(self, joints: int) -> None:
+        self._shift = np.zeros((3, joints))
         self.push = 0.0
-        self.offset = np.zeros(plant.nv)
+        self.offset = np.zeros(joints)
 
     @property
     def none(self) -> bool:
@@ -43,6 +41,19 @@ class Disturbance:
         if missing.any():
             self._shift[0] += np.clip(missing, -GROWTH * STEP, GROWTH * STEP)
         return sample + self._shift if self._shift[0].any() else sample
+
+
+class PlantDisturbance(Disturbance):
+    """The same, with a push that the physics feels.
+
+    Args:
+        plant: The model, with a body ``tool``.
+    """
+
+    def __init__(self, plant: Any) -> None:
+        super().__init__(plant.nv)
+        self._plant = plant
+        self._tool = plant.body("tool").id
 
     def apply(self, data: Any) -> float:
         """Sets the push for the next step of the physics; the force, N."""

@@ -74,6 +74,9 @@ class TrackerErrors:
     Args:
         settings: Magnitudes of the errors.
         rng: Where they come from.
+
+    Attributes:
+        steady: Without jitter: what does not move is measured the same in every frame.
     """
 
     def __init__(self, settings: TrackerSettings, rng: np.random.Generator) -> None:
@@ -82,6 +85,7 @@ class TrackerErrors:
         self._rotation_bias = BiasField(radians(settings.bias_deg), rng)
         self._translation_jitter = settings.jitter_mm * 1e-3
         self._rotation_jitter = radians(settings.jitter_deg)
+        self.steady = not (settings.jitter_mm or settings.jitter_deg)
 
     def measure(self, tracker_from_body: Transform) -> Transform:
         """One measurement of a true pose: bias of its place plus fresh jitter, in the tracker's axes."""

@@ -19,6 +19,7 @@ from sim.fault_arguments import choice, number, switch
 if TYPE_CHECKING:
     from sim.arm import Arm
     from sim.cell import Cell
+    from sim.kinematic_arm import KinematicArm
 
 Framing = Literal["mixed", "split", "merged", "whole"]
 """How replies lie in segments: now and then split or merged; always split; merged as far as can be; one in one."""
@@ -124,7 +125,7 @@ def _restart(cell: Cell, _arguments: Mapping[str, Any]) -> None:
     cell.robot_faults.restarts += 1
 
 
-def hold_beside(arm: Arm) -> None:
+def hold_beside(arm: Arm | KinematicArm) -> None:
     """Brakes an arm that has moved beside where it was told to be, and raises the alarm, once."""
     beside = float(np.abs(arm.positions - arm.reference.position).max())
     if beside <= MOST_BESIDE or arm.reference.ended or arm.stopped:

@@ -94,8 +94,11 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         force_noise: Standard deviation of the measured force per axis and control step, N, before the filter.
         force_filter_hz: Corner of the low-pass filter of the measured force.
         state_rate_hz: Published joint states per second of cell time.
+        physics: ``mujoco``, or ``kinematic``: the arm is exactly where its reference is, costs next to nothing, and
+            feels the body as a spring without noise. Friction, inertias, controller and sensor then mean nothing.
     """
 
+    physics: Literal["mujoco", "kinematic"] = "mujoco"
     home: tuple[float, ...] = ()
     friction: NotNegative = 0.5
     damping: NotNegative = 0.5

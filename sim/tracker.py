@@ -10,6 +10,8 @@ import msgspec
 from pcmrs.clock import Clock
 from pcmrs.devices.stream import Stream
 from pcmrs.messages import BodyPose
+from pcmrs.spatial import Transform
+from sim.errors import TrackerErrors
 from sim.tracker_faults import BODIES, TrackerFaults
 from sim.world import World
 
@@ -37,6 +39,7 @@ class SimTracker:
         self._frame_number = 0
         self._pending: deque[list[BodyPose]] = deque()
         self._stream: Stream[Sequence[BodyPose]] = Stream()
+        self._steady: dict[str, tuple[Transform, TrackerErrors, BodyPose]] = {}
         self.newest: Sequence[BodyPose] = ()
         self.faults = TrackerFaults()
 
@@ -89,10 +92,13 @@ class SimTracker:
             return BodyPose(
                 body=body, frame_number=self._frame_number, captured=time, sent=time, valid=False, reason=reason
             )
-        measured = self._world.tracker_errors.measure(tracker_from_body)
+        errors, known = self._world.tracker_errors, self._steady.get(body)
+        if known is not None and known[:2] == (tracker_from_body, errors):
+            return msgspec.structs.replace(known[2], frame_number=self._frame_number, captured=time, sent=time)
+        measured = errors.measure(tracker_from_body)
         x, y, z = measured.translation.tolist()
         w, i, j, k = measured.quat_wxyz.tolist()
-        return BodyPose(
+        pose = BodyPose(
             body=body,
             frame_number=self._frame_number,
             captured=time,
@@ -100,5 +106,8 @@ class SimTracker:
             valid=True,
             position=(x, y, z),
             quat_wxyz=(w, i, j, k),
-            error=self._world.tracker_errors.fit_error(),
+            error=errors.fit_error(),
         )
+        if errors.steady:
+            self._steady[body] = (tracker_from_body, errors, pose)
+        return pose

@@ -14,6 +14,7 @@ from pcmrs.spatial import Floats, Transform
 from pcmrs.tms.subject import Subject
 from sim.arm import Arm
 from sim.errors import TouchErrors, TrackerErrors
+from sim.kinematic_arm import KinematicArm
 from sim.motion import Pivot, head_offset
 from sim.muscle.muscle import Muscle
 from sim.muscle.subject import draw_subject
@@ -59,12 +60,16 @@ class World:
         self._tracker_from_world = self._world_from_tracker.inverse()
         self._flange_from_coil = geometry.flange_from_coil.transform
         self.body_ref_from_image = _placed(geometry.body_ref_from_image, phantom.body_ref_from_image)
-        self._image_from_witness = self.body_ref_from_image.inverse() @ BODY_REF_FROM_WITNESS
+        self._witness_from_image = BODY_REF_FROM_WITNESS.inverse() @ self.body_ref_from_image
         self.image_from_pointer: Transform | None = None
         self.pivot: Pivot | None = None
         self.hidden: set[str] = set()
         self.pulse_listeners: list[Callable[[int, float, float], None]] = []
-        self.arm = Arm(facts, settings, force, phantom)
+        make = KinematicArm if settings.arm.physics == "kinematic" else Arm
+        self.arm: Arm | KinematicArm = make(facts, settings, force, phantom)
+        self._flange: Transform | None = None
+        self._coil = self.tracker_from_coil()
+        self._bodies: dict[str, tuple[Transform, Transform, Transform]] = {}
         self._motion, self._motion_start = HeadMotion(), time
         self._put(self._tracker_from_world @ _placed(geometry.world_from_image, phantom.world_from_image))
         self.reseed(settings.seed)
@@ -81,10 +86,12 @@ class World:
             self.arm.step(steps)
             self.time += steps * STEP
             return
-        for _ in range(steps):
+        while steps > 0:
+            stride = min(steps, self.arm.stride)
             self._move()
-            self.arm.step(1)
-            self.time += STEP
+            self.arm.step(stride)
+            self.time += stride * STEP
+            steps -= stride
 
     def shift_body(self, offset_in_tracker: Floats) -> None:
         """Moves the patient at once, m, (3,)."""
@@ -114,12 +121,15 @@ class World:
             listener(number, intensity, time)
 
     def tracker_from_coil(self) -> Transform:
-        """The true pose of the tool's marker body."""
-        return self._tracker_from_world @ self.arm.base_from_flange() @ self._flange_from_coil
+        """The true pose of the tool's marker body; the same object as long as the arm stands."""
+        flange = self.arm.base_from_flange()
+        if flange is not self._flange:
+            self._flange, self._coil = flange, self._tracker_from_world @ flange @ self._flange_from_coil
+        return self._coil
 
     def tracker_from_body_ref(self) -> Transform:
-        """The true pose of the reference."""
-        return self.tracker_from_image @ self.body_ref_from_image.inverse()
+        """The true pose of the reference; the same object as long as nothing moves it."""
+        return self._fixed("body_ref", self.body_ref_from_image)
 
     def tracker_from(self, body: str) -> Transform | None:
         """The true pose of a tracked body; None when it is not in the tracker's view at all."""
@@ -128,7 +138,7 @@ class World:
         if body == "body_ref":
             return self.tracker_from_body_ref()
         if body == "witness":
-            return self.tracker_from_image @ self._image_from_witness
+            return self._fixed("witness", self._witness_from_image)
         return self._tracker_from_pointer()
 
     def truth(self) -> SceneTruth:
@@ -148,6 +158,14 @@ class World:
             image_from_hotspot=None if known is None else _message(known.image_from_hotspot),
             threshold=None if known is None else float(known.recruitment.threshold),
         )
+
+    def _fixed(self, body: str, body_from_image: Transform) -> Transform:
+        """The true pose of a body that is fixed to the patient."""
+        known = self._bodies.get(body)
+        if known is None or known[0] is not self.tracker_from_image or known[1] is not body_from_image:
+            pose = self.tracker_from_image @ body_from_image.inverse()
+            known = self._bodies[body] = (self.tracker_from_image, body_from_image, pose)
+        return known[2]
 
     def _tracker_from_pointer(self) -> Transform | None:
         if self.pivot is not None and self.time > self.pivot.end:

@@ -44,7 +44,7 @@ USER_OPERATIONS = {
         "clear_surface",
         "reinit",
     ],
-    "toolplan": ["plan", "clear", "reinit"],
+    "toolplan": ["plan", "use_previous", "clear", "reinit"],
     "robot": ["connect", "disconnect", "acknowledge"],
     "placement": [
         "locate",
@@ -165,7 +165,7 @@ def _digitization(joint: Joint, operation: str) -> Endings | None:
 def _toolplan(joint: Joint, operation: str) -> Endings | None:
     if operation == "reinit" and not _away(joint):
         return None
-    return {"done": _revoked((*joint[:2], "1" if operation == "plan" else "0", *joint[3:]))}
+    return {"done": _revoked((*joint[:2], "1" if operation in ("plan", "use_previous") else "0", *joint[3:]))}
 
 
 def _robot(joint: Joint, operation: str) -> Endings | None:

@@ -28,6 +28,10 @@ class Bridge:
     Args:
         loop: Where the calls run.
         capacity: Ordered calls that may wait.
+
+    Attributes:
+        refused: Ordered calls that found the queue full.
+        replaced: Calls of streams that a newer one of the same key came before.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, capacity: int = CAPACITY) -> None:
@@ -38,11 +42,18 @@ class Bridge:
         self._lock = threading.Lock()
         self._scheduled = False
         self._closed = False
+        self.refused = self.replaced = 0
+
+    @property
+    def waiting(self) -> int:
+        """Calls that wait for the loop."""
+        return len(self._ordered) + len(self._newest)
 
     def post(self, call: Call) -> bool:
         """Queues a call; returns False, and forgets it, when the queue is full or closed."""
         with self._lock:
             if self._closed or len(self._ordered) >= self._capacity:
+                self.refused += 1
                 return False
             self._ordered.append(call)
             self._schedule()
@@ -52,6 +63,7 @@ class Bridge:
         """Queues a call in place of the one of the same key that has not run yet."""
         with self._lock:
             if not self._closed:
+                self.replaced += key in self._newest
                 self._newest[key] = call
                 self._schedule()
 

@@ -6,6 +6,8 @@ import asyncio
 from collections.abc import Awaitable, Callable
 
 from pcmrs.bus.envelope import Envelope, command_from, refusal
+from pcmrs.bus.reasons import busy
+from pcmrs.bus.serving import ANSWERS
 from pcmrs.bus.session import Bus
 from pcmrs.bus.stop import StopLane
 from pcmrs.errors import PayloadError, PcmrsError
@@ -70,7 +72,10 @@ class CommandEdge:
         except PayloadError as error:
             self._refuse(key, error)
         else:
-            self._spawn(command)
+            if len(self._submitted) < ANSWERS:
+                self._spawn(command)
+            else:
+                self._refuse(key, busy())
 
     def _spawn(self, command: Command) -> None:
         task = asyncio.ensure_future(self._submit(command))

@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from typing import Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
 import msgspec
 import zenoh
@@ -22,6 +22,9 @@ T = TypeVar("T")
 
 Refuse = Callable[[str, PcmrsError], msgspec.Struct]
 """Makes the reply to a request that never reaches its handler, from its relative key and the error."""
+
+ANSWERS: Final = 256
+"""Requests that a process answers at the same time; one more is refused."""
 
 _log = logging.getLogger(__name__)
 
@@ -63,6 +66,9 @@ class Service(Generic[T]):
         return str(query.key_expr).removeprefix(f"{self.prefix}/") if "*" in self.key else self.key
 
     def _start(self, query: zenoh.Query, key: str) -> None:
+        if len(self.tasks) >= ANSWERS:
+            self.pool.submit(self._send, query, key, self._refusal(key, busy()))
+            return
         task = asyncio.create_task(self._answer(query, key))
         self.tasks.add(task)
         task.add_done_callback(self.tasks.discard)

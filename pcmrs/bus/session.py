@@ -179,6 +179,16 @@ class Bus:
         self._tokens.append(token)
         return token
 
+    def counters(self) -> dict[str, int]:
+        """Messages refused and replaced since the start, and what waits and is answered now."""
+        bridge = self._bridge
+        return {
+            "bus.refused": bridge.refused,
+            "bus.replaced": bridge.replaced,
+            "bus.waiting": bridge.waiting,
+            "bus.answering": len(self._tasks),
+        }
+
     async def close(self) -> None:
         """Ends running answers (their askers learn: unknown), then undeclares everything and closes."""
         self._bridge.close()

@@ -17,6 +17,7 @@ COMMANDS = {
     "stop": "pcmrs.cli.cell:stop",
     "journal": "pcmrs.cli.journal:journal",
     "fsm": "pcmrs.cli.fsm:fsm",
+    "faults": "pcmrs.cli.faults:faults",
     "placements": "pcmrs.cli.placements:placements",
     "register": "pcmrs.cli.register:register",
     "calibrate": "pcmrs.cli.calibrate:calibrate",
@@ -25,6 +26,10 @@ COMMANDS = {
     "session": "pcmrs.cli.session:session",
     "node": "pcmrs.cli.serve:node",
     "serve": "pcmrs.cli.serve:serve",
+    "record": "pcmrs.cli.record:record",
+    "repair": "pcmrs.cli.record:repair",
+    "play": "pcmrs.cli.play:play",
+    "export-session": "pcmrs.cli.export_session:export_session",
 }
 
 

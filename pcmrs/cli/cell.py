@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from datetime import datetime
 from typing import Any
 
 import click
@@ -16,7 +17,7 @@ from pcmrs.cli.options import Address, address_options, json_option
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
 from pcmrs.client import Event
 from pcmrs.errors import PayloadError
-from pcmrs.messages import DeviceEvent, Snapshot, Verdict
+from pcmrs.messages import DeviceEvent, Snapshot, UnknownOutcome, Verdict
 
 STATUS = {"accepted": 0, "rejected": EXIT_REJECTED, "failed": EXIT_FAILED, "unknown": EXIT_FAILED}
 
@@ -46,7 +47,7 @@ def call(operation: str, arguments: str, as_json: bool, address: Address) -> Non
 @address_options
 @readable_errors
 def state(as_json: bool, address: Address) -> None:
-    """Print the state of all branches, the flags and what is running."""
+    """Print the state of all branches, the flags, what is running, and outcomes that nobody knows yet."""
     snapshot = run(_state(address))
     if as_json:
         click.echo(_json(snapshot))
@@ -131,14 +132,21 @@ def _json(message: msgspec.Struct) -> str:
 def _line(event: Event) -> str:
     if isinstance(event, Snapshot):
         states = " ".join(f"{branch}={state}" for branch, state in event.branches.items())
+        unknown = "".join(f" unknown {each.branch}.{each.operation}" for each in event.unknown)
         running = "".join(f" running {r.branch}.{r.operation} {r.progress:.0%}" for r in event.running)
-        return f"#{event.sequence} {states}{running}{' LATCHED' if event.latched else ''}"
+        return f"#{event.sequence} {states}{running}{' LATCHED' if event.latched else ''}{unknown}"
     if isinstance(event, DeviceEvent):
         return f"{event.device}: {event.code}: {event.text}"
     said = f"{event.decision}: {event.branch}.{event.operation}, {event.branch} is in {event.state or '?'}"
     if event.reason is not None:
         said += f": {event.reason.code}: {event.reason.text}"
     return said + (f" {json.dumps(event.result)}" if event.result else "")
+
+
+def _unknown(outcome: UnknownOutcome) -> str:
+    since = datetime.fromtimestamp(outcome.since).astimezone().isoformat(sep=" ", timespec="seconds")
+    command = f"{outcome.branch}.{outcome.operation} (command {outcome.command} of {outcome.source}, {since})"
+    return f"unknown: {command}: look, then settle it: a motion by placement.locate, anything else by acknowledging"
 
 
 def _print_snapshot(snapshot: Snapshot) -> None:
@@ -153,5 +161,7 @@ def _print_snapshot(snapshot: Snapshot) -> None:
     console.print(f"flags: {', '.join(raised) or 'none'}; sequence {snapshot.sequence}")
     for running in snapshot.running:
         console.print(f"running: {running.branch}.{running.operation} {running.progress:.0%}")
+    for outcome in snapshot.unknown:
+        console.print(_unknown(outcome), highlight=False)
     if snapshot.latched:
         console.print("latched by Stop until it is acknowledged (ratms: pcmrs call robot.acknowledge)")

@@ -3,35 +3,101 @@
 from __future__ import annotations
 
 import datetime
+import functools
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, get_args
 
 import click
 import msgspec
 
+from pcmrs.cli.lazy import LazyGroup
 from pcmrs.cli.options import config_options, json_option
-from pcmrs.cli.running import readable_errors
-from pcmrs.journal import JournalReader, StoredRow
+from pcmrs.cli.running import readable_errors, run
+from pcmrs.clock import SystemClock
+from pcmrs.journal import JournalReader, Kind, StoredRow
+
+COMMANDS = {
+    "show": "pcmrs.cli.journal:show",
+    "verify": "pcmrs.cli.journal_verify:verify",
+    "export": "pcmrs.cli.journal_export:export",
+    "replay": "pcmrs.cli.journal_replay:replay",
+}
+
+FOLLOWING = 0.2
+"""Between two looks at a journal that is followed, s."""
 
 
-@click.group()
+@click.group(cls=LazyGroup, commands=COMMANDS)
 def journal() -> None:
-    """Look at what was asked, decided and reported."""
+    """Look at what was asked, decided and reported, and prove that it is whole."""
 
 
-@journal.command()
-@click.argument("path", type=click.Path(path_type=Path), required=False)
+path_argument = click.argument("path", type=click.Path(path_type=Path), required=False)
+
+
+def filter_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Adds --kind, --branch, --source and --command; the command gets those given as `filters`."""
+
+    @functools.wraps(function)
+    def command(
+        *, kind: Kind | None, branch: str | None, source: str | None, command_id: str | None, **given: Any
+    ) -> Any:
+        filters = {"kind": kind, "branch": branch, "source": source, "command_id": command_id}
+        return function(filters=filters, **given)
+
+    for option in (
+        click.option("--command", "command_id", metavar="ID", help="Only rows of this command."),
+        click.option("--source", help="Only rows from this source, such as bus:local."),
+        click.option("--branch", help="Only rows of this branch."),
+        click.option("--kind", type=click.Choice(get_args(Kind)), help="Only rows of this kind."),
+    ):
+        command = option(command)
+    return command
+
+
+@click.command()
+@path_argument
 @click.option("--last", default=50, show_default=True, help="How many rows; 0 for all.")
+@click.option("--follow", is_flag=True, help="Go on with the rows that are written, until interrupted.")
+@filter_options
 @json_option
 @config_options
 @readable_errors
-def show(path: Path | None, last: int, as_json: bool, file: Path | None, overrides: tuple[str, ...]) -> None:
+def show(
+    path: Path | None,
+    last: int,
+    follow: bool,
+    filters: dict[str, Any],
+    as_json: bool,
+    file: Path | None,
+    overrides: tuple[str, ...],
+) -> None:
     """Print the rows of the journal at PATH, or of the configured cell, oldest first."""
-    with JournalReader(path or _of_cell(file, overrides)) as reader:
-        for row in reader.read(last=last or None):
+    with JournalReader(path or of_cell(file, overrides)) as reader:
+        shown = 0
+        for row in reader.read(last=last or None, **filters):
             click.echo(msgspec.json.encode(row).decode() if as_json else _line(row))
+            shown = row.sequence
+        if follow:
+            run(_follow(reader, shown, filters, as_json=as_json))
 
 
-def _of_cell(file: Path | None, overrides: tuple[str, ...]) -> Path:
+async def _follow(reader: JournalReader, after: int, filters: dict[str, Any], *, as_json: bool) -> None:
+    while True:
+        await SystemClock().sleep(FOLLOWING)
+        for row in reader.read(after=after, **filters):
+            click.echo(msgspec.json.encode(row).decode() if as_json else _line(row))
+            after = row.sequence
+
+
+def of_cell(file: Path | None, overrides: tuple[str, ...]) -> Path:
+    """The journal of the configured cell.
+
+    Raises:
+        ConfigurationError: The configuration is wrong.
+        BlueprintError: Its workflow is.
+    """
     from pcmrs.settings import read_settings
     from pcmrs.workflows import read_workflow
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import inspect
+from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping
 from math import inf
 from typing import Any, get_type_hints
@@ -12,6 +13,7 @@ import msgspec
 import structlog
 
 from pcmrs.clock import Clock
+from pcmrs.devices.deadman import DEADMAN, Deadman, beat_period
 from pcmrs.devices.link import Link
 from pcmrs.devices.protocols import (
     Emg,
@@ -24,7 +26,16 @@ from pcmrs.devices.protocols import (
     TrackerDriver,
 )
 from pcmrs.errors import DeviceError, PayloadError, PcmrsError
-from pcmrs.messages import Beat, DeviceHealth, DeviceReply, DeviceRequest, JointSetpoint, Reason, StimulatorState
+from pcmrs.messages import (
+    Beat,
+    DeviceEvent,
+    DeviceHealth,
+    DeviceReply,
+    DeviceRequest,
+    JointSetpoint,
+    Reason,
+    StimulatorState,
+)
 
 log = structlog.get_logger(__name__)
 
@@ -42,15 +53,23 @@ STREAMING = ("robot", "tracker")
 STREAM_TIMEOUT = 1.0
 """A streaming device that has sent nothing for so long is not connected, s of the machine."""
 
-BEAT_PERIOD = 0.05
-"""Seconds of the machine between heartbeats."""
+HEALTH_PERIOD = 1.0
+"""Between two words on a device's health, s of the machine."""
 
 DAEMON_BEAT = "dev/daemon/beat"
 """Key of the daemon's heartbeats: one on which no device node beats, for another node may outlive the daemon."""
 
-BEAT_TIMEOUT = 0.5
-"""Without a heartbeat of the daemon for so long, s of the machine, a robot in motion is held and an armed stimulator
-disarmed."""
+PULSE_DELAY = 0.5
+"""A pulse that may have waited here for so long, because the node was held up, is not given, s of the machine."""
+
+REQUEST_DELAY = 1.0
+"""A request to act that has been on its way for so long is refused, s of the machine."""
+
+BEGINS_MOTION = ("follow", "press", "begin_servo")
+"""Methods of the robot that are refused when the daemon is not heard, too."""
+
+ACTS = (*BEGINS_MOTION, "connect", "set_intensity", "arm", "fire")
+"""Methods that are refused when they come late; the others make safe, or change nothing that matters."""
 
 HOLD_TIME = 1.0
 """A robot stands still so long after it was told to hold, and a stimulator is disarmed, s of the machine."""
@@ -63,15 +82,21 @@ class DeviceNode:
         link: The bus.
         devices: Device name to device, as the driver has opened them.
         clock: The machine's clock: heartbeats do not run faster with a simulated cell.
+        deadman: A moving robot is held, and an armed stimulator disarmed, when nothing fresh has been heard of the
+            daemon for so long, s of the machine.
+
+    Attributes:
+        late: Kind of message to how many came too late to be followed.
     """
 
-    def __init__(self, link: Link, devices: Mapping[str, Any], clock: Clock) -> None:
+    def __init__(self, link: Link, devices: Mapping[str, Any], clock: Clock, deadman: float = DEADMAN) -> None:
         self._link = link
         self._devices = devices
         self._clock = clock
-        self._last_beat = clock.monotonic()
+        self._deadman = Deadman(deadman, self._at_risk, self._hold_for_silence, clock)
+        self.late: Counter[str] = Counter()
         self._moving = False
-        self._begun = self._awake = self._last_beat
+        self._begun = self._awake = clock.monotonic()
         self._held_up = -inf
         self._heard: dict[str, float] = {}
         self._holds: set[asyncio.Task[None]] = set()
@@ -86,11 +111,11 @@ class DeviceNode:
             if "tracker" in self._devices:
                 tasks.create_task(self._publish_frames(self._devices["tracker"]))
             if "robot" in self._devices or "stimulator" in self._devices:
-                self._link.subscribe(DAEMON_BEAT, Beat, self._hear_beat)
-                tasks.create_task(self._watch_beat())
+                self._link.subscribe(DAEMON_BEAT, Beat, lambda _, beat: self._deadman.hear(beat))
+                tasks.create_task(self._deadman.run())
             if "robot" in self._devices:
                 robot: RobotDriver = self._devices["robot"]
-                self._link.subscribe("dev/robot/setpoint", JointSetpoint, lambda _, each: robot.set_point(each))
+                self._link.subscribe("dev/robot/setpoint", JointSetpoint, lambda _, each: self._pass_on(robot, each))
                 tasks.create_task(self._publish_joints(robot))
                 tasks.create_task(self._publish_events("robot", robot))
             if "stimulator" in self._devices:
@@ -126,8 +151,7 @@ class DeviceNode:
 
         async def answer(_key: str, request: DeviceRequest) -> DeviceReply:
             try:
-                if (name, request.method) == ("stimulator", "fire"):
-                    self._check_not_held_up()
+                await self._check_fresh(name, request)
                 result = await _call(device, methods, request)
             except PcmrsError as error:
                 return DeviceReply(failure=Reason(code=error.code, text=error.text, fields=error.fields))
@@ -136,37 +160,69 @@ class DeviceNode:
         self._link.serve(f"dev/{name}/cmd", DeviceRequest, answer)
 
     async def _beat(self) -> None:
-        number = 0
+        period, number = beat_period(self._deadman.limit), 0
+        health_every = max(2, round(HEALTH_PERIOD / period))
         while True:
             number += 1
             for name in self._devices:
-                self._link.publish(f"dev/{name}/beat", Beat(number=number))
-                if number % 20 == 1 and (health := self._health(name)) is not None:
+                self._link.publish(f"dev/{name}/beat", Beat(number=number, sent=self._clock.monotonic()))
+                if number % health_every == 1 and (health := self._health(name)) is not None:
                     self._link.publish(f"dev/{name}/state", health)
-            await self._clock.sleep(BEAT_PERIOD)
+            await self._clock.sleep(period)
             self._wake_up()
 
     def _wake_up(self) -> None:
         now = self._clock.monotonic()
-        if now - self._awake > BEAT_TIMEOUT:
+        if now - self._awake > PULSE_DELAY:
             self._held_up = now
         self._awake = now
+
+    async def _check_fresh(self, name: str, request: DeviceRequest) -> None:
+        """Refuses what was asked for in another situation than the present one.
+
+        Raises:
+            DeviceError: The request is late, or nothing shows that who sent it is still there.
+        """
+        if (name, request.method) == ("stimulator", "fire"):
+            self._check_not_held_up()
+        if request.sent is None or request.method not in ACTS:
+            return
+        late = self._deadman.lateness.of(request.sent, self._clock.monotonic())
+        if late > REQUEST_DELAY:
+            self.late["requests"] += 1
+            text = (
+                f"{name}.{request.method} came {late:.1f} s late and was dropped, limit {REQUEST_DELAY:g} s: ask again."
+            )
+            raise DeviceError(text, late=late, limit=REQUEST_DELAY)
+        if name == "robot" and request.method in BEGINS_MOTION and not await self._deadman.heard():
+            limit = self._deadman.limit
+            text = f"The robot does not begin to move: its node has not heard the daemon for {limit:g} s. "
+            text += "See that neither the network nor the machine is overloaded, and ask again."
+            raise DeviceError(text, limit=limit)
+
+    def _pass_on(self, robot: RobotDriver, setpoint: JointSetpoint) -> None:
+        """A set point that came too late is none: where the arm shall be now is not where it should have been."""
+        if self._deadman.lateness.of(setpoint.sent, self._clock.monotonic()) > self._deadman.limit:
+            self.late["setpoints"] += 1
+        else:
+            robot.set_point(setpoint)
 
     def _check_not_held_up(self) -> None:
         """Refuses a pulse that may have waited here: coil and head were looked at before, not now."""
         self._wake_up()
-        if self._awake - self._held_up < BEAT_TIMEOUT:
+        if self._awake - self._held_up < PULSE_DELAY:
             raise DeviceError("No pulse was given: the stimulator's node was held up just before. Fire again.")
 
     def _health(self, name: str) -> DeviceHealth | None:
         """None while it is too early to say."""
+        dropped = dict(self.late) | ({"beats": self._deadman.late} if self._deadman.late else {})
         if name not in STREAMING:
-            return DeviceHealth(device=name, connected=True)
+            return DeviceHealth(device=name, connected=True, dropped=dropped)
         now = self._clock.monotonic()
         if now - self._heard.get(name, self._begun) > STREAM_TIMEOUT:
             text = self._devices[name].trouble or "The device sends nothing."
-            return DeviceHealth(device=name, connected=False, text=text)
-        return DeviceHealth(device=name, connected=True) if name in self._heard else None
+            return DeviceHealth(device=name, connected=False, text=text, dropped=dropped)
+        return DeviceHealth(device=name, connected=True, dropped=dropped) if name in self._heard else None
 
     async def _publish_frames(self, tracker: TrackerDriver) -> None:
         async for frame in tracker.frames():
@@ -184,24 +240,13 @@ class DeviceNode:
         async for event in device.events():
             self._link.publish(f"dev/{name}/event", event)
 
-    def _hear_beat(self, _key: str, _beat: Beat) -> None:
-        self._last_beat = self._clock.monotonic()
+    async def _hold_for_silence(self, silence: float) -> None:
+        await asyncio.gather(self.make_safe("no heartbeat"), self._tell_silence(silence))
 
-    async def _watch_beat(self) -> None:
-        listened = True
-        while True:
-            before = self._clock.monotonic()
-            await self._clock.sleep(BEAT_PERIOD)
-            now = self._clock.monotonic()
-            silence = now - self._last_beat
-            if silence <= BEAT_TIMEOUT or not await self._at_risk():
-                listened = True
-            elif listened and now - before > BEAT_TIMEOUT / 2:
-                listened = False  # this process was held up itself: once, it hears first what has arrived meanwhile
-            else:
-                log.warning("held_by_node", reason="no heartbeat of the daemon", silence=round(silence, 3))
-                await self.make_safe("no heartbeat")
-                self._last_beat, listened = self._clock.monotonic(), True
+    async def _tell_silence(self, silence: float) -> None:
+        log.warning("held_by_node", reason="no heartbeat of the daemon", silence=round(silence, 4))
+        device = "robot" if self._moving else "stimulator"
+        self._link.publish(f"dev/{device}/event", _daemon_silent(device, silence, self._deadman.limit))
 
     async def _at_risk(self) -> bool:
         """Whether anything moves or could fire."""
@@ -213,6 +258,13 @@ class DeviceNode:
         except Exception:  # nobody knows, and the watch must go on
             return True
         return state.armed
+
+
+def _daemon_silent(device: str, silence: float, limit: float) -> DeviceEvent:
+    text = f"The node of the {device} has made it safe by itself: it had not heard the daemon for "
+    text += f"{silence * 1e3:.0f} ms, limit {limit * 1e3:.0f} ms. Nothing goes on by itself: look, and acknowledge."
+    fields = {"silence": silence, "limit": limit}
+    return DeviceEvent(device=device, code="daemon_silent", text=text, danger=True, fields=fields)
 
 
 def _methods(protocol: type) -> list[str]:

@@ -11,6 +11,7 @@ from itertools import takewhile
 
 from pcmrs.clock import Clock
 from pcmrs.devices.jumps import JumpGuard, PoseLimits
+from pcmrs.devices.lateness import Lateness
 from pcmrs.errors import GeometryError, RefusalError
 from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform, mean_transform
@@ -65,6 +66,7 @@ class PoseFeed:
         self._max_age = max_age
         self._limits = limits
         self._jumps = JumpGuard(limits)
+        self._lateness = Lateness()
         self._sightings: dict[str, deque[Sighting]] = {}
         self._arrivals: dict[str, float] = {}
         self._last_reason: dict[str, str] = {}
@@ -164,6 +166,7 @@ class PoseFeed:
             return None, "stamp_reversed"
         now = self._clock.monotonic()
         silence, self._arrivals[pose.body] = now - self._arrivals.get(pose.body, now), now
+        late = self._lateness.hear(pose.sent, now)
         known = self._sightings.get(pose.body)
         if known and pose.frame_number < known[-1].frame_number and silence > RESTART_TIME:
             self._forget()  # the tracker was restarted and counts anew; a frozen one repeats its number
@@ -178,10 +181,11 @@ class PoseFeed:
         doubt = self._jumps.doubt(pose.body, pose.captured, tracker_from_body)
         if doubt:
             return None, doubt
-        return Sighting(pose.frame_number, pose.captured, self._clock.monotonic() - age, tracker_from_body), ""
+        return Sighting(pose.frame_number, pose.captured, now - age - late, tracker_from_body), ""
 
     def _forget(self) -> None:
         """Of every body: a number of before would name another frame now."""
+        self._lateness.forget()
         for body, sightings in self._sightings.items():
             self._jumps.forget(body)
             sightings.clear()

@@ -65,7 +65,7 @@ class RemoteDevice:
             DeviceError: The device answered with a failure; field ``code`` holds its code.
             UnknownOutcomeError: No answer came, or one that is no `kind`.
         """
-        request = DeviceRequest(method=method, arguments=msgspec.to_builtins(arguments))
+        request = DeviceRequest(method=method, arguments=msgspec.to_builtins(arguments), sent=self._clock.monotonic())
         what = f"{self._device}.{method}"
         try:
             async with self._clock.timeout(timeout):

@@ -13,9 +13,14 @@ BACKLOG = 64
 
 
 class Stream(Generic[T]):
-    """Every reader gets every value published after it began to read, until the stream is closed."""
+    """Every reader gets every value published after it began to read, until the stream is closed.
+
+    Attributes:
+        dropped: Values that a reader was too slow for.
+    """
 
     def __init__(self) -> None:
+        self.dropped = 0
         self._readers: set[asyncio.Queue[T | None]] = set()
         self._closed = False
 
@@ -24,6 +29,7 @@ class Stream(Generic[T]):
         for reader in self._readers:
             if reader.full():
                 reader.get_nowait()
+                self.dropped += 1
             reader.put_nowait(value)
 
     def close(self) -> None:

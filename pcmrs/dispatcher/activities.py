@@ -86,6 +86,15 @@ class Activities(Generic[C, D]):
         for each in self._pursuits:
             each.end()
 
+    def open(self) -> None:
+        """After `close`: activities may begin again."""
+        self._closed = False
+
+    async def leave_ended(self) -> None:
+        """Performs the `ended` of those that `close` has ended in a state that its branch is still in."""
+        for each in [each for each in self._current.values() if each.quiet.is_set()]:
+            await self._leave(each)
+
     def _begin(self, spec: ActivitySpec, branch: str, state: str, command: Command) -> None:
         stage, procedure = self._stage, self._stage.procedure
         act = Activity(

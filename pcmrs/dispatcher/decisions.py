@@ -15,11 +15,14 @@ from pcmrs.dispatcher.memory import Memory
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.run import C, D, Run
-from pcmrs.errors import PcmrsError
+from pcmrs.errors import JournalError, PcmrsError
+from pcmrs.failpoints import failpoint
 from pcmrs.fsm import Change
 from pcmrs.messages import Command, Decision, Reason, Verdict
 
 log = structlog.get_logger(__name__)
+
+JOURNAL = JournalError.code
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +67,9 @@ class Decisions(Generic[C, D]):
         memory: Where those who asked wait.
         settled: Called with the conclusion and its verdict once the verdict is given.
         broken: Called when a conclusion cannot be journalled or committed; the verdict is already given.
+
+    Attributes:
+        doubtful: Those that could not be brought to their end; only the disk knows whether they are journalled.
     """
 
     def __init__(
@@ -79,6 +85,7 @@ class Decisions(Generic[C, D]):
         self._memory = memory
         self._settled = settled
         self._broken = broken
+        self.doubtful: list[Conclusion[C, D]] = []
 
     def conclude(self, conclusion: Conclusion[C, D]) -> None:
         """Journals a decision; as soon as that is durable, it is committed and answered."""
@@ -87,6 +94,7 @@ class Decisions(Generic[C, D]):
             sequence = procedure.sequence if rejected else procedure.reserve(conclusion.change)
             states = procedure.joint() | (dict(conclusion.change.states) if conclusion.change is not None else {})
             verdict = self._verdict(conclusion, conclusion.decision, conclusion.reason, states, sequence)
+            failpoint("dispatcher.before_outcome")
             written = self._recorder.decision(
                 conclusion.command,
                 verdict,
@@ -109,10 +117,23 @@ class Decisions(Generic[C, D]):
         reason = self._broken(error)
         decision: Decision = "rejected" if conclusion.decision == "rejected" else "unknown"
         self._answer(conclusion, self._verdict(conclusion, decision, reason, self._procedure.joint()))
+        if decision == "rejected":
+            self._memory.forget(conclusion.command)
+        else:
+            self.doubtful.append(conclusion)
+
+    def commit_recorded(self, conclusion: Conclusion[C, D], recorded: Verdict) -> None:
+        """Commits what is durable after all; Stop's latch stays.
+
+        Raises:
+            BlueprintError: Memory is not to be trusted.
+        """
+        self._procedure.commit(recorded.sequence, conclusion.change, conclusion.changes, unlatch=False)
 
     def _commit(self, conclusion: Conclusion[C, D], verdict: Verdict, durable: asyncio.Future[Any]) -> None:
         try:
             durable.result()
+            failpoint("dispatcher.after_outcome")
             if conclusion.decision != "rejected":
                 self._procedure.commit(
                     verdict.sequence, conclusion.change, conclusion.changes, unlatch=conclusion.unlatches
@@ -123,6 +144,7 @@ class Decisions(Generic[C, D]):
             self._answer(conclusion, verdict)
 
     def _answer(self, conclusion: Conclusion[C, D], verdict: Verdict) -> None:
+        failpoint("dispatcher.before_reply")
         self._memory.settle(conclusion.verdict, verdict)
         self._settled(conclusion, verdict)
 
@@ -152,4 +174,5 @@ class Decisions(Generic[C, D]):
 def reason_for(error: BaseException) -> Reason:
     """Why nothing is accepted any more after `error`."""
     code = error.code if isinstance(error, PcmrsError) else "internal_error"
-    return Reason(code=code, text=f"The dispatcher has stopped for safety: {error} Restart the daemon.")
+    way = "If it does not go on by itself as soon as the journal can be written again: " if code == JOURNAL else ""
+    return Reason(code=code, text=f"The dispatcher has stopped for safety: {error} {way}Restart the daemon.")

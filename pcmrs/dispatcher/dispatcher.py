@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import uuid
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Container, Iterable
 from typing import Generic
 
+import msgspec
 import structlog
 
 from pcmrs.clock import Clock
@@ -20,16 +21,29 @@ from pcmrs.dispatcher.memory import Memory
 from pcmrs.dispatcher.perform import reason_of
 from pcmrs.dispatcher.performer import Performer
 from pcmrs.dispatcher.procedure import Procedure
+from pcmrs.dispatcher.reconcile import Reconciliation
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.dispatcher.stage import Stage, performing
 from pcmrs.dispatcher.tasks import Tasks
+from pcmrs.dispatcher.unsettled import Unsettled
 from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import JournalError, PcmrsError, ReentrancyError
 from pcmrs.fsm import Closure, Denial
-from pcmrs.messages import Command, DeviceEvent, Reason, Snapshot, Verdict
+from pcmrs.messages import Command, DeviceEvent, Reason, Snapshot, UnknownOutcome, Verdict
 
 log = structlog.get_logger(__name__)
+
+SHUTDOWN = "shutdown"
+"""Source of the Stop with which a daemon ends in order: it leaves nothing to be acknowledged."""
+ENDING_TIME = 10.0
+"""What was stopped when the journal failed has so long to end before the procedure goes on, s."""
+REOPENED = DeviceEvent(
+    device="journal",
+    code="journal_reopened",
+    text="The journal can be written again: look at what has gone on, then acknowledge.",
+    danger=True,
+)
 
 
 class Dispatcher(Generic[C, D]):
@@ -69,7 +83,13 @@ class Dispatcher(Generic[C, D]):
         self._decisions = Decisions(self.procedure, recorder, self._memory, self._settle, self._break)
         self._activities = Activities(stage, self._verdict_of, self.stop, self._tell, self._break)
         self._performer = Performer(stage, self._lanes, self._decisions, recorder, self._activities)
+        self._unsettled = Unsettled(workflow.blueprint)
+        self._reconciliation = Reconciliation(
+            self.procedure, self._memory, self._decisions, self._unsettled, self._activities
+        )
+        self._missed: dict[tuple[str, str], Command] = {}
         self._broken: Reason | None = None
+        self._break_listeners: list[Callable[[], None]] = []
         self._stop_listeners: list[Callable[[], None]] = []
         self.in_doubt = False
 
@@ -78,7 +98,19 @@ class Dispatcher(Generic[C, D]):
     def snapshot(self) -> Snapshot:
         """The joint state of all branches, and what is running and going on."""
         running = [attempt.shown for attempt in self._lanes.running if attempt.begun and not attempt.verdict.done()]
-        return self.procedure.snapshot(running, self._activities.shown())
+        return self.procedure.snapshot(running, self._activities.shown(), self._unsettled.shown())
+
+    @property
+    def broken(self) -> Reason | None:
+        """Why nothing is accepted any more; None in operation."""
+        return self._broken
+
+    def take_up(self, *, latched: bool, unknown: Iterable[UnknownOutcome]) -> None:
+        """Takes over what an earlier run has left for an operator to settle; before anything is submitted."""
+        for outcome in unknown:
+            self._unsettled.add(outcome)
+        if latched:
+            self.procedure.latch()
 
     async def submit(self, command: Command) -> Verdict:
         """Decides on a command, performs it when it is allowed, and returns the verdict.
@@ -97,6 +129,10 @@ class Dispatcher(Generic[C, D]):
     def on_stop(self, callback: Callable[[], None]) -> None:
         """Has `callback` called synchronously at every stop, whatever way it came."""
         self._stop_listeners.append(callback)
+
+    def on_break(self, callback: Callable[[], None]) -> None:
+        """Has `callback` called when the dispatcher accepts nothing any more; see `broken`."""
+        self._break_listeners.append(callback)
 
     def on_publish(self, callback: Callable[[Snapshot | Verdict | DeviceEvent], None]) -> None:
         """Has `callback` called, too, with every new snapshot, verdict and device event."""
@@ -148,10 +184,46 @@ class Dispatcher(Generic[C, D]):
 
     async def close(self) -> None:
         """Ends the procedure: the robot is held, whatever runs is stopped, and nothing more is accepted."""
-        self._broken = self._broken or Reason(code="ending", text="The daemon is ending.")
+        self._broken = Reason(code="ending", text="The daemon is ending.")
         self._activities.close()
-        await self.stop("shutdown")
+        await self.stop(SHUTDOWN)
         await self._tasks.wait()
+
+    async def resume(self, begun: Container[tuple[str, str]]) -> None:
+        """Goes on after a failure of the journal: held, latched, and with what the disk says.
+
+        What was being journalled when it failed is committed where the disk has it. What had begun is `unknown`, with
+        the state that its operation declares for that. Anything else has never been.
+
+        Args:
+            begun: Source and id of the commands of which the journal has the intent and no outcome.
+
+        Raises:
+            PcmrsError: It was not the journal that failed: memory is not to be trusted. Or something still runs.
+            JournalError: The journal has failed again.
+        """
+        broken = self._broken
+        if broken is None:
+            return
+        if broken.code != JournalError.code:
+            raise PcmrsError(f"Only a restart of the daemon helps: {broken.text}", reason=broken.code)
+        await self._until_nothing_runs()
+        self.procedure.latch()
+        stands = await self._hold.confirmed()
+        self._activities.open()
+        async for verdict in self._reconciliation.of_all(begun):
+            self._show(verdict)
+        await self._recorder.event(REOPENED, self.procedure.promised())
+        if self._broken is not broken:
+            return  # the daemon is ending
+        self._broken = None
+        self._publish(REOPENED)
+        self._show_snapshot()
+        log.warning("resumed", after=broken.text)
+        await self._activities.leave_ended()
+        await self._submit_missed()
+        if not stands:
+            await self._doubt(REOPENED.device)
 
     # -- from command to attempt -----------------------------------------------------------------------
 
@@ -179,6 +251,7 @@ class Dispatcher(Generic[C, D]):
         blocked = self._lanes.blocked(attempt)
         reason = self._barred(attempt) or (self._lanes.why_not_wait(attempt) if blocked else _denied(answer))
         if reason is not None:
+            self._remember_missed(attempt)
             self._reject(command, verdict, reason)
         elif blocked:
             self._lanes.waiting.append(attempt)
@@ -221,6 +294,7 @@ class Dispatcher(Generic[C, D]):
         """The verdict is given: shows it, and lets others have the locks."""
         loop = asyncio.get_running_loop()
         self.in_doubt = self.in_doubt and not conclusion.unlatches
+        self._unsettled.follow(conclusion.command, verdict, self._clock.wall())
         self._activities.follow(conclusion.command)
         loop.call_soon(self._show, verdict)  # those who asked hear of it before those who watch
         if conclusion.attempt is not None:
@@ -229,6 +303,16 @@ class Dispatcher(Generic[C, D]):
                 loop.call_soon(self._start_waiting)
         if conclusion.run is not None and verdict.decision == "accepted":
             self._submit_posts(conclusion.command, conclusion.run)
+
+    async def _until_nothing_runs(self) -> None:
+        try:
+            async with self._clock.timeout(ENDING_TIME):
+                while self._lanes.running:
+                    await asyncio.wait([attempt.verdict for attempt in self._lanes.running])
+        except TimeoutError:
+            names = [attempt.name for attempt in self._lanes.running]
+            text = f"{' and '.join(names)} has not ended within {ENDING_TIME:g} s after it was stopped."
+            raise PcmrsError(text, running=names) from None
 
     def _show(self, verdict: Verdict) -> None:
         if verdict.decision != "rejected":
@@ -252,6 +336,17 @@ class Dispatcher(Generic[C, D]):
                     parent=parent.id,
                 )
             )
+
+    def _remember_missed(self, attempt: Attempt) -> None:
+        """What a device has said while nothing was accepted is still true when the procedure goes on."""
+        command = attempt.command
+        if self._broken is not None and attempt.spec.event and command.source.startswith("device:"):
+            self._missed[command.branch, command.operation] = command
+
+    async def _submit_missed(self) -> None:
+        missed, self._missed = self._missed, {}
+        for command in missed.values():
+            await self.submit(msgspec.structs.replace(command, id=f"{command.operation}-{uuid.uuid4().hex}"))
 
     async def _doubt(self, source: str) -> None:
         """Tells everybody that robot or stimulator have not confirmed that they are stopped."""
@@ -284,6 +379,8 @@ class Dispatcher(Generic[C, D]):
             for attempt in self._lanes.running:
                 attempt.stop(self._broken)
             self._tasks.spawn(self._hold.confirmed())
+            for callback in self._break_listeners:
+                callback()
         return self._broken
 
 

@@ -36,6 +36,10 @@ class Memory:
             verdict.set_result(recorded)
         return verdict, recorded is None
 
+    def forget(self, command: Command) -> None:
+        """What has been answered was not made durable: what the journal says counts."""
+        self._verdicts.pop((command.source, command.id), None)
+
     @staticmethod
     def settle(verdict: asyncio.Future[Verdict], answer: Verdict) -> None:
         """Gives the verdict to everybody who waits for it."""

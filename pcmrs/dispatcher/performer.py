@@ -14,6 +14,7 @@ from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.dispatcher.stage import Stage, performing
 from pcmrs.errors import PcmrsError
+from pcmrs.failpoints import failpoint
 from pcmrs.fsm import Denial
 from pcmrs.messages import Reason
 
@@ -107,10 +108,14 @@ class Performer(Generic[C, D]):
             self._stage.hold.outdate()
         try:
             self._stage.show()
+            failpoint("dispatcher.before_intent")
             await asyncio.shield(self._recorder.intent(attempt.command, run.states))
+            failpoint("dispatcher.after_intent")
             ending = Ending("failed", reason=attempt.stopped)
             if attempt.stopped is None:
+                failpoint("dispatcher.before_steps")
                 ending = await self._take_over(attempt) or await take_steps(self._registry, attempt.spec, run)
+                failpoint("dispatcher.after_steps")
         except asyncio.CancelledError:
             cancelled = Reason(code="step_cancelled", text=f"What {attempt.name} waited for was cancelled.")
             ending = Ending("failed", reason=attempt.stopped or cancelled)

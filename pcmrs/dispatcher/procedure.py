@@ -11,7 +11,7 @@ from pcmrs.dispatcher.run import C, D
 from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Change, Closure, Denial, Engine, flags_of
-from pcmrs.messages import BlueprintTag, Ongoing, Running, Snapshot
+from pcmrs.messages import BlueprintTag, Ongoing, Running, Snapshot, UnknownOutcome
 
 
 class Procedure(Generic[C, D]):
@@ -83,7 +83,11 @@ class Procedure(Generic[C, D]):
         self.latched = True
         self.sequence = self.reserve()
 
-    def snapshot(self, running: list[Running], activities: list[Ongoing]) -> Snapshot:
+    def forget_promises(self) -> None:
+        """What was being journalled when the journal failed is not promised any more."""
+        self._promised = self.joint()
+
+    def snapshot(self, running: list[Running], activities: list[Ongoing], unknown: list[UnknownOutcome]) -> Snapshot:
         """What the world is shown."""
         blueprint = self.blueprint
         return Snapshot(
@@ -96,4 +100,5 @@ class Procedure(Generic[C, D]):
             plan=self.data.plan_id,
             registration=self.data.registration_id,
             activities=activities,
+            unknown=unknown,
         )

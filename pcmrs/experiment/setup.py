@@ -11,6 +11,9 @@ from pcmrs.experiment.plan import Plan
 MAX_POSE_AGE = 0.25
 """As configured by default, s of the machine."""
 
+PATIENT_DEADMAN = "robot.deadman=0.5"
+"""An experiment is not about the deadman, and shares the machine with whatever else is computed there."""
+
 ShowProgress = Callable[[str, int, int], None]
 """Told what is being done, and how many of how many steps are done."""
 
@@ -56,4 +59,4 @@ def at_rate(rate: float) -> list[str]:
 
     A pose is as long on the bus as ever, which is `rate` times as long for the cell: it may be so much older.
     """
-    return [f"cell.rate={rate:g}", f"procedure.max_pose_age={MAX_POSE_AGE * rate:g}"]
+    return [f"cell.rate={rate:g}", f"procedure.max_pose_age={MAX_POSE_AGE * rate:g}", PATIENT_DEADMAN]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import structlog
 
@@ -36,6 +36,10 @@ class Counters:
     received: int = 0
     refused: int = 0
     overflowed: int = 0
+
+    def table(self) -> dict[str, int]:
+        """The same under the names that the daemon's counters have."""
+        return {f"gateway.{name}": many for name, many in asdict(self).items()}
 
 
 class Intake:

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import queue
 import threading
-from typing import NamedTuple
+from collections import deque
+from typing import Final, NamedTuple
 
+from pcmrs.clock import SystemClock
 from pcmrs.errors import JournalError
+from pcmrs.failpoints import failpoint
+from pcmrs.journal.soundness import LARGEST_GROUP
 from pcmrs.journal.writer import Encoded, JournalWriter
+
+MOST_WAITING: Final = 4096
+"""Rows that wait for the disk at most; what comes then is refused."""
 
 
 class _Waiting(NamedTuple):
@@ -16,44 +22,95 @@ class _Waiting(NamedTuple):
     durable: asyncio.Future[int]
 
 
+class _Reopening(NamedTuple):
+    reopened: asyncio.Future[int]
+
+
 class GroupCommit:
     """Writes rows in a thread of its own, in the order in which they were queued.
 
     Args:
         writer: Used by the thread only from now on.
+
+    Attributes:
+        waiting: Rows that are queued or being written.
     """
 
     def __init__(self, writer: JournalWriter) -> None:
+        self.waiting = 0
+        self._clock = SystemClock()
+        self._since: deque[float] = deque()
         self._writer = writer
-        self._queue: queue.SimpleQueue[_Waiting | None] = queue.SimpleQueue()
+        self._queue: deque[_Waiting | _Reopening | None] = deque()
+        self._filled = threading.Condition()
         self._thread = threading.Thread(target=self._run, name="pcmrs-journal", daemon=True)
         self._thread.start()
 
+    @property
+    def oldest_wait(self) -> float:
+        """How long the row that waits longest has waited, s of the machine; 0 when none waits."""
+        return self._clock.monotonic() - self._since[0] if self._since else 0.0
+
     def append(self, rows: list[Encoded]) -> asyncio.Future[int]:
-        """Queues the rows; the future has the sequence of the last once the disk has them all."""
+        """Queues the rows; the future has the sequence of the last once the disk has them all.
+
+        Raises:
+            JournalError: Too many rows wait already; nothing was queued.
+        """
+        if self.waiting + len(rows) > MOST_WAITING:
+            raise JournalError(
+                f"{self.waiting} rows have waited for the disk for up to {self.oldest_wait:.1f} s, and no more than "
+                f"{MOST_WAITING} may wait: nothing more is journalled until the disk answers.",
+                waiting=self.waiting,
+                limit=MOST_WAITING,
+            )
         durable: asyncio.Future[int] = asyncio.get_running_loop().create_future()
-        self._queue.put(_Waiting(rows, durable))
+        self.waiting += len(rows)
+        self._since.append(self._clock.monotonic())
+        self._put(_Waiting(rows, durable))
         return durable
+
+    def reopen(self) -> asyncio.Future[int]:
+        """Has the thread reopen the journal after what is queued; see `JournalWriter.reopen`."""
+        reopened: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+        self._put(_Reopening(reopened))
+        return reopened
 
     def close(self) -> None:
         """Blocks until everything queued is written."""
-        self._queue.put(None)
+        self._put(None)
         self._thread.join()
+
+    def _put(self, job: _Waiting | _Reopening | None) -> None:
+        with self._filled:
+            self._queue.append(job)
+            self._filled.notify()
 
     def _run(self) -> None:
         while True:
-            taken = self._take()
-            group = [waiting for waiting in taken if waiting is not None]
+            with self._filled:
+                self._filled.wait_for(lambda: self._queue)
+                group = self._take_group()
+                job = None if group else self._queue.popleft()
             if group:
                 self._commit(group)
-            if len(group) < len(taken):
+                self._writer.checkpoint_when_due()
+            elif isinstance(job, _Reopening):
+                self._reopen(job.reopened)
+            else:
                 return
 
-    def _take(self) -> list[_Waiting | None]:
-        taken = [self._queue.get()]
-        while not self._queue.empty():
-            taken.append(self._queue.get())
-        return taken
+    def _take_group(self) -> list[_Waiting]:
+        """All rows that are queued next, as far as one commit may hold them."""
+        group: list[_Waiting] = []
+        rows = 0
+        while self._queue and isinstance(first := self._queue[0], _Waiting):
+            rows += len(first.rows)
+            if group and rows > LARGEST_GROUP:
+                break
+            group.append(first)
+            self._queue.popleft()
+        return group
 
     def _commit(self, group: list[_Waiting]) -> None:
         rows = [row for waiting in group for row in waiting.rows]
@@ -62,17 +119,31 @@ class GroupCommit:
             outcome = self._writer.write(rows) - len(rows)
         except JournalError as error:
             outcome = error
-        group[0].durable.get_loop().call_soon_threadsafe(_settle, group, outcome)
+        failpoint("journal.before_acknowledge")
+        group[0].durable.get_loop().call_soon_threadsafe(self._settle, group, outcome)
+
+    def _settle(self, group: list[_Waiting], outcome: int | JournalError) -> None:
+        """Tells every waiter its own last sequence, counted on from the last one before the group."""
+        for rows, durable in group:
+            self.waiting -= len(rows)
+            self._since.popleft()
+            if isinstance(outcome, int):
+                outcome += len(rows)
+            _tell(durable, outcome)
+
+    def _reopen(self, reopened: asyncio.Future[int]) -> None:
+        outcome: int | JournalError
+        try:
+            outcome = self._writer.reopen()
+        except JournalError as error:
+            outcome = error
+        reopened.get_loop().call_soon_threadsafe(_tell, reopened, outcome)
 
 
-def _settle(group: list[_Waiting], outcome: int | JournalError) -> None:
-    """Tells every waiter its own last sequence, counted on from the last one before the group."""
-    for rows, durable in group:
-        if isinstance(outcome, int):
-            outcome += len(rows)
-        if durable.done():
-            continue
-        if isinstance(outcome, int):
-            durable.set_result(outcome)
-        else:
-            durable.set_exception(outcome)
+def _tell(waiter: asyncio.Future[int], outcome: int | JournalError) -> None:
+    if waiter.done():
+        return
+    if isinstance(outcome, int):
+        waiter.set_result(outcome)
+    else:
+        waiter.set_exception(outcome)

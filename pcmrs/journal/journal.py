@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from pcmrs.errors import JournalError
+from pcmrs.failpoints import failpoint
 from pcmrs.journal.group import GroupCommit
 from pcmrs.journal.reader import JournalReader
 from pcmrs.journal.rows import JournalRow, encode_row
+from pcmrs.journal.soundness import LARGEST_GROUP
 from pcmrs.journal.writer import JournalWriter
 
 
 class Journal:
-    """An append-only SQLite file of facts, chained by hashes. Use `Journal.open`.
+    """An append-only SQLite file of facts, chained by hashes, with a signed head beside it. Use `Journal.open`.
 
     Attributes:
         reader: Reads what has been committed.
@@ -28,7 +31,7 @@ class Journal:
 
     @classmethod
     def open(cls, path: Path, *, durable: bool = True) -> Journal:
-        """Opens the journal, or makes it.
+        """Opens the journal, or makes it with its head and, in a new folder, the key pair that signs it.
 
         Args:
             path: Of the file; its folder exists.
@@ -37,10 +40,26 @@ class Journal:
                 but not a power cut.
 
         Raises:
-            JournalError: The file cannot be opened, is no journal or one of another version.
+            JournalError: The file cannot be opened, is no journal or one of another version, is open elsewhere,
+                or does not hold all that its signed head names. Nothing in it was changed then.
         """
         writer = JournalWriter(path, durable=durable)
         return cls(writer, GroupCommit(writer) if durable else None, JournalReader(path))
+
+    @property
+    def broken(self) -> JournalError | None:
+        """Why nothing can be appended any more, until `reopen` succeeds."""
+        return self._writer.error
+
+    @property
+    def waiting(self) -> int:
+        """Rows that wait for the disk."""
+        return 0 if self._group is None else self._group.waiting
+
+    @property
+    def oldest_wait(self) -> float:
+        """How long the oldest of them has waited, s of the machine; 0 when none waits."""
+        return 0.0 if self._group is None else self._group.oldest_wait
 
     def append(self, rows: Sequence[JournalRow]) -> Awaitable[int]:
         """Commits the rows together, after all earlier ones.
@@ -49,24 +68,52 @@ class Journal:
             To be awaited: the sequence of the last row, once the rows are durable.
 
         Raises:
-            JournalError: At once or when awaited: a row is not plain data, the journal is closed, or it
-                cannot be written. After a failed write every append raises.
+            JournalError: At once: a row is not plain data, there are too many, too many wait for the disk, or the
+                journal is closed or `broken`; nothing was written. When awaited: they could not be written; the
+                error's field ``sequence`` is the one that the last row would have, or None when nothing was tried.
+                Whether they are durable nevertheless, `reopen` finds out.
         """
         if self._closed:
             raise JournalError("The journal is closed: nothing can be appended.")
         if self._writer.error is not None:
-            raise self._writer.error
+            raise JournalError(self._writer.error.text, sequence=None)
+        if len(rows) > LARGEST_GROUP:
+            text = f"{len(rows)} rows cannot be journalled at once: {LARGEST_GROUP} at most."
+            raise JournalError(text, rows=len(rows), limit=LARGEST_GROUP)
         encoded = [(row, encode_row(row)) for row in rows]
         if self._group is not None:
             return self._group.append(encoded)
         committed: asyncio.Future[int] = asyncio.get_running_loop().create_future()
-        committed.set_result(self._writer.write(encoded))
+        sequence = self._writer.write(encoded)
+        self._writer.checkpoint_when_due()
+        failpoint("journal.before_acknowledge")
+        committed.set_result(sequence)
         return committed
+
+    async def reopen(self) -> int:
+        """After a failed write: reads what the disk really has, and goes on from there.
+
+        Returns:
+            The sequence of the last row on the disk. An append that failed with a larger one in its error's field
+            ``sequence``, or with None, is not durable; one with a smaller or the same is.
+
+        Raises:
+            JournalError: Rows that were acknowledged are lost, or the journal still cannot be written; it stays
+                `broken`, and may be reopened again.
+        """
+        self.reader.close()  # its view of the log would outlive the failed write
+        try:
+            if self._group is None:
+                return self._writer.reopen()
+            return await self._group.reopen()
+        finally:
+            with suppress(JournalError):  # whoever reads hears of it
+                self.reader.open()
 
     async def close(self) -> None:
         """Waits until everything appended is durable, then closes the file."""
         self._closed = True
         if self._group is not None:
             await asyncio.get_running_loop().run_in_executor(None, self._group.close)
+        self.reader.close()  # first, since the last one to close carries the log over, and a reader cannot
         self._writer.close()
-        self.reader.close()

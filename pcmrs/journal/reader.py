@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Self
 
 from pcmrs.errors import JournalError
-from pcmrs.journal.rows import JournalRow, Kind, StoredRow, decode_row
-from pcmrs.journal.schema import open_for_reading
+from pcmrs.journal.chain import COLUMNS, follow_chain, stored_row
+from pcmrs.journal.rows import JournalRow, Kind, StoredRow
+from pcmrs.journal.schema import DATABASE_ERRORS, last_sequence, open_for_reading
 from pcmrs.messages import Verdict
-
-_COLUMNS = "sequence, body, previous_hash, hash"
 
 
 class JournalReader:
@@ -25,12 +23,13 @@ class JournalReader:
         path: Of the file; a second reader of it may work in another thread.
 
     Raises:
-        JournalError: From the constructor: there is no such journal. From all methods: it cannot be read.
+        JournalError: From the constructor: there is no such journal. From all methods: it cannot be read, or a row
+            does not have the hash that was recorded with it.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._connection = open_for_reading(path)
+        self.open()
 
     def __enter__(self) -> Self:
         return self
@@ -63,36 +62,52 @@ class JournalReader:
         wanted = {"kind": kind, "branch": branch, "source": source, "command_id": command_id}
         filters = {column: value for column, value in wanted.items() if value is not None}
         where = " AND ".join(["sequence > ?", *(f"{column} = ?" for column in filters)])
-        query, values = f"SELECT {_COLUMNS} FROM journal WHERE {where}", [after, *filters.values()]
+        query, values = f"SELECT {COLUMNS} FROM journal WHERE {where}", [after, *filters.values()]
         if last is not None:
             query, values = f"SELECT * FROM ({query} ORDER BY sequence DESC LIMIT ?)", [*values, last]
         # A negative limit is none.
         values.append(-1 if first is None else first)
-        for sequence, body, previous, own in self._select(f"{query} ORDER BY sequence LIMIT ?", values):
-            yield StoredRow(sequence=sequence, row=decode_row(body), previous_hash=previous, hash=own)
+        yield from self._rows(f"{query} ORDER BY sequence LIMIT ?", values)
 
     def verdict_of(self, source: str, command_id: str) -> Verdict | None:
         """The recorded verdict on a command, so that a repeat runs nothing; None when there is none."""
-        query = "SELECT body FROM journal WHERE kind = 'outcome' AND source = ? AND command_id = ?"
-        for (body,) in self._select(query, (source, command_id)):
-            return decode_row(body).verdict
+        query = f"SELECT {COLUMNS} FROM journal WHERE kind = 'outcome' AND source = ? AND command_id = ?"
+        for stored in self._rows(query, (source, command_id)):
+            return stored.row.verdict
         return None
 
     def unfinished(self) -> list[JournalRow]:
         """Intents without an outcome: what the daemon was doing when it was killed."""
-        query = """
-            SELECT body FROM journal AS intent WHERE kind = 'intent' AND NOT EXISTS (
+        query = f"""
+            SELECT {COLUMNS} FROM journal AS intent WHERE kind = 'intent' AND NOT EXISTS (
                 SELECT 1 FROM journal WHERE kind = 'outcome'
                 AND source IS intent.source AND command_id IS intent.command_id
             ) ORDER BY sequence"""
-        return [decode_row(body) for (body,) in self._select(query, ())]
+        return [stored.row for stored in self._rows(query, ())]
+
+    def read_whole(self) -> Iterator[StoredRow]:
+        """All rows, each only when it is whole and follows from the one before; a journal that is not ends in an error.
+
+        Raises:
+            JournalError: Its field ``sequence`` is the first row that is bad.
+        """
+        return follow_chain(self._connection, self.path)
+
+    def last_sequence(self) -> int:
+        """Sequence of the last row; 0 when there is none."""
+        return last_sequence(self._connection, self.path)
+
+    def open(self) -> None:
+        """Opens the file again after `close`, as it is now."""
+        self._connection = open_for_reading(self.path)
 
     def close(self) -> None:
         """Closes the file."""
         self._connection.close()
 
-    def _select(self, query: str, values: Sequence[Any]) -> Iterator[tuple[Any, ...]]:
+    def _rows(self, query: str, values: Sequence[Any]) -> Iterator[StoredRow]:
         try:
-            yield from self._connection.execute(query, values)
-        except sqlite3.Error as error:
+            for record in self._connection.execute(query, values):
+                yield stored_row(self.path, record)
+        except DATABASE_ERRORS as error:
             raise JournalError(f"{self.path} cannot be read: {error}.", path=str(self.path)) from error

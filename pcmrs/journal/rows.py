@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import msgspec
@@ -14,6 +15,18 @@ Kind = Literal["intent", "outcome", "event", "device", "snapshot", "config"]
 
 GENESIS: Final = bytes(32)
 """Previous hash of the first row."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where in the chain: a row's sequence and its hash."""
+
+    sequence: int
+    hash: bytes
+
+
+START: Final = Place(0, GENESIS)
+"""Before the first row."""
 
 
 class JournalRow(Message, frozen=True, kw_only=True):

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Final
 
 from pcmrs.errors import JournalError
+from pcmrs.journal.files import publish
+from pcmrs.journal.rows import Kind
 
-VERSION: Final = 1
+HEADLESS: Final = 1
+"""The version that had no signed head."""
+VERSION: Final = 2
+_HEADER: Final = 100
+"""Bytes with which every SQLite file begins."""
+LOCK_TIMEOUT: Final = 5.0
+"""How long a write waits while another process has the file locked, s."""
 
 # `body` is the row; the columns beside it only find it again.
-_SCHEMA: Final = f"""
-BEGIN IMMEDIATE;
-CREATE TABLE journal (
+_STATEMENTS: Final = {
+    "journal": """CREATE TABLE journal (
     sequence INTEGER PRIMARY KEY,
     kind TEXT NOT NULL,
     source TEXT,
@@ -23,24 +31,45 @@ CREATE TABLE journal (
     body BLOB NOT NULL,
     previous_hash BLOB NOT NULL,
     hash BLOB NOT NULL
-) STRICT;
-CREATE UNIQUE INDEX one_intent ON journal (source, command_id) WHERE kind = 'intent';
-CREATE UNIQUE INDEX one_outcome ON journal (source, command_id) WHERE kind = 'outcome';
-CREATE TRIGGER no_update BEFORE UPDATE ON journal BEGIN SELECT RAISE(ABORT, 'the journal is append-only'); END;
-CREATE TRIGGER no_delete BEFORE DELETE ON journal BEGIN SELECT RAISE(ABORT, 'the journal is append-only'); END;
-CREATE TRIGGER no_gap BEFORE INSERT ON journal
+) STRICT""",
+    "one_intent": "CREATE UNIQUE INDEX one_intent ON journal (source, command_id) WHERE kind = 'intent'",
+    "one_outcome": "CREATE UNIQUE INDEX one_outcome ON journal (source, command_id) WHERE kind = 'outcome'",
+    "no_update": "CREATE TRIGGER no_update BEFORE UPDATE ON journal "
+    "BEGIN SELECT RAISE(ABORT, 'the journal is append-only'); END",
+    "no_delete": "CREATE TRIGGER no_delete BEFORE DELETE ON journal "
+    "BEGIN SELECT RAISE(ABORT, 'the journal is append-only'); END",
+    "no_gap": """CREATE TRIGGER no_gap BEFORE INSERT ON journal
 WHEN NEW.sequence IS NOT (SELECT coalesce(max(sequence), 0) + 1 FROM journal)
-BEGIN SELECT RAISE(ABORT, 'the sequence has no gaps'); END;
-PRAGMA user_version = {VERSION};
-COMMIT;
-"""
+BEGIN SELECT RAISE(ABORT, 'the sequence has no gaps'); END""",
+}
+_SCHEMA: Final = f"BEGIN IMMEDIATE; {'; '.join(_STATEMENTS.values())}; PRAGMA user_version = {VERSION}; COMMIT;"
+
+DATABASE_ERRORS: Final = (sqlite3.Error, UnicodeDecodeError)
+"""What reading a damaged database raises; the second where even SQLite's message quotes damaged text."""
+
+
+def make_database(path: Path) -> None:
+    """Makes an empty journal, which appears under its name only when it is whole.
+
+    Raises:
+        JournalError: It cannot be made.
+    """
+    part = path.with_name(path.name + ".part")
+    try:
+        part.unlink(missing_ok=True)
+        with closing(sqlite3.connect(part, isolation_level=None)) as connection:
+            connection.executescript(_SCHEMA)
+            connection.execute("PRAGMA journal_mode = WAL").fetchone()
+        publish(part, path)
+    except (OSError, sqlite3.Error) as error:
+        raise _unusable(path, error) from error
 
 
 def open_for_writing(path: Path, *, durable: bool) -> sqlite3.Connection:
-    """Opens the journal, or makes it, in WAL mode.
+    """Opens the journal in WAL mode.
 
     Args:
-        path: Of the file; its folder exists.
+        path: Of the file, which exists.
         durable: Whether a commit waits until the disk has it (``synchronous=FULL``).
 
     Raises:
@@ -48,14 +77,14 @@ def open_for_writing(path: Path, *, durable: bool) -> sqlite3.Connection:
     """
     synchronous = 2 if durable else 0
     try:
-        connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-        if not connection.execute("PRAGMA schema_version").fetchone()[0]:
-            connection.executescript(_SCHEMA)
+        connection = sqlite3.connect(path, timeout=LOCK_TIMEOUT, isolation_level=None, check_same_thread=False)
         _check_version(connection, path)
         (mode,) = connection.execute("PRAGMA journal_mode = WAL").fetchone()
         connection.execute(f"PRAGMA synchronous = {synchronous}")
         (in_force,) = connection.execute("PRAGMA synchronous").fetchone()
-    except sqlite3.Error as error:
+        # SQLite keeps the errors of its own checkpoints to itself; the writer makes them, and hears of them.
+        connection.execute("PRAGMA wal_autocheckpoint = 0")
+    except DATABASE_ERRORS as error:
         raise _unusable(path, error) from error
     if (mode, in_force) != ("wal", synchronous):
         raise JournalError(
@@ -74,23 +103,63 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
     """
     location = f"{path.resolve().as_uri()}?mode=ro"
     try:
+        if path.stat().st_size < _HEADER:  # SQLite takes 0 bytes and 1 for an empty file, and removes its log
+            raise sqlite3.DatabaseError(f"it has only {path.stat().st_size} bytes")
         connection = sqlite3.connect(location, uri=True, isolation_level=None, check_same_thread=False)
+        connection.execute("PRAGMA cell_size_check = ON")
         _check_version(connection, path)
-    except sqlite3.Error as error:
+    except (OSError, *DATABASE_ERRORS) as error:
         raise _unusable(path, error) from error
     return connection
 
 
+def version_of(connection: sqlite3.Connection) -> int:
+    """The version of an open journal."""
+    version: int = connection.execute("PRAGMA user_version").fetchone()[0]
+    return version
+
+
+def last_sequence(connection: sqlite3.Connection, path: Path, *, kind: Kind | None = None) -> int:
+    """Sequence of the last row, of its kind where one is given; 0 when there is none. Raises `JournalError`."""
+    where, values = ("", ()) if kind is None else ("WHERE kind = ?", (kind,))
+    query = f"SELECT sequence FROM journal {where} ORDER BY sequence DESC LIMIT 1"
+    try:
+        found = connection.execute(query, values).fetchone()
+    except DATABASE_ERRORS as error:
+        raise _unusable(path, error) from error
+    return found[0] if found else 0
+
+
+def check_schema(connection: sqlite3.Connection, path: Path) -> None:
+    """The tables and guards must be those that this program makes.
+
+    Raises:
+        JournalError: One is missing or another: what it guards may have been changed.
+    """
+    try:
+        found = dict(connection.execute("SELECT name, sql FROM sqlite_schema"))
+    except DATABASE_ERRORS as error:
+        raise _unusable(path, error) from error
+    wrong = sorted(name for name in _STATEMENTS.keys() | found.keys() if found.get(name) != _STATEMENTS.get(name))
+    if wrong:
+        raise JournalError(
+            f"{path} was changed: {', '.join(wrong)} is not as this program makes it. Keep the files as they are and "
+            "go on in another cell.folder.",
+            path=str(path),
+            changed=wrong,
+        )
+
+
 def _check_version(connection: sqlite3.Connection, path: Path) -> None:
-    (version,) = connection.execute("PRAGMA user_version").fetchone()
-    if version != VERSION:
+    version = version_of(connection)
+    if version not in (HEADLESS, VERSION):
         connection.close()
         raise JournalError(
-            f"{path} has journal version {version}, this program knows {VERSION}: give another file.",
+            f"{path} has journal version {version}, this program knows {HEADLESS} and {VERSION}: give another file.",
             path=str(path),
             version=version,
         )
 
 
-def _unusable(path: Path, error: sqlite3.Error) -> JournalError:
+def _unusable(path: Path, error: Exception) -> JournalError:
     return JournalError(f"{path} cannot be used as a journal: {error}. Give another file.", path=str(path))

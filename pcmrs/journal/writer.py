@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 from pcmrs.errors import JournalError
-from pcmrs.journal.rows import GENESIS, JournalRow, chain_hash
-from pcmrs.journal.schema import open_for_writing
+from pcmrs.failpoints import failpoint
+from pcmrs.journal.files import settle_on_disk
+from pcmrs.journal.head import Head, HeadFile, begin_head, head_path
+from pcmrs.journal.notes import note_rows, reopened_rows
+from pcmrs.journal.rows import START, JournalRow, Place, chain_hash, encode_row
+from pcmrs.journal.schema import DATABASE_ERRORS, HEADLESS, VERSION, make_database, open_for_writing
+from pcmrs.journal.soundness import Found, examine
 
-_INSERT = "INSERT INTO journal VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
+_INSERT: Final = "INSERT INTO journal VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
+_CHECKPOINT_AFTER: Final = 200
+"""Commits after which the log is carried over into the database, about 1000 pages."""
 
 Encoded = tuple[JournalRow, bytes]
 """A row and its canonical bytes."""
@@ -18,56 +27,184 @@ Encoded = tuple[JournalRow, bytes]
 class JournalWriter:
     """The one writer of a journal file, used by one thread at a time.
 
-    After an error it writes nothing more: what is acknowledged afterwards could not be trusted.
+    After an error it writes nothing more, since what is acknowledged afterwards could not be trusted, until
+    `reopen` has found out what the disk has.
 
     Args:
         path: Of the file; its folder exists.
         durable: Whether a commit waits until the disk has it.
 
+    Attributes:
+        place: Of the last row that was written, and that the head names.
+        error: Why nothing can be written any more.
+
     Raises:
-        JournalError: The file cannot be opened, is no journal or one of another version.
+        JournalError: The file cannot be opened, is no journal or one of another version, or not all is there that
+            its head names; see `examine`.
     """
 
     def __init__(self, path: Path, *, durable: bool) -> None:
-        self._connection = open_for_writing(path, durable=durable)
-        last = self._connection.execute("SELECT sequence, hash FROM journal ORDER BY sequence DESC LIMIT 1")
-        self._sequence: int
-        self._hash: bytes
-        self._sequence, self._hash = last.fetchone() or (0, GENESIS)
+        self._path = path
+        self._durable = durable
         self.error: JournalError | None = None
+        self.place = START
+        self._failed: Place | None = None
+        self._attempts: set[Place] = set()
+        self._commits = 0
+        self._take_up(self._open())
 
     def write(self, rows: Sequence[Encoded]) -> int:
         """Commits the rows together and returns the sequence of the last.
 
         Raises:
-            JournalError: They cannot be written, or an earlier write failed.
+            JournalError: They cannot be written, or an earlier write failed. Its field ``sequence`` is the one that
+                the last row would have, None when nothing was tried.
         """
         if self.error is not None:
-            raise self.error
-        try:
-            return self._append(rows)
-        except Exception as error:  # whatever it is, those who wait must hear of it
-            self.error = JournalError(
-                f"The journal cannot be written: {error}. "
-                "Nothing is acknowledged any more: see to the disk, then restart."
-            )
-            raise self.error from error
+            raise JournalError(self.error.text, sequence=None)
+        return self._append(rows, upgrade=False)
 
-    def _append(self, rows: Sequence[Encoded]) -> int:
-        sequence, previous = self._sequence, self._hash
-        records = []
+    def checkpoint_when_due(self) -> None:
+        """Carries the log over into the database when it has become long; what fails is in `error` then."""
+        if self.error is not None or self._commits < _CHECKPOINT_AFTER:
+            return
+        self._commits = 0
+        try:
+            self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+        except sqlite3.Error as error:
+            self.error = _unwritable(error, None)
+
+    def reopen(self) -> int:
+        """Reads what the disk has and goes on from there, beginning with a row that says so.
+
+        All rows that were acknowledged must be there; those of the write that failed may be.
+
+        Returns:
+            The sequence of the last row on the disk before that one. Nothing of the failed write is there if this is
+            smaller than the sequence in its error, all of it otherwise.
+
+        Raises:
+            JournalError: Acknowledged rows are lost, other ones were written, or the journal still cannot be
+                written. It can be tried again.
+        """
+        acknowledged, failed, why = self.place, self._failed, self.error
+        try:
+            found = self._read_again()
+            kept = failed is not None and self._holds(failed)
+        except (OSError, *DATABASE_ERRORS, JournalError) as error:
+            self.close()
+            self.error = error if isinstance(error, JournalError) else _unwritable(error, None)
+            raise self.error from error
+        self.place = found.place
+        try:
+            # A commit, which also writes over what a reader elsewhere may keep of the failed one in the log.
+            self._append([(row, encode_row(row)) for row in reopened_rows(found, why)], upgrade=False)
+        except JournalError:
+            self.place = acknowledged
+            raise
+        self.error = None
+        return failed.sequence if failed is not None and kept else acknowledged.sequence
+
+    def close(self) -> None:
+        """Closes the file; a transaction that failed is rolled back."""
+        self._connection.close()
+        self._head.close()
+
+    def _read_again(self) -> Found:
+        self.close()
+        settle_on_disk(self._path.with_name(self._path.name + suffix) for suffix in ("", "-wal", ".head"))
+        found = self._open()
+        if found.place not in {self.place, *self._attempts}:
+            raise _foreign(self._path, self.place, found.place)
+        self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+        return found
+
+    def _holds(self, place: Place) -> bool:
+        query = "SELECT hash FROM journal WHERE sequence = ?"
+        return bool(self._connection.execute(query, (place.sequence,)).fetchone() == (place.hash,))
+
+    def _open(self) -> Found:
+        """Opens what was found sound; a journal that is not is left as it is."""
+        try:
+            found = examine(self._path)
+            if found.head is None:
+                begin_head(head_path(self._path), found.key, found.place)
+            if not found.version:
+                make_database(self._path)
+        except OSError as error:
+            text = f"{self._path} cannot be opened: {error}. See to the disk, or give another cell.folder."
+            raise JournalError(text, path=str(self._path)) from error
+        head = found.head or Head(1, found.place)
+        self._head = HeadFile(head_path(self._path), found.key, head, durable=self._durable)
+        try:
+            self._connection = open_for_writing(self._path, durable=self._durable)
+        except JournalError:
+            self._head.close()
+            raise
+        return found
+
+    def _take_up(self, found: Found) -> None:
+        """Names in the head what a crash left unnamed there, and journals that, and that a head was begun."""
+        self.place = found.place
+        rows = [(row, encode_row(row)) for row in note_rows(found)]
+        try:
+            if rows or found.version == HEADLESS:
+                self._append(rows, upgrade=found.version == HEADLESS)
+        except JournalError:
+            self.close()
+            raise
+
+    def _append(self, rows: Sequence[Encoded], *, upgrade: bool) -> int:
+        attempted = self.place
+        try:
+            records, attempted = self._chain(rows)
+            self._attempts.add(attempted)
+            failpoint("journal.before_begin")
+            self._connection.execute("BEGIN IMMEDIATE")
+            self._connection.executemany(_INSERT, records)
+            if upgrade:
+                self._connection.execute(f"PRAGMA user_version = {VERSION}")
+            failpoint("journal.before_commit")
+            self._connection.execute("COMMIT")
+            failpoint("journal.after_commit")
+            self._head.write(attempted)
+            failpoint("journal.after_head")
+        except Exception as error:  # whatever it is, those who wait must hear of it
+            self._failed = self._failed or attempted
+            self.error = _unwritable(error, attempted.sequence)
+            raise self.error from error
+        self.place, self._failed = attempted, None
+        self._attempts.clear()
+        self._commits += 1
+        return attempted.sequence
+
+    def _chain(self, rows: Sequence[Encoded]) -> tuple[list[tuple[object, ...]], Place]:
+        sequence, previous = self.place.sequence, self.place.hash
+        records: list[tuple[object, ...]] = []
         for row, body in rows:
             sequence += 1
             own = chain_hash(previous, sequence, body)
             keys = (row.kind, row.source, row.command_id, row.branch, row.wall)
             records.append((sequence, *keys, body, previous, own))
             previous = own
-        self._connection.execute("BEGIN IMMEDIATE")
-        self._connection.executemany(_INSERT, records)
-        self._connection.execute("COMMIT")
-        self._sequence, self._hash = sequence, previous
-        return sequence
+        return records, Place(sequence, previous)
 
-    def close(self) -> None:
-        """Closes the file; a transaction that failed is rolled back."""
-        self._connection.close()
+
+def _unwritable(error: Exception, sequence: int | None) -> JournalError:
+    return JournalError(
+        f"The journal cannot be written: {error}. Nothing is acknowledged any more: see to the disk, then reopen the "
+        "journal or restart.",
+        sequence=sequence,
+    )
+
+
+def _foreign(path: Path, acknowledged: Place, found: Place) -> JournalError:
+    missing = acknowledged.sequence - found.sequence
+    what = f"{missing} acknowledged rows are lost" if missing > 0 else "another program has written rows"
+    return JournalError(
+        f"{path} ends with row {found.sequence}, and row {acknowledged.sequence} was acknowledged last: {what}. "
+        "Restart the daemon in another cell.folder, and keep the files as they are.",
+        path=str(path),
+        missing=max(missing, 0),
+        last=found.sequence,
+    )

@@ -20,7 +20,7 @@ from pcmrs.messages.robot import (
     ServoSession,
 )
 from pcmrs.messages.scene import HeadBurst, HeadMotion, HeadStep, SceneTruth
-from pcmrs.messages.snapshot import BlueprintTag, Flags, Ongoing, Running, Snapshot
+from pcmrs.messages.snapshot import BlueprintTag, Flags, Ongoing, Running, Snapshot, UnknownOutcome
 from pcmrs.messages.stimulation import Epoch, FiredPulse, StimulatorState
 
 __all__ = [
@@ -58,5 +58,6 @@ __all__ = [
     "Snapshot",
     "StimulatorState",
     "Target",
+    "UnknownOutcome",
     "Verdict",
 ]

@@ -9,10 +9,17 @@ from pcmrs.messages.decisions import Reason
 
 
 class DeviceRequest(Message, frozen=True, kw_only=True):
-    """A call to a device node: `method` of its protocol with `arguments`."""
+    """A call to a device node: `method` of its protocol with `arguments`.
+
+    Attributes:
+        method: Its name.
+        arguments: By name.
+        sent: When the daemon sent it, s of its machine's monotonic clock; None where nobody minds that it is late.
+    """
 
     method: str
     arguments: dict[str, Any] = {}
+    sent: float | None = None
 
 
 class DeviceReply(Message, frozen=True, kw_only=True, omit_defaults=False):
@@ -33,14 +40,23 @@ class DeviceEvent(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class Beat(Message, frozen=True, kw_only=True):
-    """A heartbeat; `number` grows by one each time."""
+    """A heartbeat; `number` grows by one each time, `sent` is s of the sender's monotonic clock."""
 
     number: int
+    sent: float
 
 
 class DeviceHealth(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Whether a device node and its device are well."""
+    """Whether a device node and its device are well.
+
+    Attributes:
+        device: Its name.
+        connected: It is there.
+        text: Why not, and what to do.
+        dropped: Kind of message to how many came too late at its node to be followed, since that began.
+    """
 
     device: str
     connected: bool
     text: str = ""
+    dropped: dict[str, int] = {}

@@ -25,6 +25,22 @@ class Ongoing(Message, frozen=True, kw_only=True, omit_defaults=False):
     values: dict[str, Any] = {}
 
 
+class UnknownOutcome(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """A command of which nobody knows how it ended, until an operator has settled that.
+
+    Attributes:
+        command: Its id.
+        source: Who asked for it.
+        since: When it began, or where that is not known when its outcome was given up; Unix seconds.
+    """
+
+    command: str
+    source: str
+    branch: str
+    operation: str
+    since: float
+
+
 class BlueprintTag(Message, frozen=True, kw_only=True, omit_defaults=False):
     """Which workflow a decision was made under; `hash` is the SHA-256 of what the blueprint says."""
 
@@ -40,6 +56,7 @@ class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
         plan: Id of the accepted tool plan, if any.
         registration: Id of the accepted registration, if any.
         activities: What goes on besides operations, until the state it belongs to is left.
+        unknown: Outcomes that nobody knows and no operator has settled yet, of earlier runs of the daemon too.
     """
 
     sequence: int
@@ -51,6 +68,7 @@ class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
     plan: str | None = None
     registration: str | None = None
     activities: list[Ongoing] = []
+    unknown: list[UnknownOutcome] = []
 
 
 class Flags(Message, frozen=True, kw_only=True, omit_defaults=False):

@@ -5,42 +5,30 @@ from __future__ import annotations
 import asyncio
 import fcntl
 import uuid
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Iterable, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import structlog
 
 from pcmrs.bus import Bus, CommandEdge
-from pcmrs.clock import Clock, SystemClock
-from pcmrs.devices.dwell import DwellPointer
-from pcmrs.devices.jumps import PoseLimits
-from pcmrs.devices.poses import PoseFeed
-from pcmrs.devices.remote import RemoteEmg, RemotePointer, RemoteRobot, RemoteStimulator
-from pcmrs.dispatcher import Dispatcher, Workflow
-from pcmrs.errors import ConfigurationError, DeviceError
+from pcmrs.clock import SystemClock
+from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.links import open_gateway
 from pcmrs.journal import Journal
-from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.urdf_arms import find_arm
-from pcmrs.messages import BlueprintTag, BodyPose, DeviceEvent, DeviceHealth, JointState, Snapshot, Verdict
-from pcmrs.service.core import GatewayCore
-from pcmrs.service.health import HealthWatch
-from pcmrs.service.hearing import Hearing, awaited
+from pcmrs.messages import BlueprintTag
+from pcmrs.service.counters import Source, counted
 from pcmrs.service.nodes import NodeProcesses
-from pcmrs.service.publishing import Publishing, answer_queries
+from pcmrs.service.procedure import Clocks, RunningProcedure
+from pcmrs.service.publishing import answer_queries
 from pcmrs.service.recorder import JournalRecorder
-from pcmrs.service.reference import ReferenceWatch
-from pcmrs.service.resume import migration_for
-from pcmrs.service.watch import RobotWatch
-from pcmrs.settings import DWELL, Settings
-from pcmrs.workflows import find_workflow, open_workflow
-from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.settings import TrackingSettings
+from pcmrs.service.recording import RecorderProcess
+from pcmrs.service.recovery import conclude, keep_journal, recover
+from pcmrs.service.stall import StallWatch
+from pcmrs.service.supervisor import Supervisor
+from pcmrs.settings import Settings
+from pcmrs.workflows import open_workflow
 
 log = structlog.get_logger(__name__)
 
@@ -69,7 +57,6 @@ class Daemon:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._tasks: set[asyncio.Task[Any]] = set()
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[Ready]:
@@ -82,11 +69,12 @@ class Daemon:
             BlueprintError: The workflow is unsound.
             JournalError: The journal cannot be opened.
             DeviceError: A device is not heard.
+            SupervisionError: On leaving: one of the daemon's tasks died too often.
         """
         settings = self._settings
         workflow = open_workflow(settings.workflow)
-        clock = SystemClock(settings.cell.rate)
-        folder = settings.cell.path()
+        clock, machine = SystemClock(settings.cell.rate), SystemClock()
+        folder, session = settings.cell.path(), uuid.uuid4().hex
         async with AsyncExitStack() as stack:
             stack.enter_context(_only_daemon_of(folder))
             bus = await Bus.open(settings.bus("router"))
@@ -94,27 +82,40 @@ class Daemon:
             blueprint = workflow.blueprint
             journal = Journal.open(settings.cell.journal(blueprint.id), durable=settings.journal.durable)
             stack.push_async_callback(journal.close)
-            migration = migration_for(journal.reader, blueprint, find_workflow(settings.workflow).blueprint)
             tag = BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash)
-            recorder = JournalRecorder(journal, clock, uuid.uuid4().hex, tag)
-            if migration is not None:
-                await recorder.taken_up(migration)
-            for verdict in await recorder.close_unfinished():
-                log.warning("unknown_outcome", command=verdict.id, operation=f"{verdict.branch}.{verdict.operation}")
-            workflow = replace(workflow, initial=recorder.previous(workflow.initial))
-            cell = _open_cell(settings, bus, clock)
-            dispatcher = _open_dispatcher(bus, workflow, cell, clock, recorder)
-            await self._start_devices(stack, bus, cell, dispatcher)
-            stack.push_async_callback(self._end_tasks)
-            edge = await CommandEdge.open(bus, dispatcher.submit, self._stopper(dispatcher))
+            recorder = JournalRecorder(journal, clock, session, tag)
+            recovered = await recover(journal, recorder, workflow, settings)
+            stack.push_async_callback(conclude, recorder)
+            supervisor = Supervisor(machine)
+            clocks = Clocks(clock, machine)
+            procedure = RunningProcedure(bus, settings, recovered.workflow, recorder, clocks, supervisor)
+            dispatcher = procedure.dispatcher
+            recovered.give_to(dispatcher)
+            recorder.attach(dispatcher.procedure)
+            recording = RecorderProcess(settings, session, dispatcher.report_later, machine)
+            stack.push_async_callback(recording.stop)  # after the nodes: it writes what they have said last
+            nodes = NodeProcesses(settings, procedure.lose, dispatcher.report_later, machine)
+            stack.push_async_callback(nodes.stop)
+            asyncio.get_running_loop().set_exception_handler(supervisor.take_stray)
+            await stack.enter_async_context(supervisor)
+            supervisor.start("journal", lambda: keep_journal(journal, recorder, dispatcher, machine))
+            procedure.start()
+            nodes.start(supervisor)
+            await procedure.hearing.wait()
+            stalls = StallWatch(dispatcher.report_later, procedure.moving, machine)
+            stack.push_async_callback(stalls.close)
+            stalls.start()
+            edge = await CommandEdge.open(bus, dispatcher.submit, procedure.stop)
             stack.push_async_callback(edge.close)
-            core = GatewayCore(dispatcher, cell)
             gateway = await stack.enter_async_context(
-                open_gateway(core, settings.gateway, SystemClock(), folder / "records")
+                open_gateway(procedure.core, settings.gateway, machine, folder / "records")
             )
+            sources = (bus.counters, supervisor.counters, stalls.counters, procedure.counters, gateway.counters.table)
+            stack.callback(_tell_counters, sources)
             answer_queries(bus, dispatcher, journal.reader)
             bus.alive("daemon")
             bus.publish("state/fsm", dispatcher.snapshot())
+            recording.start(supervisor)
             # Entered last, so left first: the arm stands, and latched, before anything else ends.
             stack.push_async_callback(dispatcher.close)
             yield Ready(
@@ -127,98 +128,10 @@ class Daemon:
                 rate=settings.cell.rate,
             )
 
-    async def _start_devices(
-        self, stack: AsyncExitStack, bus: Bus, cell: Cell, dispatcher: Dispatcher[Cell, PlacementData]
-    ) -> None:
-        """Starts the nodes, and waits until their devices have been heard, or are known to be absent."""
 
-        def connected() -> bool:
-            return dispatcher.procedure.joint().get("robot") == "1"
-
-        watch = RobotWatch(bus.publish, connected, lambda: dispatcher.in_doubt, dispatcher.report, SystemClock())
-        hearing = Hearing(awaited(self._settings, dispatcher.procedure.blueprint.branches), SystemClock())
-
-        def take_pose(_key: str, pose: BodyPose) -> None:
-            cell.poses.update(pose)
-            hearing.hear("tracker")
-
-        def take_joints(_key: str, state: JointState) -> None:
-            cell.update_joints(state)
-            watch.hear()
-            hearing.hear("robot")
-
-        def lose(devices: list[str]) -> None:
-            if not hearing.complete:
-                text = f"The node of {', '.join(devices)} ended while it started; the log says why."
-                hearing.fail(DeviceError(text, devices=devices))
-            elif "robot" in devices:
-                self._spawn(watch.lose("The robot's node has ended."))
-
-        bus.subscribe("state/pose/*", BodyPose, take_pose)
-        bus.subscribe("state/joints", JointState, take_joints)
-
-        bus.subscribe("dev/*/state", DeviceHealth, HealthWatch(hearing, cell.poses).take)
-        bus.subscribe("dev/*/event", DeviceEvent, lambda _, event: dispatcher.report_later(event))
-        nodes = NodeProcesses(self._settings, lose)
-        stack.push_async_callback(nodes.stop)
-        await nodes.start()
-        self._spawn(watch.run())
-        self._spawn(ReferenceWatch(cell, dispatcher).run())
-        await hearing.wait()
-
-    def _stopper(self, dispatcher: Dispatcher[Cell, PlacementData]) -> Callable[[str], None]:
-        def stop(source: str) -> None:
-            self._spawn(dispatcher.stop(source))
-
-        return stop
-
-    def _spawn(self, work: Any) -> None:
-        task = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-
-    async def _end_tasks(self) -> None:
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-
-
-def _open_cell(settings: Settings, bus: Bus, clock: SystemClock) -> Cell:
-    procedure = settings.procedure
-    # Answers are waited for by the machine's clock: a fast simulation may fall behind its own.
-    machine = SystemClock()
-    cell = Cell(
-        name=f"{settings.cell.site}/{settings.cell.name}",
-        robot=RemoteRobot(bus, machine),
-        pointer=RemotePointer(bus, machine, procedure.registration.touch_timeout_s),
-        stimulator=RemoteStimulator(bus, machine) if settings.stimulator.driver != "none" else None,
-        emg=RemoteEmg(bus, machine) if settings.emg.driver != "none" else None,
-        poses=PoseFeed(clock, procedure.max_pose_age, _pose_limits(procedure.tracking)),
-        arm=ArmModel(find_arm(settings.robot.model)),
-        clock=clock,
-        settings=procedure,
-    )
-    if settings.pointer.driver == DWELL:
-        cell.pointer = DwellPointer(cell.poses, clock, cell.pointer_from_tip, settings.pointer.dwell)
-    log.info("calibration", **cell.calibrations(), id=cell.calibration_id)
-    return cell
-
-
-def _pose_limits(tracking: TrackingSettings) -> PoseLimits:
-    return PoseLimits(tracking.error_mm / 1000.0, tracking.speed, tracking.turn, tracking.steady)
-
-
-def _open_dispatcher(
-    bus: Bus, workflow: Workflow[Cell, PlacementData], cell: Cell, clock: Clock, recorder: JournalRecorder
-) -> Dispatcher[Cell, PlacementData]:
-    publishing = Publishing(bus)
-
-    def publish(message: Snapshot | Verdict | DeviceEvent) -> None:
-        publishing.publish(message)
-        publishing.publish_target(dispatcher.procedure.data)
-
-    dispatcher = Dispatcher(workflow, cell, clock, recorder, cell.make_safe, publish)
-    return dispatcher
+def _tell_counters(sources: Iterable[Source]) -> None:
+    found = {name: many for name, many in counted(sources).items() if many}
+    log.info("counted", **found)
 
 
 @contextmanager

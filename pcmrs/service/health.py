@@ -17,14 +17,19 @@ class HealthWatch:
     Args:
         hearing: Told of devices that are there at the start, or known to be absent.
         poses: Told why the tracker sends none.
+
+    Attributes:
+        last: Device to what its node has said of it last.
     """
 
     def __init__(self, hearing: Hearing, poses: PoseFeed) -> None:
         self._hearing, self._poses = hearing, poses
         self._absent: dict[str, str] = {}
+        self.last: dict[str, DeviceHealth] = {}
 
     def take(self, _key: str, health: DeviceHealth) -> None:
         """Logs a device that is lost, for another reason than before, or there again."""
+        self.last[health.device] = health
         device, before = health.device, self._absent.pop(health.device, None)
         if device == "tracker":
             self._poses.trouble = health.text

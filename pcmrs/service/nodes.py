@@ -6,11 +6,15 @@ import asyncio
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
 import msgspec
 import structlog
 
+from pcmrs.clock import Clock
 from pcmrs.errors import DeviceError
+from pcmrs.messages import DeviceEvent
+from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 from pcmrs.settings import Settings
 
 log = structlog.get_logger(__name__)
@@ -20,44 +24,42 @@ TERMINATION_TIME = 3.0
 
 
 class NodeProcesses:
-    """Starts one process per driver, notices when one ends, and ends them all.
+    """Starts one process per driver, begins one that ends by itself anew, and ends them all.
+
+    A driver whose node ends more often than `RESTARTS` times within `WITHIN` is given up: its devices are gone until
+    the daemon is started again.
 
     Args:
         settings: Handed to every node on its standard input.
-        on_end: Called with the names of the devices whose node has ended by itself.
+        on_end: Called with the names of the devices whose node has ended by itself; whether to begin it anew.
+        report: Told of every restart, and as danger of a driver that is given up.
+        clock: The machine's.
+
+    Attributes:
+        restarts: Driver to how often its node was begun anew.
     """
 
-    def __init__(self, settings: Settings, on_end: Callable[[list[str]], None]) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        on_end: Callable[[list[str]], bool],
+        report: Callable[[DeviceEvent], None],
+        clock: Clock,
+    ) -> None:
         self._settings = settings
         self._on_end = on_end
+        self._report = report
+        self._clock = clock
         self._processes: dict[str, asyncio.subprocess.Process] = {}
-        self._watchers: list[asyncio.Task[None]] = []
+        self.restarts: dict[str, int] = {}
 
-    async def start(self) -> None:
+    def start(self, supervisor: Supervisor) -> None:
         """Starts the nodes of all configured drivers."""
         for driver, devices in self._settings.drivers().items():
-            process = await asyncio.create_subprocess_exec(
-                sys.executable,
-                "-m",
-                "pcmrs.cli",
-                "node",
-                driver,
-                *devices,
-                stdin=asyncio.subprocess.PIPE,
-                start_new_session=True,  # a Ctrl-C at the terminal is the daemon's to handle
-            )
-            if process.stdin is None:
-                raise DeviceError(f"The node of {driver} has no standard input.", driver=driver)
-            # The pipe stays open: its end tells the node that the daemon is gone, however it went.
-            process.stdin.write(msgspec.json.encode(self._settings) + b"\n")
-            self._processes[driver] = process
-            self._watchers.append(asyncio.create_task(self._watch(driver, devices, process)))
+            supervisor.start(f"node {driver}", partial(self._keep, driver, devices))
 
     async def stop(self) -> None:
         """Ends all nodes: SIGTERM, then SIGKILL."""
-        for watcher in self._watchers:
-            watcher.cancel()
-        await asyncio.gather(*self._watchers, return_exceptions=True)
         for process in self._processes.values():
             with suppress(ProcessLookupError):
                 process.terminate()
@@ -70,7 +72,44 @@ class NodeProcesses:
                 process.kill()
                 await process.wait()
 
-    async def _watch(self, driver: str, devices: list[str], process: asyncio.subprocess.Process) -> None:
-        status = await process.wait()
-        log.error("node_ended", driver=driver, devices=devices, status=status)
-        self._on_end(devices)
+    async def _keep(self, driver: str, devices: list[str]) -> None:
+        limit = RestartLimit(RESTARTS, WITHIN, self._clock)
+        while True:
+            process = self._processes[driver] = await self._open(driver, devices)
+            status = await process.wait()
+            log.error("node_ended", driver=driver, devices=devices, status=status)
+            wanted = self._on_end(devices)
+            if not wanted or limit.reached():
+                if wanted:
+                    self._report(_given_up(driver, devices))
+                await asyncio.Event().wait()
+            self.restarts[driver] = self.restarts.get(driver, 0) + 1
+            text = f"The node of {', '.join(devices)} ended by itself (status {status}) and is begun anew."
+            fields = {"driver": driver, "devices": devices, "status": status}
+            self._report(DeviceEvent(device="daemon", code="node_restarted", text=text, fields=fields))
+
+    async def _open(self, driver: str, devices: list[str]) -> asyncio.subprocess.Process:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            "pcmrs.cli",
+            "node",
+            driver,
+            *devices,
+            stdin=asyncio.subprocess.PIPE,
+            start_new_session=True,  # a Ctrl-C at the terminal is the daemon's to handle
+        )
+        if process.stdin is None:
+            raise DeviceError(f"The node of {driver} has no standard input.", driver=driver)
+        # The pipe stays open: its end tells the node that the daemon is gone, however it went.
+        process.stdin.write(msgspec.json.encode(self._settings) + b"\n")
+        return process
+
+
+def _given_up(driver: str, devices: list[str]) -> DeviceEvent:
+    text = (
+        f"The node of {', '.join(devices)} has ended more than {RESTARTS} times within {WITHIN:g} s and is not begun "
+        "anew. The log says why it ends; start the daemon again when that is mended."
+    )
+    fields = {"driver": driver, "devices": devices}
+    return DeviceEvent(device="daemon", code="node_failed", text=text, danger=True, fields=fields)

@@ -8,7 +8,9 @@ from pathlib import Path
 import msgspec
 
 from pcmrs.bus import KEYS, Bus, Empty, KeyTable
+from pcmrs.devices.link import Link
 from pcmrs.dispatcher import Dispatcher
+from pcmrs.failpoints import failpoint
 from pcmrs.journal import JournalReader
 from pcmrs.messages import (
     DeviceEvent,
@@ -28,12 +30,13 @@ LARGEST_PAGE = 500
 class Publishing:
     """Puts snapshots, flags, the target and events on the bus as the dispatcher makes them."""
 
-    def __init__(self, bus: Bus) -> None:
+    def __init__(self, bus: Link) -> None:
         self._bus = bus
         self._target: Target | None = None
 
     def publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
         """Called by the dispatcher with everything that is new."""
+        failpoint("service.before_publish")
         if isinstance(message, Snapshot):
             self._bus.publish("state/fsm", message)
             self._bus.publish("state/flags", Flags(sequence=message.sequence, flags=message.flags))

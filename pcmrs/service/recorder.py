@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Mapping
+import platform
+from collections.abc import Awaitable, Iterable, Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from pcmrs.clock import Clock
+from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.errors import JournalError
+from pcmrs.fsm import Blueprint
 from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.journal import Journal, JournalRow, Kind
-from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Verdict
+from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Verdict
+from pcmrs.service.ledger import ENDED, TAKEN_BACK, Begun, Kept, Ledger
 from pcmrs.workflows.data import PlacementData
 
-TAKEN_BACK = {"registration": ("previous", "noise"), "digitization": ("previous_digitization",)}
-"""Branch to its data that outlives a run of the daemon: what only explicit operations use, after their checks, and how
-noisy each pointer has been found."""
+DAEMON = "daemon"
+"""Source of the rows that the daemon writes about itself."""
+AT_ONCE = 100
+"""Rows of what had begun that are written in one commit."""
+SNAPSHOT_EVERY = 1000
+"""Rows after which the journal gets one from which the next start reads on."""
 
 
 class JournalRecorder:
@@ -34,10 +42,13 @@ class JournalRecorder:
         self._journal = journal
         self._clock = clock
         self._common: dict[str, Any] = {"session_id": session, "boot_id": _boot_id(), "blueprint": blueprint}
+        self._ledger: Ledger | None = None
+        self._procedure: Procedure[Any, Any] | None = None
+        self._since_snapshot = 0
 
     def intent(self, command: Command, states: Mapping[str, str]) -> Awaitable[Any]:
         """See `Recorder.intent`."""
-        return self._journal.append([self._of_command("intent", command, states)])
+        return self._append([self._of_command("intent", command, states)])
 
     def decision(
         self,
@@ -52,7 +63,7 @@ class JournalRecorder:
         result = msgspec.to_builtins(dict(changes)) if changes else None
         outcome = self._of_command("outcome", command, states, verdict=verdict, result=result)
         intent = [self._of_command("intent", command, states)] if with_intent else []
-        return self._journal.append([*intent, outcome])
+        return self._append([*intent, outcome])
 
     def event(self, event: DeviceEvent, states: Mapping[str, str]) -> Awaitable[Any]:
         """See `Recorder.event`."""
@@ -63,62 +74,132 @@ class JournalRecorder:
             states=dict(states),
             result={"text": event.text, "danger": event.danger, "fields": msgspec.to_builtins(event.fields)},
         )
-        return self._journal.append([row])
+        return self._append([row])
 
     def recall(self, source: str, command_id: str) -> Verdict | None:
         """See `Recorder.recall`."""
         return self._journal.reader.verdict_of(source, command_id)
 
+    def read_back(self, blueprint: Blueprint) -> Kept:
+        """Reads what earlier rows leave, from the last snapshot on; from now on every thousandth row is one.
+
+        Args:
+            blueprint: The workflow.
+
+        Raises:
+            JournalError: The journal cannot be read, or its snapshot is not of the types that this program knows.
+        """
+        reader = self._journal.reader
+        snapshot = next(reader.read(kind="snapshot", last=1), None)
+        kept = Kept() if snapshot is None else self._kept_in(snapshot.row)
+        ledger, rows = Ledger(blueprint, kept), 0
+        for stored in reader.read(after=0 if snapshot is None else snapshot.sequence):
+            ledger.take(stored.row)
+            rows += 1
+        self._ledger, self._since_snapshot = ledger, rows
+        return ledger.kept
+
+    @property
+    def kept(self) -> Kept:
+        """What a run that begins now would take over."""
+        return Kept() if self._ledger is None else self._ledger.kept
+
+    def attach(self, procedure: Procedure[Any, Any]) -> None:
+        """Snapshots show the states, data and sequence of this procedure from now on."""
+        self._procedure = procedure
+
+    async def started(self, settings: Mapping[str, Any], calibration: str) -> None:
+        """Journals under which configuration, versions and calibration the daemon runs."""
+        versions = {"pcmrs": version("pcmrs"), "python": platform.python_version()}
+        result = {"settings": dict(settings), "versions": versions, "calibration": calibration}
+        await self._append([self._row("config", source=DAEMON, operation="started", result=result)])
+
     async def taken_up(self, migration: MigrationSpec) -> None:
         """Journals that what an older blueprint has written is taken up under the present one, and why."""
         text = f"Taken up from {migration.version} {migration.hash} because {migration.why}"
         result = {"text": text, **msgspec.to_builtins(migration)}
-        await self._journal.append([self._row("event", source="daemon", operation="taken_up", result=result)])
+        await self._append([self._row("event", source=DAEMON, operation="taken_up", result=result)])
 
-    async def close_unfinished(self) -> list[Verdict]:
-        """Journals ``unknown`` for what an earlier run had begun when it ended; returns those verdicts."""
-        verdicts = []
-        for intent in self._journal.reader.unfinished():
-            verdict = Verdict(
-                id=intent.command_id or "",
-                branch=intent.branch or "",
-                operation=intent.operation or "",
-                decision="unknown",
-                state=(intent.states or {}).get(intent.branch or "", ""),
-                sequence=0,
-                reason=Reason(code="daemon_ended", text="The daemon ended while it ran; nobody knows how it ended."),
-            )
-            row = self._row(
-                "outcome",
-                command_id=intent.command_id,
-                source=intent.source,
-                branch=intent.branch,
-                operation=intent.operation,
-                verdict=verdict,
-            )
-            await self._journal.append([row])
-            verdicts.append(verdict)
-        return verdicts
+    async def close_unfinished(self, begun: Iterable[Begun]) -> list[Verdict]:
+        """Journals ``unknown`` for what had begun when an earlier run ended; returns those verdicts."""
+        rows = [self._unknown(each) for each in begun]
+        for start in range(0, len(rows), AT_ONCE):
+            await self._append(rows[start : start + AT_ONCE])
+        return [row.verdict for row in rows if row.verdict is not None]
 
-    def previous(self, initial: PlacementData) -> PlacementData:
-        """The initial data, with what earlier runs registered and digitized last for explicit operations to take back.
+    async def conclude(self) -> None:
+        """The daemon ends in order: the next start need read nothing but this snapshot.
+
+        Raises:
+            JournalError: It cannot be written.
+        """
+        await self._journal.append([self._snapshot()])
+
+    def previous(self, kept: Kept, initial: PlacementData) -> PlacementData:
+        """The initial data, with what earlier runs have left for explicit operations to take back.
 
         Raises:
             JournalError: What an earlier run has left is not of the types that this program knows.
         """
-        changes: dict[str, Any] = {}
-        for branch, fields in TAKEN_BACK.items():
-            for stored in self._journal.reader.read(kind="outcome", branch=branch):
-                kept = stored.row.result or {}
-                changes |= {field: kept[field] for field in fields if kept.get(field)}
         try:
-            previous = msgspec.convert(changes, PlacementData)
+            previous = msgspec.convert(kept.taken_back, PlacementData)
         except msgspec.ValidationError as error:
             path = self._journal.reader.path
             text = f"{path} holds registrations that this version cannot read ({error}): give another cell.folder."
             raise JournalError(text, path=str(path)) from None
-        kept = {field: getattr(previous, field) for fields in TAKEN_BACK.values() for field in fields}
-        return msgspec.structs.replace(initial, **kept)
+        return msgspec.structs.replace(initial, **{field: getattr(previous, field) for field in TAKEN_BACK})
+
+    def _append(self, rows: list[JournalRow]) -> Awaitable[int]:
+        """Appends rows, and a snapshot in the same commit when it is time for one."""
+        if self._ledger is None:
+            return self._journal.append(rows)
+        for row in rows:
+            self._ledger.take(row)
+        self._since_snapshot += len(rows)
+        if self._since_snapshot < SNAPSHOT_EVERY:
+            return self._journal.append(rows)
+        self._since_snapshot = 0
+        return self._journal.append([*rows, self._snapshot()])
+
+    def _snapshot(self) -> JournalRow:
+        procedure = self._procedure
+        shown: dict[str, Any] = {"data": {}, "sequence": 0}
+        if procedure is not None:
+            shown = {"data": msgspec.to_builtins(procedure.data), "sequence": procedure.sequence}
+        return self._row(
+            "snapshot",
+            source=DAEMON,
+            operation="snapshot",
+            states=None if procedure is None else procedure.promised(),
+            result={**shown, **msgspec.to_builtins(self.kept)},
+        )
+
+    def _kept_in(self, row: JournalRow) -> Kept:
+        try:
+            return msgspec.convert(row.result or {}, Kept)
+        except msgspec.ValidationError as error:
+            path = self._journal.reader.path
+            text = f"{path} holds a snapshot that this version cannot read ({error}): give another cell.folder."
+            raise JournalError(text, path=str(path)) from None
+
+    def _unknown(self, begun: Begun) -> JournalRow:
+        verdict = Verdict(
+            id=begun.command,
+            branch=begun.branch,
+            operation=begun.operation,
+            decision="unknown",
+            state=begun.state,
+            sequence=0,
+            reason=ENDED,
+        )
+        return self._row(
+            "outcome",
+            command_id=begun.command,
+            source=begun.source,
+            branch=begun.branch,
+            operation=begun.operation,
+            verdict=verdict,
+        )
 
     def _of_command(self, kind: Kind, command: Command, states: Mapping[str, str], **more: Any) -> JournalRow:
         return self._row(

@@ -6,6 +6,7 @@ from collections.abc import Awaitable, Callable
 
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.messages import DeviceEvent
+from pcmrs.service.supervisor import mark
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.reference import Shift, moved_by, moved_text
@@ -39,6 +40,7 @@ class ReferenceWatch:
         """Looks until cancelled."""
         told: dict[str, str] = {}
         while True:
+            mark()
             shift = moved_by(self._cell, self._procedure.data)
             joint = self._procedure.joint()
             if shift is None:

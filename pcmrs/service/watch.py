@@ -5,18 +5,23 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 
 from pcmrs.clock import Clock
+from pcmrs.devices.deadman import DEADMAN, beat_period
 from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.messages import Beat, DeviceEvent
-
-PERIOD = 0.05
-"""Seconds of the machine between beats."""
+from pcmrs.service.supervisor import mark
 
 SILENCE = 1.0
 """A robot whose joints have not been heard for so long is lost, s of the machine."""
 
+BEATS_MISSED = 10
+"""A robot is lost, too, when its node's heartbeats have been missing for so many times the deadman's time."""
+
+HELD_UP = 0.1
+"""A watch that comes round so much too late was held up itself: it hears first what has come meanwhile, s."""
+
 
 class RobotWatch:
-    """Beats for the robot's node and listens for the robot's joints.
+    """Beats for the device nodes and listens for the robot's joints and its node's heartbeats.
 
     Args:
         publish: `Bus.publish`.
@@ -25,6 +30,7 @@ class RobotWatch:
             that its node holds it by itself, too.
         report: `Dispatcher.report`.
         clock: The machine's clock.
+        deadman: As the nodes have it, s of the machine.
     """
 
     def __init__(
@@ -34,13 +40,15 @@ class RobotWatch:
         in_doubt: Callable[[], bool],
         report: Callable[[DeviceEvent], Awaitable[None]],
         clock: Clock,
+        deadman: float = DEADMAN,
     ) -> None:
         self._publish = publish
         self._connected = connected
         self._in_doubt = in_doubt
         self._report = report
         self._clock = clock
-        self._heard = clock.monotonic()
+        self._heard = self._beaten = clock.monotonic()
+        self._without_beats, self._period = BEATS_MISSED * deadman, beat_period(deadman)
 
     async def run(self) -> None:
         """Beats and watches until cancelled.
@@ -49,13 +57,24 @@ class RobotWatch:
         """
         number = 0
         while True:
+            mark()
             number += 1
+            begun = self._clock.monotonic()
             if not self._in_doubt():
-                self._publish(DAEMON_BEAT, Beat(number=number))
-            silence = self._clock.monotonic() - self._heard
-            if silence > SILENCE and self._connected():
-                await self.lose(f"The robot has not reported its joints for {silence:.1f} s.")
-            await self._clock.sleep(PERIOD)
+                self._publish(DAEMON_BEAT, Beat(number=number, sent=begun))
+            await self._clock.sleep(self._period)
+            held_up = self._clock.monotonic() - begun - self._period > HELD_UP
+            if not held_up and self._connected() and (text := self._loss()):
+                await self.lose(text)
+
+    def _loss(self) -> str:
+        """Why the robot counts as lost; empty while it does not."""
+        now = self._clock.monotonic()
+        if now - self._heard > SILENCE:
+            return f"The robot has not reported its joints for {now - self._heard:.1f} s."
+        if now - self._beaten > self._without_beats:
+            return f"The robot's node has sent no heartbeat for {now - self._beaten:.1f} s."
+        return ""
 
     async def lose(self, text: str) -> None:
         """Reports the link to the robot as lost: motion is held, the robot counts as disconnected."""
@@ -65,3 +84,7 @@ class RobotWatch:
     def hear(self) -> None:
         """The robot has reported its joints."""
         self._heard = self._clock.monotonic()
+
+    def hear_beat(self) -> None:
+        """The robot's node has sent a heartbeat."""
+        self._beaten = self._clock.monotonic()

@@ -87,12 +87,7 @@ class Cell:
     @property
     def calibration_id(self) -> str:
         """Short hash of the calibrations in use: what was registered with another one is not comparable."""
-        tool, pointer, explicit = self.tool_calibration, self.pointer_calibration, self.settings.calibration
-        used = (
-            tool.content_hash() if tool is not None else (explicit.flange_from_tool, explicit.tool_from_coil),
-            pointer.content_hash() if pointer is not None else explicit.pointer_from_tip,
-        )
-        return hashlib.sha256(msgspec.json.encode(used)).hexdigest()[:16]
+        return _identity(self.tool_calibration, self.pointer_calibration, self.settings)
 
     def calibrations(self) -> dict[str, str]:
         """What is in use, for people: the calibration files, or ``explicit`` for poses of the configuration."""
@@ -191,6 +186,25 @@ class Cell:
     def flange_for(self, robot_base_from_coil: Transform) -> Transform:
         """``robot_base_from_flange`` that brings the coil to the pose."""
         return robot_base_from_coil @ self.flange_from_coil.inverse()
+
+
+def calibration_id_of(settings: ProcedureSettings) -> str:
+    """The `Cell.calibration_id` of a cell with these settings.
+
+    Raises:
+        ConfigurationError: A calibration file cannot be read.
+    """
+    files = settings.calibration
+    return _identity(_calibration("tool", files.tool_file), _calibration("pointer", files.pointer_file), settings)
+
+
+def _identity(tool: Calibration | None, pointer: Calibration | None, settings: ProcedureSettings) -> str:
+    explicit = settings.calibration
+    used = (
+        tool.content_hash() if tool is not None else (explicit.flange_from_tool, explicit.tool_from_coil),
+        pointer.content_hash() if pointer is not None else explicit.pointer_from_tip,
+    )
+    return hashlib.sha256(msgspec.json.encode(used)).hexdigest()[:16]
 
 
 def _calibration(kind: Kind, file: str) -> Calibration | None:

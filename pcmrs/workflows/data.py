@@ -30,6 +30,7 @@ class Digitized(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         reference: ``body_ref_from_witness`` when it began; None where no witness was seen.
+        reference_serial: Of the marker body that was on the patient; empty where nobody said.
     """
 
     landmarks: tuple[Landmark, ...]
@@ -37,6 +38,7 @@ class Digitized(msgspec.Struct, frozen=True, kw_only=True):
     patient: str
     calibration: str
     reference: PoseMessage | None = None
+    reference_serial: str = ""
 
 
 class Registered(msgspec.Struct, frozen=True, kw_only=True):
@@ -50,6 +52,7 @@ class Registered(msgspec.Struct, frozen=True, kw_only=True):
         reference: ``body_ref_from_witness`` of its digitization; None where no witness was seen.
         covariance: Where the surface has refined it: of the small motion ``(rotation vector, translation)`` in body_ref
             that is between it and the true one, rad and m, (6, 6) row by row; empty otherwise.
+        reference_serial: Of the marker body that was on the patient; empty where nobody said.
     """
 
     id: str
@@ -62,6 +65,26 @@ class Registered(msgspec.Struct, frozen=True, kw_only=True):
     calibration: str
     reference: PoseMessage | None = None
     covariance: tuple[float, ...] = ()
+    reference_serial: str = ""
+
+
+class Planned(msgspec.Struct, frozen=True, kw_only=True):
+    """An accepted tool plan and what it was made for.
+
+    Attributes:
+        image_from_coil: The planned pose.
+        patient: In whose image.
+        calibration: Identity of the pointer's and tool's calibration then.
+        reference: ``body_ref_from_witness`` of the digitization then; None where there was none.
+        reference_serial: Of the marker body that was on the patient; empty where nobody said.
+    """
+
+    id: str
+    image_from_coil: PoseMessage
+    patient: str
+    calibration: str
+    reference: PoseMessage | None = None
+    reference_serial: str = ""
 
 
 class PlacementData(ProcedureData, frozen=True, kw_only=True):
@@ -77,6 +100,7 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
         previous: The last accepted registration, in force or not.
         noise: What accepted registrations have left over, by pointer.
         plan: ``image_from_coil`` of the accepted tool plan.
+        previous_plan: The last accepted tool plan, in force or not.
         nudge_translation: Sum of nudges since the approach, m, in the tool frame.
         nudge_rotation_zyx: Sum of rotations since the approach, rad.
         approached: Ids of the plan and registration that the tool is at.
@@ -91,6 +115,7 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
     previous: Registered | None = None
     noise: dict[str, NoiseEstimate] = msgspec.field(default_factory=dict)
     plan: PoseMessage | None = None
+    previous_plan: Planned | None = None
     nudge_translation: Point = (0.0, 0.0, 0.0)
     nudge_rotation_zyx: Point = (0.0, 0.0, 0.0)
     approached: tuple[str, str] | None = None

@@ -11,7 +11,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.messages import LandmarkPrompt
 from pcmrs.registration import register_points
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.data import Digitized, Landmark, PlacementData, Point, as_point
+from pcmrs.workflows.data import Digitized, Landmark, PlacementData, Planned, Point, Registered, as_point
 from pcmrs.workflows.reference import LATELY, check_reference, see_witness
 from pcmrs.workflows.touching import touch
 from pcmrs.workflows.units import check_metres
@@ -94,7 +94,7 @@ def previous_digitization_fits(run: Run) -> None:
     if previous.landmarks != run.data.landmarks:
         text = "The previous digitization was made for other planned landmarks: digitize the present ones."
         raise RefusalError("other_landmarks", text)
-    check_same_head(run, previous.patient, previous.calibration)
+    check_same_head(run, previous)
     check_reference(run.cell, previous.reference, run.clock.monotonic() - LATELY)
 
 
@@ -106,14 +106,22 @@ def take_previous_digitization(run: Run) -> None:
         _keep_digitized(run, previous.points)
 
 
-def check_same_head(run: Run, patient: str, calibration: str) -> None:
-    """Refuses what belongs to another patient or was made with another calibration. Raises `RefusalError`."""
-    settings = run.cell.settings
-    if patient != settings.patient:
-        text = f"The previous one belongs to patient {patient}, not {settings.patient}: make a new one."
-        raise RefusalError("other_patient", text, patient=patient)
-    if calibration != run.cell.calibration_id:
+def check_same_head(run: Run, previous: Digitized | Registered | Planned) -> None:
+    """Refuses what belongs to another patient, or was made with another calibration or marker body on the patient.
+
+    Raises:
+        RefusalError: ``other_patient``, ``other_calibration`` or ``other_reference``.
+    """
+    settings, serial = run.cell.settings, run.cell.settings.calibration.reference_serial
+    if previous.patient != settings.patient:
+        text = f"The previous one belongs to patient {previous.patient}, not {settings.patient}: make a new one."
+        raise RefusalError("other_patient", text, patient=previous.patient)
+    if previous.calibration != run.cell.calibration_id:
         raise RefusalError("other_calibration", "The calibration has changed since the previous one: make a new one.")
+    if previous.reference_serial != serial:
+        before, now = (each or "of no serial" for each in (previous.reference_serial, serial))
+        text = f"The marker body on the patient was {before} then, and is {now} now: make a new one."
+        raise RefusalError("other_reference", text, reference_serial=previous.reference_serial)
 
 
 async def _digitize(run: Run, index: int) -> None:
@@ -133,6 +141,7 @@ def _keep_digitized(run: Run, points: tuple[Point | None, ...]) -> None:
             patient=cell.settings.patient,
             calibration=cell.calibration_id,
             reference=run.data.reference,
+            reference_serial=cell.settings.calibration.reference_serial,
         )
         run.keep(previous_digitization=previous)
     run.result["digitized"] = sum(point is not None for point in points)

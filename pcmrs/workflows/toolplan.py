@@ -15,8 +15,10 @@ from pcmrs.kinematics.inverse import inverse
 from pcmrs.spatial import Floats, Frame, Transform
 from pcmrs.workflows.accuracy import check_tre
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.data import PlacementData, Point, as_message
+from pcmrs.workflows.data import PlacementData, Planned, Point, as_message, as_transform
+from pcmrs.workflows.landmarks import check_same_head
 from pcmrs.workflows.paths import along_axis
+from pcmrs.workflows.reference import LATELY, check_reference
 from pcmrs.workflows.units import check_metres
 from pcmrs.workflows.ways import arrange, check_postures
 from pcmrs.workflows.zones import BODY
@@ -111,7 +113,26 @@ def _seeds(cell: Cell) -> Iterator[Floats]:
 
 def keep_plan(run: Run) -> None:
     """Puts the plan in force."""
-    run.keep(plan=as_message(run.prepared), plan_id=f"plan-{run.command.id}")
+    cell = run.cell
+    planned = Planned(
+        id=f"plan-{run.command.id}",
+        image_from_coil=as_message(run.prepared),
+        patient=cell.settings.patient,
+        calibration=cell.calibration_id,
+        reference=run.data.reference,
+        reference_serial=cell.settings.calibration.reference_serial,
+    )
+    run.keep(plan=planned.image_from_coil, plan_id=planned.id, previous_plan=planned)
+
+
+def previous_plan_fits(run: Run) -> None:
+    """Refuses a previous plan of another patient, calibration or place of the reference, and what `plan` refuses."""
+    previous = run.data.previous_plan
+    if previous is None:
+        raise RefusalError("no_previous_plan", "No tool pose was planned before: plan one.")
+    check_same_head(run, previous)
+    check_reference(run.cell, previous.reference, run.clock.monotonic() - LATELY)
+    accept_pose(run, as_transform(previous.image_from_coil))
 
 
 def _all_seen(run: AnyRun[Cell, P]) -> bool:
@@ -123,4 +144,5 @@ def register_plan_operations(registry: Registry[Cell, PlacementData]) -> None:
     """Registers the names that blueprints use for these checks and steps."""
     registry.payload("tool_pose", ToolPose)
     registry.check(plan_reachable)
+    registry.check(previous_plan_fits)
     registry.step(keep_plan)

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
 from sim.arm import Arm
+from sim.kinematic_arm import KinematicArm
 
 _MM = 1e3
 
@@ -23,7 +24,7 @@ class Readings:
         flange_from_tool: The tool frame that the client has set.
     """
 
-    def __init__(self, arm: Arm, model: ArmModel) -> None:
+    def __init__(self, arm: Arm | KinematicArm, model: ArmModel) -> None:
         self._arm = arm
         self._model = model
         self.flange_from_tool = Transform.identity()

@@ -28,6 +28,7 @@ async def test_ordered_calls_run_in_order_and_before_streams() -> None:
 async def test_a_full_queue_rejects_and_recovers() -> None:
     bridge, ran = Bridge(asyncio.get_running_loop(), capacity=3), list[int]()
     assert [bridge.post(partial(ran.append, number)) for number in range(5)] == [True, True, True, False, False]
+    assert (bridge.refused, bridge.waiting) == (2, 3)
     await until_idle()
     assert ran == [0, 1, 2]
     assert bridge.post(partial(ran.append, 9))
@@ -42,6 +43,7 @@ def test_the_newest_value_of_each_key_arrives_whatever_the_order() -> None:
             bridge, seen = Bridge(asyncio.get_running_loop()), list[tuple[str, int]]()
             for key, value in values:
                 bridge.post_newest(key, partial(seen.append, (key, value)))
+            assert bridge.replaced == len(values) - len(dict(values)), "each that nobody will see is counted"
             await until_idle()
             return seen
 

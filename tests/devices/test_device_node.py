@@ -12,7 +12,8 @@ import pytest
 from clock import ManualClock, settle
 from memory_link import MemoryLink
 
-from pcmrs.devices.node import BEAT_PERIOD, BEAT_TIMEOUT, DAEMON_BEAT, DeviceNode
+from pcmrs.devices.deadman import DEADMAN, LISTENING, beat_period
+from pcmrs.devices.node import DAEMON_BEAT, REQUEST_DELAY, DeviceNode
 from pcmrs.devices.remote import ANSWER_TIME, MOTION_MARGIN, RemotePointer, RemoteRobot, RemoteScene
 from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.messages import (
@@ -31,6 +32,8 @@ from pcmrs.messages import (
     PressRequest,
     ServoSession,
 )
+
+BEAT_PERIOD = beat_period(DEADMAN)
 
 STATE = JointState(captured=1.0, sent=1.0, positions=[0.1] * 7, velocities=[0.0] * 7, torques=[0.0] * 7)
 TRAJECTORY = JointTrajectory(period=0.005, positions=[[0.0] * 7, [0.1] * 7])
@@ -356,31 +359,107 @@ async def test_the_node_beats_for_every_device(bench: Bench) -> None:
     assert bench.link.published["dev/robot/state"][-1].connected
 
 
-async def test_a_moving_robot_is_held_when_the_daemon_falls_silent(bench: Bench) -> None:
-    moving = JointState(
-        captured=1.0, sent=1.0, positions=[0.1] * 7, velocities=[0.2] * 7, torques=[0.0] * 7, moving=True
-    )
-    bench.robot_device.stream.put_nowait(moving)
-    for number in range(20):
-        bench.link.hear(DAEMON_BEAT, Beat(number=number))
-        await bench.clock.advance(0.1)
+MOVING = msgspec.structs.replace(STATE, moving=True)
+
+
+def beat(bench: Bench, number: int, delay: float = 0.0) -> None:
+    """The daemon's heartbeat arrives, `delay` s after it was sent."""
+    bench.link.hear(DAEMON_BEAT, Beat(number=number, sent=bench.clock.monotonic() - delay))
+
+
+async def beat_for(bench: Bench, seconds: float, first: int = 1, delay: float = 0.0) -> int:
+    """Heartbeats as a daemon sends them; returns the next number."""
+    numbers = range(first, first + round(seconds / BEAT_PERIOD))
+    for number in numbers:
+        beat(bench, number, delay)
+        await bench.clock.advance(BEAT_PERIOD)
+    return numbers.stop
+
+
+async def test_a_moving_robot_is_held_at_the_deadmans_time_after_the_last_heartbeat(bench: Bench) -> None:
+    bench.robot_device.stream.put_nowait(MOVING)
+    await beat_for(bench, 2.0)
+    await bench.clock.advance(DEADMAN - BEAT_PERIOD - 0.001)
     assert bench.robot_device.holds == 0
-    await bench.clock.advance(BEAT_TIMEOUT + 2 * BEAT_PERIOD)
+    await bench.clock.advance(0.002)
+    assert bench.robot_device.holds == 1
+    (event,) = bench.link.published["dev/robot/event"]
+    assert (event.code, event.danger) == ("daemon_silent", True), "the daemon learns of it, and latches"
+    assert event.fields["silence"] == pytest.approx(DEADMAN, abs=0.002)
+
+
+async def test_a_robot_that_begins_to_move_while_the_daemon_is_silent_is_held(bench: Bench) -> None:
+    await bench.clock.advance(10.0)
+    bench.robot_device.stream.put_nowait(MOVING)
+    await bench.clock.advance(DEADMAN / 2)
     assert bench.robot_device.holds == 1
 
 
+async def test_heartbeats_that_come_late_do_not_count(bench: Bench) -> None:
+    bench.robot_device.stream.put_nowait(MOVING)
+    number = await beat_for(bench, 1.0)
+    await beat_for(bench, 1.0, number, delay=0.5)
+    assert bench.robot_device.holds > 0, "they keep coming, and all of them are of half a second ago"
+
+
+async def test_the_heartbeats_of_a_daemon_that_began_anew_count_whatever_its_clock_shows(bench: Bench) -> None:
+    bench.robot_device.stream.put_nowait(MOVING)
+    await beat_for(bench, 1.0)
+    await beat_for(bench, 1.0, first=1, delay=1000.0)
+    assert bench.robot_device.holds == 0
+
+
+async def test_no_motion_begins_while_the_daemon_is_not_heard(bench: Bench) -> None:
+    await bench.clock.advance(10.0)
+    asking = asyncio.create_task(bench.robot.follow(TRAJECTORY))
+    await settle()
+    await bench.clock.advance(2 * DEADMAN)
+    with pytest.raises(DeviceError, match="does not begin to move"):
+        await asking
+    asking = asyncio.create_task(bench.robot.follow(TRAJECTORY))
+    await settle()
+    beat(bench, 1)
+    await bench.clock.advance(DEADMAN / 2)
+    assert (await asking).outcome == "done"
+    assert bench.robot_device.followed == [TRAJECTORY]
+
+
+async def test_a_request_that_was_held_up_on_its_way_is_dropped_unless_it_makes_safe(bench: Bench) -> None:
+    await beat_for(bench, 1.0)
+    sent = bench.clock.monotonic() - REQUEST_DELAY - 0.1
+    arguments = {"trajectory": msgspec.to_builtins(TRAJECTORY)}
+    late = DeviceRequest(method="follow", arguments=arguments, sent=sent)
+    reply = await bench.link.request("dev/robot/cmd", late, DeviceReply, 1.0)
+    assert reply.failure is not None
+    assert "late and was dropped" in reply.failure.text
+    assert bench.robot_device.followed == []
+    hold = await bench.link.request("dev/robot/cmd", DeviceRequest(method="hold", sent=sent), DeviceReply, 1.0)
+    assert hold.failure is None
+    assert bench.node.late == {"requests": 1}
+
+
+async def test_a_set_point_that_comes_late_is_dropped(bench: Bench) -> None:
+    await beat_for(bench, 1.0)
+    now = bench.clock.monotonic()
+    for number, age in enumerate((0.0, DEADMAN + 0.01, 0.01), start=1):
+        setpoint = JointSetpoint(session=4, number=number, sent=now - age, positions=[0.0] * 7, velocities=[0.0] * 7)
+        bench.link.hear("dev/robot/setpoint", setpoint)
+    assert [setpoint.number for setpoint in bench.robot_device.setpoints] == [1, 3]
+    assert bench.node.late == {"setpoints": 1}
+
+
 async def test_a_node_that_was_held_up_itself_hears_first_what_has_arrived(bench: Bench) -> None:
-    bench.robot_device.stream.put_nowait(msgspec.structs.replace(STATE, moving=True))
-    bench.link.hear(DAEMON_BEAT, Beat(number=1))
-    await bench.clock.advance(0.1)
-    bench.clock.stall(2 * BEAT_TIMEOUT)
-    await bench.clock.advance(BEAT_PERIOD / 2)
-    bench.link.hear(DAEMON_BEAT, Beat(number=2))
-    await bench.clock.advance(2 * BEAT_PERIOD)
+    bench.robot_device.stream.put_nowait(MOVING)
+    beat(bench, 1)
+    await bench.clock.advance(DEADMAN / 2)
+    bench.clock.stall(2 * DEADMAN)
+    await bench.clock.advance(LISTENING / 2)
+    beat(bench, 2)
+    await bench.clock.advance(DEADMAN / 2)
     assert bench.robot_device.holds == 0
     for _ in range(2):  # held up all the time, it does not wait for ever
-        bench.clock.stall(2 * BEAT_TIMEOUT)
-        await bench.clock.advance(BEAT_PERIOD / 2)
+        bench.clock.stall(2 * DEADMAN)
+        await bench.clock.advance(LISTENING / 2)
     assert bench.robot_device.holds == 1
 
 
@@ -408,5 +487,5 @@ async def test_a_hold_that_fails_does_not_end_the_watch_over_a_moving_robot(benc
     bench.robot_device.error = error
     bench.robot_device.stream.put_nowait(msgspec.structs.replace(STATE, moving=True))
     for holds in (1, 2):
-        await bench.clock.advance(BEAT_TIMEOUT + 2 * BEAT_PERIOD)
+        await bench.clock.advance(DEADMAN + BEAT_PERIOD / 2)
         assert bench.robot_device.holds == holds

@@ -10,10 +10,13 @@ import pytest
 from clock import ManualClock, settle
 from memory_link import MemoryLink
 
-from pcmrs.devices.node import BEAT_PERIOD, BEAT_TIMEOUT, DAEMON_BEAT, DeviceNode
+from pcmrs.devices.deadman import DEADMAN, beat_period
+from pcmrs.devices.node import DAEMON_BEAT, PULSE_DELAY, DeviceNode
 from pcmrs.devices.remote import RemoteEmg, RemoteStimulator
 from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.messages import Beat, DeviceEvent, Epoch, FiredPulse, StimulatorState
+
+BEAT_PERIOD = beat_period(DEADMAN)
 
 EPOCH = Epoch(pulse=1, muscle="FDI", rate_hz=5000.0, start=-0.1, samples=[0.0, 1e-5])
 
@@ -103,11 +106,11 @@ async def test_stop_disarms_by_the_node_itself(bench: Bench) -> None:
 
 async def test_an_armed_stimulator_is_disarmed_when_the_daemon_falls_silent(bench: Bench) -> None:
     await bench.stimulator.arm()
-    for number in range(20):
-        bench.link.hear(DAEMON_BEAT, Beat(number=number))
-        await bench.clock.advance(0.1)
+    for number in range(1, 20):
+        bench.link.hear(DAEMON_BEAT, Beat(number=number, sent=bench.clock.monotonic()))
+        await bench.clock.advance(BEAT_PERIOD)
     assert bench.device.disarms == 0
-    await bench.clock.advance(BEAT_TIMEOUT + 2 * BEAT_PERIOD)
+    await bench.clock.advance(DEADMAN + BEAT_PERIOD)
     assert bench.device.disarms == 1
     await bench.clock.advance(10.0)
     assert bench.device.disarms == 1, "one that is not armed is left alone"
@@ -115,21 +118,21 @@ async def test_an_armed_stimulator_is_disarmed_when_the_daemon_falls_silent(benc
 
 async def test_the_beats_of_another_node_are_not_those_of_the_daemon(bench: Bench) -> None:
     await bench.stimulator.arm()
-    for number in range(10):
-        bench.link.hear("dev/robot/beat", Beat(number=number))  # the robot's node, which has outlived the daemon
-        await bench.clock.advance(0.1)
+    for number in range(10):  # of the robot's node, which has outlived the daemon
+        bench.link.hear("dev/robot/beat", Beat(number=number, sent=bench.clock.monotonic()))
+        await bench.clock.advance(BEAT_PERIOD)
     assert bench.device.disarms == 1
 
 
 async def test_a_pulse_that_waited_while_the_node_was_held_up_is_not_given_late(bench: Bench) -> None:
     await bench.stimulator.arm()
-    bench.clock.stall(BEAT_TIMEOUT + 0.1)
+    bench.clock.stall(PULSE_DELAY + 0.1)
     for _ in range(2):  # whether the beats of the node come first or the request
         with pytest.raises(DeviceError, match="held up"):
             await bench.stimulator.fire(1)
         await bench.clock.advance(BEAT_PERIOD)
     assert bench.device.pulse == 0
-    await bench.clock.advance(BEAT_TIMEOUT)
+    await bench.clock.advance(PULSE_DELAY)
     await bench.stimulator.fire(1)
     assert bench.device.pulse == 1
 
@@ -137,7 +140,7 @@ async def test_a_pulse_that_waited_while_the_node_was_held_up_is_not_given_late(
 async def test_a_stimulator_that_does_not_say_whether_it_is_armed_is_disarmed(bench: Bench) -> None:
     bench.device.error = OSError("The cable is out.")
     for disarms in (1, 2):
-        await bench.clock.advance(BEAT_TIMEOUT + 2 * BEAT_PERIOD)
+        await bench.clock.advance(DEADMAN + BEAT_PERIOD / 2)
         assert bench.device.disarms == disarms
 
 

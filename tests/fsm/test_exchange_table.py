@@ -47,7 +47,8 @@ def test_every_way_an_operation_can_end_has_a_row(path: Path) -> None:
 
 
 def test_the_table_says_what_an_operation_needs_and_does() -> None:
-    found = {row["operation"]: row for row in rows(table(workflow(Path("pcmrs/workflows/ratms.toml"))))}
+    shown = rows(table(workflow(Path("pcmrs/workflows/ratms.toml"))))
+    found = {row["operation"]: row for row in shown if row["branch"] != "toolplan (1)"}
     assert found["use_previous"] == {
         "branch": "registration (1)",
         "operation": "use_previous",

@@ -31,6 +31,7 @@ PATIENCE = 20.0
 
 TUNED = (
     "cell.rate=5",
+    "robot.deadman=0.5",  # the deadman has tests of its own; a busy machine delays heartbeats by more than its 0.1 s
     "procedure.max_pose_age=3",  # a test machine that does much else may leave a process alone for so long
     "procedure.motion.joint_speed_fraction=1.0",
     "procedure.motion.joint_acceleration=5.0",
@@ -133,6 +134,7 @@ def own_settings(folder: Path) -> list[str]:
         "gateway.mixed_reality={}",
         "gateway.mep={port=0}",
         "gateway.tcp_port=0",
+        "recording.enabled=false",
         *TUNED,
     ]
 

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import signal
-from collections.abc import AsyncGenerator, AsyncIterator
-from contextlib import aclosing, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from daemon_process import PATIENCE, SLOW, is_running, own_settings, running_daemon, wait_until
-from driving import accepted, approaching, register, stands_still
+from daemon_process import SLOW, is_running, own_settings, running_daemon, wait_until
+from driving import accepted, approaching
 
-from pcmrs.client import Event
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.journal import JournalReader, JournalRow
-from pcmrs.messages import Snapshot
 
 NODE_ENDS_WITHIN = 2.0
 
@@ -73,45 +69,3 @@ async def test_nodes_end_by_themselves_after_the_daemon_is_killed_and_its_succes
         assert "Traceback" not in successor.log
     (lost,) = (row for row in _rows(tmp_path) if row.verdict is not None and row.verdict.decision == "unknown")
     assert (lost.branch, lost.operation) == ("placement", "approach")
-
-
-async def test_the_node_holds_the_arm_while_the_daemon_is_frozen(tmp_path: Path) -> None:
-    with running_daemon([*own_settings(tmp_path), *SLOW], tmp_path) as daemon:
-        async with daemon.client() as client:
-            async with approaching(daemon, client) as approach:
-                daemon.process.send_signal(signal.SIGSTOP)
-                held = await asyncio.to_thread(wait_until, lambda: "held_by_node" in daemon.log)
-                daemon.process.send_signal(signal.SIGCONT)
-                assert held
-                verdict = await approach
-            assert verdict.decision in ("failed", "unknown")
-            assert verdict.state in ("held", "unknown")
-            assert await stands_still(client)
-        assert "Traceback" not in daemon.log
-
-
-async def test_a_dead_node_is_a_lost_robot(tmp_path: Path) -> None:
-    with running_daemon(own_settings(tmp_path), tmp_path) as daemon:
-        async with daemon.client() as client, aclosing(client.watch()) as events:
-            await register(client)
-            (node,) = daemon.children()
-            os.kill(node, signal.SIGKILL)
-            async with asyncio.timeout(PATIENCE):
-                lost = [event async for event in until_robot_is_off(events)][-1]
-            assert lost.branches["placement"] == "unknown"
-            assert lost.latched
-            failed = await client.call("robot.connect")
-            assert failed.decision == "unknown"
-            assert failed.state == "0"
-        assert daemon.end() == 0
-        assert "Traceback" not in daemon.log
-
-
-async def until_robot_is_off(events: AsyncGenerator[Event, None]) -> AsyncIterator[Snapshot]:
-    was_on = False
-    async for event in events:
-        if isinstance(event, Snapshot):
-            yield event
-            was_on = was_on or event.branches["robot"] == "1"
-            if was_on and event.branches["robot"] == "0":
-                return

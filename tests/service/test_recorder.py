@@ -12,12 +12,14 @@ from clock import ManualClock
 from pcmrs.journal import Journal, JournalRow
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, PoseMessage, Verdict
 from pcmrs.service.recorder import JournalRecorder
+from pcmrs.workflows import read_workflow
 from pcmrs.workflows.data import Landmark, PlacementData, Registered
 
 TAG = BlueprintTag(id="ratms", version="1.0.0", hash="abc")
 COMMAND = Command(
     id="c1", branch="placement", operation="approach", source="udp:planner", arguments={"speed": 0.5}, parent="c0"
 )
+RATMS = read_workflow("ratms")
 STATES = {"robot": "1", "placement": "retracted"}
 
 
@@ -88,12 +90,12 @@ async def test_what_an_earlier_run_had_begun_is_closed_as_unknown_once(journal: 
     done = Verdict(id="c9", branch="robot", operation="connect", decision="accepted", state="1", sequence=4)
     await earlier.decision(finished, done, STATES, {}, with_intent=False)
     later = _recorder(journal, "s2")
-    (unknown,) = await later.close_unfinished()
+    (unknown,) = await later.close_unfinished(later.read_back(RATMS).begun)
     assert (unknown.id, unknown.decision, unknown.state) == ("c1", "unknown", "retracted")
     assert unknown.reason is not None
     assert unknown.reason.code == "daemon_ended"
     assert later.recall("udp:planner", "c1") == unknown
-    assert await _recorder(journal, "s3").close_unfinished() == []
+    assert _recorder(journal, "s3").read_back(RATMS).begun == ()
 
 
 async def test_what_was_registered_last_can_be_taken_back_after_a_restart(journal: Journal) -> None:
@@ -108,10 +110,11 @@ async def test_what_was_registered_last_can_be_taken_back_after_a_restart(journa
         patient="phantom",
         calibration="c",
     )
-    assert _recorder(journal).previous(PlacementData()) == PlacementData()
+    first = _recorder(journal)
+    assert first.previous(first.read_back(RATMS), PlacementData()) == PlacementData()
     register = msgspec.structs.replace(COMMAND, branch="registration", operation="register")
     changes = {"previous": registered, "registered": registered, "registration_id": "r1"}
     await _recorder(journal).decision(register, _verdict(), STATES, changes, with_intent=True)
-    assert _recorder(journal, "s2").previous(PlacementData()) == PlacementData(previous=registered), (
-        "and nothing is in force"
-    )
+    later = _recorder(journal, "s2")
+    taken = later.previous(later.read_back(RATMS), PlacementData())
+    assert taken == PlacementData(previous=registered), "and nothing is in force"

@@ -18,7 +18,7 @@ from pcmrs.fsm import Blueprint
 from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.journal import Journal, JournalRow
-from pcmrs.messages import BlueprintTag, DeviceEvent
+from pcmrs.messages import BlueprintTag, DeviceEvent, Verdict
 from pcmrs.service.recorder import JournalRecorder
 from pcmrs.service.resume import migration_for
 from pcmrs.workflows.data import PlacementData
@@ -113,8 +113,11 @@ async def test_what_an_older_program_left_in_other_types_is_told_with_the_file(j
     tag = BlueprintTag(id="lamp", version="1", hash="aa")
     row = JournalRow(
         kind="outcome", wall=0.0, monotonic=0.0, boot_id="b", session_id="s", blueprint=tag,
-        branch="registration", result={"previous": {"id": 5}},
+        branch="registration", operation="register", result={"previous": {"id": 5}},
+        verdict=Verdict(id="c", branch="registration", operation="register", decision="accepted", state="", sequence=1),
     )  # fmt: skip
     await journal.append([row])
+    recorder = JournalRecorder(journal, ManualClock(), "s2", tag)
+    kept = recorder.read_back(NEW)
     with pytest.raises(JournalError, match=r"lamp\.sqlite.*cell\.folder"):
-        JournalRecorder(journal, ManualClock(), "s2", tag).previous(PlacementData())
+        recorder.previous(kept, PlacementData())

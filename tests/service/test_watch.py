@@ -8,9 +8,12 @@ from collections.abc import AsyncIterator
 import pytest
 from clock import ManualClock, settle
 
+from pcmrs.devices.deadman import DEADMAN, beat_period
 from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.messages import Beat, DeviceEvent
-from pcmrs.service.watch import PERIOD, SILENCE, RobotWatch
+from pcmrs.service.watch import BEATS_MISSED, HELD_UP, SILENCE, RobotWatch
+
+BEAT_PERIOD = beat_period(DEADMAN)
 
 
 class Bench:
@@ -42,26 +45,46 @@ async def bench() -> AsyncIterator[Bench]:
     await asyncio.gather(running, return_exceptions=True)
 
 
-async def _hear_for(bench: Bench, seconds: float) -> None:
-    for _ in range(round(seconds / PERIOD)):
-        bench.watch.hear()
-        await bench.clock.advance(PERIOD)
+async def _hear_for(bench: Bench, seconds: float, *, beats: bool = True, joints: bool = True) -> None:
+    for _ in range(round(seconds / BEAT_PERIOD)):
+        if joints:
+            bench.watch.hear()
+        if beats:
+            bench.watch.hear_beat()
+        await bench.clock.advance(BEAT_PERIOD)
 
 
 async def test_it_beats_while_the_robot_is_heard(bench: Bench) -> None:
     await _hear_for(bench, 5.0)
     assert bench.beats == list(range(1, len(bench.beats) + 1))
-    assert len(bench.beats) == pytest.approx(5.0 / PERIOD, abs=2)
+    assert len(bench.beats) == pytest.approx(5.0 / BEAT_PERIOD, abs=2)
     assert bench.events == []
 
 
 async def test_a_silent_robot_is_lost_once(bench: Bench) -> None:
     await _hear_for(bench, 1.0)
-    await bench.clock.advance(SILENCE + 2 * PERIOD)
+    await _hear_for(bench, SILENCE + 2 * BEAT_PERIOD, joints=False)
     (event,) = bench.events
     assert (event.device, event.code, event.danger) == ("robot", "link_lost", True)
+    assert "reported its joints" in event.text
     await bench.clock.advance(10.0)
     assert len(bench.events) == 1
+
+
+async def test_a_node_that_does_not_beat_is_lost_though_joints_still_come(bench: Bench) -> None:
+    await _hear_for(bench, 1.0)
+    await _hear_for(bench, BEATS_MISSED * DEADMAN + 2 * BEAT_PERIOD, beats=False)
+    (event,) = bench.events
+    assert (event.code, event.danger) == ("link_lost", True)
+    assert "heartbeat" in event.text
+
+
+async def test_a_watch_that_was_held_up_itself_hears_first_what_has_come_meanwhile(bench: Bench) -> None:
+    await _hear_for(bench, 1.0)
+    bench.clock.stall(10 * SILENCE)
+    await bench.clock.advance(HELD_UP / 10)
+    await _hear_for(bench, 1.0)
+    assert bench.events == []
 
 
 async def test_a_robot_that_is_not_connected_may_be_silent(bench: Bench) -> None:
@@ -73,7 +96,7 @@ async def test_a_robot_that_is_not_connected_may_be_silent(bench: Bench) -> None
 
 async def test_while_a_loss_is_dealt_with_the_node_hears_no_beat_and_holds_too(bench: Bench) -> None:
     bench.reporting.clear()
-    await bench.clock.advance(SILENCE + 2 * PERIOD)
+    await bench.clock.advance(SILENCE + 2 * BEAT_PERIOD)
     assert len(bench.events) == 1
     before = len(bench.beats)
     await bench.clock.advance(1.0)

@@ -243,7 +243,7 @@ async def test_after_a_restart_a_grid_must_be_planned_anew(
         await bench.accept("mapping.plan_grid", poses=GRID)
         await _perform(bench)
         registered = bench.data.previous
-    again = recorder.previous(three_points.initial)
+    again = recorder.previous(recorder.read_back(blueprint), three_points.initial)
     assert registered is not None
     assert again.previous == registered
     assert getattr(again, "points", None) == ("point_1", "point_2", "point_3")

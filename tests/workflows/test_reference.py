@@ -149,6 +149,7 @@ async def test_nothing_that_a_moved_reference_has_made_worthless_is_taken_back(b
     await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
     await bench.refuse("digitization.reuse_previous", "reference_moved")
     await bench.refuse("registration.use_previous", "reference_moved")
+    await bench.refuse("toolplan.use_previous", "reference_moved")
 
 
 async def test_a_previous_registration_goes_on_being_watched(bench: WorkflowBench) -> None:

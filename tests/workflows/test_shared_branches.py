@@ -20,7 +20,7 @@ PLANNING = {
         *("digitize_all", "digitize_one", "redigitize_one", "reuse_previous", "reuse_previous_except"),
         *("check_landmark", "digitize_surface", "clear_surface_point", "clear_surface"),
     ),
-    "toolplan": ("plan", "clear"),
+    "toolplan": ("plan", "use_previous", "clear"),
 }
 NOT_IN_BONE = (
     *(f"placement.operations.{name}" for name in PLACEMENT),

@@ -47,6 +47,7 @@ class Follower:
         self._brake_limits = brake_limits
         self._guard, self._relief = ForceGuard(force.force_limit), force.relief_mm * 1e-3
         self._relief_left = self._relief
+        self._deadman = force.deadman
         self._force = sensor
         self._step = step
         self.stopped: str | None = None
@@ -76,7 +77,7 @@ class Follower:
 
     def servo(self) -> Servo:
         """Waits for set points from now on; the arm must be at rest."""
-        servo = Servo(self.reference.position, self._model.facts, self._brake_limits, self._step)
+        servo = Servo(self.reference.position, self._model.facts, self._brake_limits, self._step, self._deadman)
         self._begin(servo)
         return servo
 

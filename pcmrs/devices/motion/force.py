@@ -32,10 +32,17 @@ class FlangeForce(Protocol):
 
 
 class ForceSettings(msgspec.Struct, frozen=True):
-    """What drivers read of the table ``robot``: the greatest force, N, and the way by which it is relieved."""
+    """What drivers read of the table ``robot``: when the arm stops by itself.
+
+    Attributes:
+        force_limit: The greatest force, N.
+        relief_mm: The way by which it is relieved.
+        deadman: A servo session ends so long after its last set point, s of the cell.
+    """
 
     force_limit: Annotated[float, msgspec.Meta(gt=0.0)] = 25.0
     relief_mm: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.0
+    deadman: Annotated[float, msgspec.Meta(ge=0.05, le=1.0)] = 0.1
 
 
 class ForceGuard:

@@ -11,7 +11,7 @@ from pcmrs.messages import DeviceEvent, JointSetpoint
 from pcmrs.spatial import Floats
 
 DEADMAN = 0.1
-"""Without a fresh set point for so long the session is over, s of the cell."""
+"""Without a fresh set point for so long the session is over, s of the cell, unless configured otherwise."""
 FIRST = 1.0
 """The first one may take so much longer: until then nothing moves, s of the cell."""
 LARGEST_JUMP = 0.2
@@ -32,8 +32,10 @@ class Servo:
         facts: The arm and its limits.
         limits: Acceleration and jerk of the joints, with which it can also brake.
         step: Time between samples, s.
+        deadman: See `DEADMAN`.
 
     Attributes:
+        deadman: See `DEADMAN`.
         number: Of the last set point taken.
         halt: Why the arm must brake now.
         alarm: What to report then.
@@ -41,7 +43,10 @@ class Servo:
 
     ended = False
 
-    def __init__(self, posture: Floats, facts: ArmFacts, limits: MotionLimits, step: float) -> None:
+    def __init__(
+        self, posture: Floats, facts: ArmFacts, limits: MotionLimits, step: float, deadman: float = DEADMAN
+    ) -> None:
+        self.deadman = deadman
         joints = len(facts.joints)
         self._lower = np.array([joint.lower for joint in facts.joints])
         self._upper = np.array([joint.upper for joint in facts.joints])
@@ -81,8 +86,8 @@ class Servo:
     def advance(self) -> Floats:
         """The next sample, (3, n)."""
         self._steps += 1
-        if self._steps * self._step > DEADMAN:
-            self._refuse("no_set_point", f"no set point came for {DEADMAN:g} s", limit=DEADMAN)
+        if self._steps * self._step > self.deadman:
+            self._refuse("no_set_point", f"no set point came for {self.deadman:g} s", limit=self.deadman)
         if self._target is not None:
             position, velocity = self._target
             time = self._steps * self._step

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pcmrs.devices.motion.follower import Follower
-from pcmrs.devices.motion.servo import DEADMAN, Servo
+from pcmrs.devices.motion.servo import Servo
 from pcmrs.errors import DeviceError
 from pcmrs.messages import JointSetpoint, ServoSession
 
@@ -26,7 +26,7 @@ class Sessions:
         """Opens one; the arm must be at rest."""
         self.servo = follower.servo()
         self.number += 1
-        return ServoSession(session=self.number, deadman=DEADMAN)
+        return ServoSession(session=self.number, deadman=self.servo.deadman)
 
     def end(self, session: int, follower: Follower) -> None:
         """Ends this one, never a later one; the arm brakes if it has not done so before.

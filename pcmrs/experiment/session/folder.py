@@ -66,7 +66,7 @@ def copy_journal(source: Path, folder: Path) -> None:
             rows.write(msgspec.json.encode(stored) + b"\n")
 
 
-def write_configuration(settings: Settings, folder: Path) -> None:
+def write_configuration(settings: Settings | Mapping[str, Any], folder: Path) -> None:
     """The whole configuration in force, as ``pcmrs-serve --config`` reads it."""
     (folder / CONFIGURATION).write_text(tomli_w.dumps(_without_none(msgspec.to_builtins(settings))))
 

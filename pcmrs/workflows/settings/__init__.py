@@ -45,13 +45,18 @@ class ProcedureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     Attributes:
         max_pose_age: A tracked pose older than this is stale, s of the cell's clock.
         home: Posture for `placement.home`, rad, base to flange; empty for the arm's own.
-        patient: Whose registration it is; a previous registration of another patient is refused.
+        patient: Whose registration it is; a previous registration or plan of another patient is refused.
+        operator: Who is responsible, for the records; nothing is decided by it.
+        abandoned_after: When nobody has asked for anything for so long while the tool is at the body or a stimulator is
+            armed, the session is held, s of the machine.
         tool: What the workflow places; the calibration file of another type of tool is refused.
         limits: Further limits of the workflow's own checks, by name; its blueprint's defaults name them all.
     """
 
     patient: str = "phantom"
+    operator: str = ""
     max_pose_age: Positive = 0.25
+    abandoned_after: Positive = 1800.0
     home: tuple[float, ...] = ()
     calibration: CalibrationSettings = CalibrationSettings()
     tool: ToolType = "coil"

@@ -17,6 +17,7 @@ class CalibrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
         pointer_file: Calibration file of the pointer; in its place counts `pointer_from_tip` where empty.
         tool_serial: Of the tool that is mounted; a file of another one is refused. Empty for any.
         pointer_serial: The same of the pointer.
+        reference_serial: Of the marker body on the patient; what was made with another one is not taken back.
         flange_from_tool: The mount on the flange.
         tool_from_coil: The coil in its mount; +z of the coil points away from the body.
         pointer_from_tip: The tip in the pointer's marker body.
@@ -26,6 +27,7 @@ class CalibrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     pointer_file: str = ""
     tool_serial: str = ""
     pointer_serial: str = ""
+    reference_serial: str = ""
     flange_from_tool: PoseSetting = PoseSetting((0.0, 0.0, 0.10))
     tool_from_coil: PoseSetting = PoseSetting((0.0, 0.0, 0.05), (0.0, 1.0, 0.0, 0.0))
     pointer_from_tip: PoseSetting = PoseSetting((0.0, 0.0, -0.15))

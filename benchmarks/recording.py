@@ -1,0 +1,169 @@
+"""What recording costs: percent of one processor, beside a bare Zenoh subscriber that counts the same messages.
+
+A router in a process of its own publishes what a cell at work does: three tracked bodies at 60 Hz, joints at 100 Hz, a
+snapshot and a verdict each second. Recorder and bare subscriber hear it at the same time, each in a process of its own;
+CPU time is user and system time of the process in the middle of its run, its start left out. Wall times do not matter,
+so a busy machine changes little.
+
+    .venv/bin/python benchmarks/recording.py [--seconds 20] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import multiprocessing
+import os
+import platform
+import tempfile
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import zenoh
+
+from pcmrs.bus import Bus, BusSettings
+from pcmrs.bus.settings import open_session
+from pcmrs.clock import SystemClock
+from pcmrs.experiment.process import free_port
+from pcmrs.kinematics.arms import ARMS
+from pcmrs.messages import BlueprintTag, BodyPose, DeviceEvent, JointState, Snapshot
+from pcmrs.recording.chain import Mounting
+from pcmrs.recording.recorder import Plan, Recorder
+from pcmrs.recording.series import Limits, files_of
+from pcmrs.recording.tap import Tap
+from pcmrs.recording.topics import TOPICS
+from pcmrs.recording.views import Views
+from pcmrs.workflows.settings import CalibrationSettings
+
+ARM = ARMS["iiwa14"]
+WARM = 3.0
+
+
+async def publish(settings: BusSettings, seconds: float) -> int:
+    """Publishes for so long; returns how many messages."""
+    bus, clock, count = await Bus.open(settings), SystemClock(), 0
+    tag = BlueprintTag(id="b", version="1", hash="0" * 64)
+    snapshot = Snapshot(sequence=0, branches={"robot": "1"}, flags={}, running=[], latched=False, blueprint=tag)
+    begun = clock.monotonic()
+    due = {"pose": begun, "joints": begun, "state": begun}
+    while (now := clock.monotonic()) < begun + seconds:
+        if now >= due["pose"]:
+            due["pose"] += 1 / 60
+            for body in ("coil", "body_ref", "pointer"):
+                seen = BodyPose(body=body, frame_number=count, captured=now - 0.03, sent=now, valid=True)
+                bus.publish(f"state/pose/{body}", seen)
+            count += 3
+        if now >= due["joints"]:
+            due["joints"] += 1 / 100
+            zeros = [0.0] * len(ARM.joints)
+            measured = JointState(captured=now, sent=now, positions=list(ARM.home), velocities=zeros, torques=zeros)
+            bus.publish("state/joints", measured)
+            count += 1
+        if now >= due["state"]:
+            due["state"] += 1.0
+            bus.publish("state/fsm", snapshot)
+            bus.publish("state/event", DeviceEvent(device="robot", code="note", text="A line of the log."))
+            count += 2
+        await clock.sleep(max(0.0, min(due.values()) - clock.monotonic()))
+    await bus.close()
+    return count
+
+
+def publisher(settings: BusSettings, seconds: float) -> None:
+    asyncio.run(publish(settings, seconds))
+
+
+def bare(settings: BusSettings, seconds: float, results: Connection) -> None:
+    """Counts what comes, in Zenoh's own threads."""
+    count = 0
+
+    def take(_sample: zenoh.Sample) -> None:
+        nonlocal count
+        count += 1
+
+    session = open_session(settings)
+    session.declare_subscriber(f"pcmrs/{settings.site}/{settings.cell}/**", take)
+    time.sleep(WARM)
+    before, counted = time.process_time(), count
+    time.sleep(seconds)
+    used, counted = time.process_time() - before, count - counted
+    results.send({"cpu_percent": 100 * used / seconds, "messages": counted})
+    os._exit(0)  # the parent has what it wants, and a session takes its time to close
+
+
+def recorder(settings: BusSettings, seconds: float, results: Connection) -> None:
+    """Records into a file of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        results.send(asyncio.run(_record(settings, seconds, Path(folder) / "run.mcap")))
+
+
+async def _record(settings: BusSettings, seconds: float, file: Path) -> dict[str, float]:
+    clock, ended = SystemClock(), asyncio.Event()
+    tap = await Tap.open(settings, TOPICS, clock)
+    views = Views(ARM, Mounting.read(CalibrationSettings()), 1.0)
+    writing = Recorder(Plan(file, Limits(), {}, lambda: files_of(file)), views, clock)
+    work = asyncio.create_task(writing.run(tap, ended))
+    await clock.sleep(WARM)
+    before, counted, size = time.process_time(), writing.messages, _size(file)
+    await clock.sleep(seconds)
+    used, counted = time.process_time() - before, writing.messages - counted
+    written = _size(file) - size
+    ended.set()
+    report = await work
+    await tap.close()
+    return {
+        "cpu_percent": 100 * used / seconds,
+        "messages": counted,
+        "dropped": report.dropped,
+        "kB_per_s": written / seconds / 1000,
+    }
+
+
+def _size(file: Path) -> int:
+    return file.stat().st_size
+
+
+def measure(seconds: float) -> dict[str, Any]:
+    """Both at the same time."""
+    router = BusSettings(mode="router", endpoint=f"tcp/127.0.0.1:{free_port()}", site="benchmark", cell="recording")
+    client = msgspec.structs.replace(router, mode="client")
+    spawn = multiprocessing.get_context("spawn")
+    source = spawn.Process(target=publisher, args=(router, seconds + 120.0), daemon=True)
+    source.start()
+    time.sleep(3.0)
+    measured, work = {}, []
+    for name, target in (("bare subscriber", bare), ("recorder", recorder)):
+        receive, send = spawn.Pipe(duplex=False)
+        process = spawn.Process(target=target, args=(client, seconds, send), daemon=True)
+        process.start()
+        work.append((name, process, receive))
+    for name, process, receive in work:
+        measured[name] = receive.recv()
+        process.join()
+    source.terminate()
+    source.join()
+    return measured
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    measured = measure(options.seconds)
+    if options.json:
+        print(json.dumps(measured))
+        return
+    print(
+        f"{platform.machine()}, {os.cpu_count()} processors, Python {platform.python_version()}, {options.seconds:g} s"
+    )
+    for name, values in measured.items():
+        print(f"{name:<16}" + "  ".join(f"{key} {value:.1f}" for key, value in values.items()))
+
+
+if __name__ == "__main__":
+    main()

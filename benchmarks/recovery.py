@@ -1,0 +1,169 @@
+"""How long a daemon takes to start after it was killed, with a long journal and with an empty one.
+
+Makes a journal of so many rows as a daemon writes them, starts a daemon on it, kills it with SIGKILL, and measures from
+the start of the next process until it answers a query of its state; the same on an empty journal, in turn. Beside
+them, measured alone: what Python needs to import the daemon, and what opening the journal, reading it back and looking
+for a repeated command take. The arm and the tracker are simulated.
+
+    .venv/bin/python benchmarks/recovery.py [--rows 100000] [--starts 5] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+
+from pcmrs.client import Client
+from pcmrs.clock import SystemClock
+from pcmrs.experiment.process import free_port
+from pcmrs.journal import Journal
+from pcmrs.messages import BlueprintTag, Command, Verdict
+from pcmrs.service.recorder import SNAPSHOT_EVERY, JournalRecorder
+from pcmrs.workflows import open_workflow
+
+IMPORTS = "import time; begin = time.perf_counter(); import pcmrs.service.daemon, pcmrs.cli.serve; "
+IMPORTS += "print(time.perf_counter() - begin)"
+LAST = "the last command"
+
+
+async def fill(path: Path, rows: int) -> None:
+    """Writes a journal of so many rows, by the recorder of the daemon: intents and outcomes, a snapshot in 1000.
+
+    After the last snapshot come as many more as there may be, so that a start has the most to read.
+    """
+    rows += SNAPSHOT_EVERY - 2 if rows else 0
+    blueprint = open_workflow("ratms").blueprint
+    tag = BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash)
+    journal = Journal.open(path, durable=False)
+    recorder = JournalRecorder(journal, SystemClock(), uuid.uuid4().hex, tag)
+    recorder.read_back(blueprint)
+    states = {name: next(iter(branch.states)) for name, branch in blueprint.branches.items()}
+    for number in range(rows // 2):
+        name = LAST if number == rows // 2 - 1 else f"c{number}"
+        command = Command(
+            id=name,
+            branch="placement",
+            operation="nudge",
+            source="udp:planner",
+            arguments={"translation": [0, 0, 1e-3]},
+        )
+        verdict = Verdict(
+            id=name, branch="placement", operation="nudge", decision="accepted", state="placed", sequence=number
+        )
+        await recorder.decision(command, verdict, states, {"nudge_translation": [0, 0, 1e-3]}, with_intent=True)
+    await journal.close()
+
+
+async def parts(path: Path, rows: int) -> dict[str, float]:
+    """Seconds of what the daemon does with the journal before anything else."""
+    blueprint = open_workflow("ratms").blueprint
+    tag = BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash)
+    begin = time.perf_counter()
+    journal = Journal.open(path)
+    opened = time.perf_counter()
+    recorder = JournalRecorder(journal, SystemClock(), uuid.uuid4().hex, tag)
+    recorder.read_back(blueprint)
+    read = time.perf_counter()
+    found = recorder.recall("udp:planner", LAST if rows else "c")
+    recalled = time.perf_counter()
+    assert (found is not None) == bool(rows)
+    await journal.close()
+    return {"open": opened - begin, "read back": read - opened, "recall": recalled - read}
+
+
+def imports() -> float:
+    """Seconds that a Python process needs to import the daemon."""
+    ran = subprocess.run([sys.executable, "-c", IMPORTS], capture_output=True, text=True, check=True)
+    return float(ran.stdout)
+
+
+class Cell:
+    """A cell of its own, whose daemon is started and killed."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._name = f"c{uuid.uuid4().hex[:8]}"
+        self._endpoint = f"tcp/127.0.0.1:{free_port()}"
+
+    async def start(self) -> float:
+        """Starts a daemon, waits until it answers, kills it: seconds until the answer."""
+        links = ("planner", "robot", "visualization")
+        values = [
+            "cell.site=bench",
+            f"cell.name={self._name}",
+            f"cell.endpoint={self._endpoint}",
+            f"cell.folder={self.folder}",
+            *(f"gateway.{link}={{port=0,reply_port={free_port()}}}" for link in links),
+            "gateway.mixed_reality={}",
+            "gateway.mep={port=0}",
+            "gateway.tcp_port=0",
+            "robot.deadman=0.5",  # a machine that starts processes leaves others alone for a while
+        ]
+        words = [word for value in values for word in ("--set", value)]
+        begin = time.perf_counter()
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "pcmrs.cli", "serve", "--json", *words),
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.DEVNULL,
+        )
+        try:
+            assert process.stdout is not None
+            await asyncio.wait_for(process.stdout.readline(), 120.0)
+            async with Client.connect(self._endpoint, "bench", self._name) as client:
+                await client.state()
+            return time.perf_counter() - begin
+        finally:
+            process.kill()
+            await process.wait()
+
+
+async def measure(rows: int, starts: int, tell: Callable[[str], None]) -> dict[str, dict[str, list[float]]]:
+    """All durations, s, by journal and part."""
+    found: dict[str, dict[str, list[float]]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        cells = {count: Cell(Path(folder) / str(count)) for count in (rows, 0)}
+        for count, cell in cells.items():
+            cell.folder.mkdir()
+            tell(f"making a journal of {count} rows")
+            await fill(cell.folder / "ratms.sqlite", count)
+        for turn in range(starts):
+            for count, cell in cells.items():
+                tell(f"start {turn + 1} of {starts} on {count} rows")
+                times = await parts(cell.folder / "ratms.sqlite", count) | {
+                    "process start to answer": await cell.start()
+                }
+                for part, seconds in times.items():
+                    found.setdefault(f"{count} rows", {}).setdefault(part, []).append(seconds)
+            found.setdefault("any", {}).setdefault("imports", []).append(imports())
+    return found
+
+
+def main() -> None:
+    """Measures and prints."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rows", type=int, default=100_000)
+    parser.add_argument("--starts", type=int, default=5)
+    parser.add_argument("--json", action="store_true")
+    asked = parser.parse_args()
+    found = asyncio.run(measure(asked.rows, asked.starts, lambda text: print(text, file=sys.stderr)))
+    if asked.json:
+        print(json.dumps(found))
+        return
+    print(f"{'journal':>14} {'part':<24} {'median ms':>10} {'max ms':>10}")
+    for journal, by_part in found.items():
+        for part, seconds in by_part.items():
+            middle, most = statistics.median(seconds) * 1000, max(seconds) * 1000
+            print(f"{journal:>14} {part:<24} {middle:10.1f} {most:10.1f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""Limits on processor and memory of a process, by control groups of version 1 or 2."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from pcmrs.campaign.fault import NotRun
+from pcmrs.campaign.tools import require_root
+
+ROOT = Path("/sys/fs/cgroup")
+PERIOD_US = 100_000
+
+
+@contextmanager
+def processor_quota(pids: Sequence[int], share: float) -> Iterator[None]:
+    """The processes together get `share` of one processor, in periods of 0.1 s."""
+    quota = max(1000, int(share * PERIOD_US))
+    first = {"cpu.cfs_period_us": str(PERIOD_US), "cpu.cfs_quota_us": str(quota)}
+    with _group("cpu", first, {"cpu.max": f"{quota} {PERIOD_US}"}, pids):
+        yield
+
+
+@contextmanager
+def memory_limit(pids: Sequence[int], limit: int) -> Iterator[None]:
+    """The processes together may not take more than `limit` bytes from now on; one that does is killed."""
+    with _group("memory", {"memory.limit_in_bytes": str(limit)}, {"memory.max": str(limit)}, pids):
+        yield
+
+
+@contextmanager
+def _group(controller: str, first: dict[str, str], second: dict[str, str], pids: Sequence[int]) -> Iterator[None]:
+    """A group of its own with its settings, those of version 1 or those of version 2; empty and gone at the end."""
+    require_root("A control group")
+    if (ROOT / controller).is_dir():
+        parent, settings = ROOT / controller, first
+    elif controller in _controllers(ROOT):
+        parent, settings = ROOT, second
+    else:
+        raise NotRun(f"This machine has no control groups for {controller}.")
+    folder = parent / f"pcmrs-{uuid.uuid4().hex[:8]}"
+    try:
+        folder.mkdir()
+        for name, value in settings.items():
+            (folder / name).write_text(value)
+        for pid in pids:
+            (folder / "cgroup.procs").write_text(str(pid))
+        yield
+    except PermissionError as error:
+        raise NotRun(f"Control groups cannot be written here: {error}.") from None
+    finally:
+        _dissolve(folder, parent)
+
+
+def _dissolve(folder: Path, parent: Path) -> None:
+    if folder.is_dir():
+        for pid in (folder / "cgroup.procs").read_text().split():
+            try:
+                (parent / "cgroup.procs").write_text(pid)
+            except OSError:
+                continue  # it has ended meanwhile
+        folder.rmdir()
+
+
+def _controllers(root: Path) -> list[str]:
+    try:
+        return (root / "cgroup.controllers").read_text().split()
+    except OSError:
+        return []

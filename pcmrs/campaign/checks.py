@@ -1,0 +1,112 @@
+"""The required responses as checks: what is seen instead is said in `Unmet`."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from pcmrs.campaign.driving import PATIENCE, accept, said, until
+from pcmrs.campaign.fault import Unmet
+from pcmrs.messages import Snapshot, Verdict
+
+if TYPE_CHECKING:
+    from pcmrs.campaign.lab import LabCell
+
+STANDS_WITHIN = 2e-4
+"""An arm that has gone less than this during `LOOK` stands, m; the simulated one is held by its brakes."""
+
+LOOK = 0.5
+BRAKING = 1.0
+"""Any motion has ended so long after it was stopped, s of the machine."""
+
+
+def shape(snapshot: Snapshot) -> bytes:
+    """What of a snapshot must not change: all but what activities show of themselves, and what runs."""
+    return msgspec.json.encode(msgspec.structs.replace(snapshot, running=[], activities=[]))
+
+
+async def refused(
+    cell: LabCell, name: str, arguments: dict[str, Any] | None = None, *, codes: Iterable[str]
+) -> Verdict:
+    """Response R: a command is rejected with one of `codes`, nothing has changed, and the journal has it.
+
+    Raises:
+        Unmet: It was not so.
+    """
+    before, row = await cell.client.state(), cell.last_row()
+    verdict = await cell.client.call(name, arguments)
+    await check_refused(cell, verdict, before, row, codes)
+    return verdict
+
+
+async def check_refused(cell: LabCell, verdict: Verdict, before: Snapshot, row: int, codes: Iterable[str]) -> None:
+    """Checks response R of a verdict: `before` and `row` are snapshot and last row of the journal before the command.
+
+    Raises:
+        Unmet: It was not refused so, something changed, or the journal does not have it.
+    """
+    what, known = f"{verdict.branch}.{verdict.operation}", list(codes)
+    if verdict.decision != "rejected" or verdict.reason is None or verdict.reason.code not in known:
+        raise Unmet(f"{what} was {verdict.decision} ({said(verdict)}), must be rejected: {', '.join(known)}.")
+    after = await cell.client.state()
+    if shape(after) != shape(before):
+        raise Unmet(f"{what} was rejected, but the state changed: {before} became {after}.")
+    if not any(stored.verdict == verdict for stored in cell.rows(row)):
+        raise Unmet(f"{what} was rejected, but the journal has no row of it.")
+
+
+async def held(cell: LabCell, placements: Iterable[str] = ("held",), within: float = PATIENCE) -> None:
+    """Response H: the tool is held, the latch is set, the arm truly stands, and it does not move until confirmed.
+
+    Args:
+        cell: Whose.
+        placements: States of the placement, one of which it must be in.
+        within: By then it is so, s of the machine.
+
+    Raises:
+        Unmet: It was not so.
+    """
+    known = tuple(placements)
+    await until(cell, lambda shown: shown.latched and shown.branches["placement"] in known, within)
+    await stands(cell)
+    if (await cell.client.state()).branches["placement"] == "held":
+        await refused(cell, "placement.back_off", codes=("latched",))
+
+
+async def stands(cell: LabCell) -> float:
+    """Checks by the simulation's truth that the arm stands; returns how far it went during `LOOK`, m.
+
+    Raises:
+        Unmet: It moves.
+    """
+    await asyncio.sleep(BRAKING)
+    before = await cell.scene.truth()
+    await asyncio.sleep(LOOK)
+    after = await cell.scene.truth()
+    way = float(np.linalg.norm(np.subtract(after.tracker_from_coil.position, before.tracker_from_coil.position)))
+    if way > STANDS_WITHIN:
+        raise Unmet(f"The arm moves: {way * 1e3:.2f} mm in {LOOK:g} s.")
+    return way
+
+
+async def confirmed(cell: LabCell) -> None:
+    """Nothing went on by itself; after the operator has confirmed, the tool can be withdrawn.
+
+    Raises:
+        Unmet: The latch was gone, or confirming or withdrawing was not accepted.
+    """
+    if not (await cell.client.state()).latched:
+        raise Unmet("The latch is gone, and nobody has confirmed.")
+    await accept(cell, "robot.acknowledge")
+    if (await cell.client.state()).branches["placement"] == "held":
+        await accept(cell, "placement.back_off")
+
+
+def expect(truth: bool, text: str) -> None:
+    """Raises `Unmet` with the text unless it is so."""
+    if not truth:
+        raise Unmet(text)

@@ -1,0 +1,115 @@
+"""kill -9 of a daemon in operation: what it had answered must be in its journal, word for word."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import tempfile
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from pcmrs.campaign.kills import RANDOM, KillReport, ShowProgress, Tally
+from pcmrs.campaign.lab import LabCell, open_cell
+from pcmrs.campaign.operating import Operator
+from pcmrs.clock import Clock
+from pcmrs.errors import BusError, DeviceError, JournalError, UnknownOutcomeError
+from pcmrs.failpoints import FAILPOINTS, VARIABLE
+from pcmrs.journal import JournalReader
+from pcmrs.messages import Verdict
+
+LONGEST = 4.0
+"""A daemon that is killed at a random instant lives so long at most after it was ready, s of the machine."""
+
+LATEST = 12
+"""An armed daemon comes to its failpoint so often before it dies, after those of its start."""
+
+AT_START = 8
+"""Rows that a start writes at most: a failpoint of the journal counts from there on."""
+
+DIES_WITHIN = 60.0
+"""An armed daemon has come to its failpoint within this, s of the machine; otherwise it is killed then."""
+
+PER_FOLDER = 20
+"""So many daemons follow each other on one folder."""
+
+SETTINGS = ("robot.deadman=0.5",)
+SOURCE = "bus:local"
+
+
+async def kill_daemons(
+    times: int, seed: int, clock: Clock, *, minutes: float | None = None, progress: ShowProgress = lambda *_: None
+) -> KillReport:
+    """Kills daemons in operation, at every failpoint in turn and at random instants, each the successor of the last.
+
+    Args:
+        times: So many daemons.
+        seed: Of instants, failpoints and what is operated.
+        clock: The machine's.
+        minutes: Ends earlier after so long.
+        progress: Told after each.
+    """
+    tally = Tally(clock, seed, times, minutes, progress)
+    while not tally.done:
+        with tempfile.TemporaryDirectory(prefix="pcmrs-kills-", ignore_cleanup_errors=True) as folder:
+            await _one_folder(Path(folder) / "cell", tally)
+    return tally.report("a daemon in operation")
+
+
+async def _one_folder(folder: Path, tally: Tally) -> None:
+    answered: dict[str, Verdict] = {}
+    places = (*FAILPOINTS, RANDOM)
+    for _ in range(PER_FOLDER):
+        if tally.done:
+            return
+        place = places[tally.kills % len(places)]
+        try:
+            new = await _killed(folder, place, tally.generator)
+        except (DeviceError, BusError) as error:
+            tally.refused.append(error.text)
+            return
+        answered |= new
+        try:
+            tally.count("" if place == RANDOM else place, len(new), _lost(folder / "ratms.sqlite", answered))
+        except JournalError as error:
+            tally.refused.append(error.text)
+            return
+
+
+async def _killed(folder: Path, place: str, generator: random.Random) -> dict[str, Verdict]:
+    """Operates a daemon until it is killed; returns what it has answered."""
+    first = AT_START if place.startswith("journal.") else 1
+    armed = {} if place == RANDOM else {VARIABLE: f"{place}:{generator.randrange(first, first + LATEST)}"}
+    operator: Operator | None = None
+    # A daemon that is killed takes its bus along, and some client of it may say so at the end of the context.
+    with suppress(UnknownOutcomeError):
+        async with open_cell(folder, (*SETTINGS, f"sim.seed={generator.randrange(1000)}"), environment=armed) as cell:
+            operator = Operator(cell.client, generator)
+            await _operate(cell, operator, generator.uniform(0.0, LONGEST) if place == RANDOM else DIES_WITHIN)
+    return operator.verdicts if operator is not None else {}
+
+
+async def _operate(cell: LabCell, operator: Operator, longest: float) -> None:
+    async def go_on() -> None:
+        while True:
+            await operator.step()
+
+    going_on, dying = asyncio.create_task(go_on()), asyncio.create_task(cell.process.wait())
+    await asyncio.wait((going_on, dying), timeout=longest, return_when=asyncio.FIRST_COMPLETED)
+    if not dying.done():
+        with suppress(ProcessLookupError):
+            cell.process.kill()
+    await dying
+    going_on.cancel()
+    with suppress(asyncio.CancelledError, UnknownOutcomeError):
+        await going_on
+
+
+def _lost(journal: Path, answered: Mapping[str, Verdict]) -> int:
+    """How many verdicts are not in the journal as they were given.
+
+    Raises:
+        JournalError: It cannot be read.
+    """
+    with JournalReader(journal) as reader:
+        return sum(reader.verdict_of(SOURCE, command) != verdict for command, verdict in answered.items())

@@ -1,0 +1,107 @@
+"""Bytes at the daemon's UDP sockets, as anybody can send them, and what must not come of them."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from typing import Any, cast
+
+import msgspec
+
+from pcmrs.campaign.fault import Unmet
+from pcmrs.campaign.lab import LabCell
+from pcmrs.messages import Snapshot
+
+ANSWERS_WITHIN = 10.0
+"""The daemon has come to a datagram within this, s of the machine."""
+
+FENCE = "stop_visualizexx"
+"""A command that changes nothing: its verdict says that what was sent before has been looked at."""
+
+_ids = itertools.count(9_100_000_000)
+
+
+class Raw(asyncio.DatagramProtocol):
+    """A socket that sends whatever it is given. Use `raw_socket`."""
+
+    def __init__(self) -> None:
+        self.answers: asyncio.Queue[bytes] = asyncio.Queue()
+        self._transport: asyncio.DatagramTransport
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.DatagramTransport, transport)
+
+    def datagram_received(self, data: bytes, _: tuple[Any, ...]) -> None:
+        self.answers.put_nowait(data)
+
+    def error_received(self, _: Exception) -> None:
+        """Nobody listens there; whoever waits for an answer says so."""
+
+    def send(self, datagram: bytes) -> None:
+        """Sends one datagram."""
+        self._transport.sendto(datagram)
+
+    async def fence(self) -> list[bytes]:
+        """Waits until everything sent before has been looked at; returns the answers to that.
+
+        Raises:
+            Unmet: The daemon does not answer any more.
+        """
+        client_id = str(next(_ids))
+        self.send(f"{FENCE}_#{client_id};".encode())
+        answers: list[bytes] = []
+        try:
+            async with asyncio.timeout(ANSWERS_WITHIN):
+                while not (answer := await self.answers.get()).startswith(f"{client_id}_".encode()):
+                    answers.append(answer)
+        except TimeoutError:
+            raise Unmet(f"The socket does not answer within {ANSWERS_WITHIN:g} s any more.") from None
+        return answers
+
+    def close(self) -> None:
+        """Closes the socket."""
+        self._transport.close()
+
+
+@asynccontextmanager
+async def raw_socket(address: tuple[str, int]) -> AsyncIterator[Raw]:
+    """A socket towards one of the daemon's UDP links."""
+    _, raw = await asyncio.get_running_loop().create_datagram_endpoint(Raw, remote_addr=address)
+    try:
+        yield raw
+    finally:
+        raw.close()
+
+
+def identical(before: Snapshot, after: Snapshot) -> None:
+    """Raises `Unmet` unless two snapshots are the same, byte for byte."""
+    first, second = msgspec.json.encode(before), msgspec.json.encode(after)
+    if first != second:
+        raise Unmet(f"The state has changed: {first.decode()} became {second.decode()}.")
+
+
+async def refused_all(cell: LabCell, datagrams: Sequence[bytes]) -> dict[str, Any]:
+    """Sends datagrams that must be refused: no state, no data and no row of the journal may come of them.
+
+    Returns:
+        Details for the report.
+
+    Raises:
+        Unmet: Something has changed, was accepted, or the socket is deaf afterwards.
+    """
+    before, rows = await cell.client.state(), cell.last_row()
+    answers: list[bytes] = []
+    async with raw_socket(cell.ready.links["planner"]) as raw:
+        for datagram in datagrams:
+            raw.send(datagram)
+        answers = await raw.fence()
+    accepted = [answer for answer in answers if b"_accepted_" in answer]
+    if accepted:
+        raise Unmet(f"{accepted[0]!r} was the answer to one of {datagrams!r}.")
+    identical(before, await cell.client.state())
+    decided = [row for row in cell.rows(after=rows) if row.verdict is not None and row.verdict.decision == "accepted"]
+    if decided:
+        raise Unmet(f"The journal has an accepted {decided[0].branch}.{decided[0].operation}.")
+    return {"sent": len(datagrams), "answers": [answer.decode(errors="replace") for answer in answers][:8]}

@@ -1,0 +1,270 @@
+"""Driving a cell of the lab: to a registered head, into a motion, and out of it; all of it must be accepted."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import aclosing, asynccontextmanager, suppress
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from pcmrs.campaign.fault import NotRun, Unmet
+from pcmrs.errors import PcmrsError
+from pcmrs.experiment.plan import Plan, example_plan, read_plan
+from pcmrs.messages import JointState, Snapshot, Verdict
+
+if TYPE_CHECKING:
+    from pcmrs.campaign.lab import LabCell
+
+PATIENCE = 20.0
+"""Anything that must come about has done so within this, s of the machine."""
+
+RETRY = 0.5
+SEEN = 0.5
+"""After the arm came to rest the tracker has seen it within this, s of the machine."""
+FOLLOWED = 1.5
+"""So long the tool follows before a fault is injected, s of the machine."""
+
+TOO_BUSY = "The tool does not follow without the fault, either: this machine is too busy for a cell in real time."
+
+MOVES = 5e-3
+"""Joint velocity above which the simulated arm counts as moving, rad/s."""
+
+
+@cache
+def plan() -> Plan:
+    """Landmarks and poses of the example."""
+    return read_plan(example_plan("ratms"))
+
+
+def landmarks() -> dict[str, Any]:
+    """Arguments of ``registration.plan_landmarks``."""
+    return {"landmarks": msgspec.to_builtins(plan().landmarks)}
+
+
+def tool_pose(number: int = 0) -> dict[str, Any]:
+    """Arguments of ``toolplan.plan``."""
+    pose: dict[str, Any] = msgspec.to_builtins(plan().poses[number])
+    return pose
+
+
+async def accept(cell: LabCell, name: str, **arguments: object) -> Verdict:
+    """Calls an operation that must be accepted.
+
+    Raises:
+        Unmet: It was not.
+    """
+    verdict = await cell.client.call(name, arguments)
+    if verdict.decision != "accepted":
+        raise Unmet(f"{name} was {verdict.decision}: {said(verdict)}")
+    return verdict
+
+
+def said(verdict: Verdict) -> str:
+    """Why a command was not accepted."""
+    return f"{verdict.reason.code}: {verdict.reason.text}" if verdict.reason is not None else "no reason"
+
+
+async def state(cell: LabCell, branch: str) -> str:
+    """The present state of a branch."""
+    return (await cell.client.state()).branches[branch]
+
+
+async def start_anew(cell: LabCell) -> None:
+    """Takes the cell to where a daemon begins, whatever an earlier fault has left.
+
+    Raises:
+        Unmet: That was not accepted.
+    """
+    before = await cell.client.state()
+    if before.branches.get("stimulation", "disarmed") != "disarmed":
+        await accept(cell, "stimulation.disarm")
+    if before.branches["robot"] == "0" and before.latched:
+        await accept(cell, "robot.connect")
+        before = await cell.client.state()
+    if before.branches["robot"] == "1":
+        await _put_away(cell)
+    await accept(cell, "registration.reinit")
+    await accept(cell, "toolplan.reinit")
+
+
+async def _put_away(cell: LabCell) -> None:
+    if (await cell.client.state()).latched:
+        await accept(cell, "robot.acknowledge")
+    if await state(cell, "placement") == "held":
+        await accept(cell, "placement.back_off")
+    if await state(cell, "placement") not in ("unknown", "retracted"):
+        await accept(cell, "placement.home")
+    await accept(cell, "robot.disconnect")
+
+
+async def calmed(cell: LabCell) -> None:
+    """Takes the cell out of whatever an earlier fault has left, with the registration as it is.
+
+    Raises:
+        Unmet: That was not accepted.
+    """
+    shown = await cell.client.state()
+    if shown.latched:
+        if shown.branches["robot"] == "0":
+            await connect(cell)
+        await accept(cell, "robot.acknowledge")
+    if await state(cell, "placement") == "held":
+        await accept(cell, "placement.back_off")
+
+
+async def connect(cell: LabCell) -> None:
+    """Connects the robot; a virtual cabinet may listen only a moment after the daemon is ready.
+
+    Raises:
+        Unmet: It was not accepted within `PATIENCE`.
+    """
+    with suppress(TimeoutError):
+        async with asyncio.timeout(PATIENCE):
+            while (await cell.client.call("robot.connect")).decision != "accepted":  # noqa: ASYNC110
+                await asyncio.sleep(RETRY)
+            return
+    raise Unmet(f"The robot was not connected within {PATIENCE:g} s.")
+
+
+async def digitized(cell: LabCell) -> None:
+    """Plans the landmarks and digitizes them."""
+    await accept(cell, "registration.plan_landmarks", **landmarks())
+    await accept(cell, "digitization.digitize_all")
+
+
+async def register(cell: LabCell) -> None:
+    """Connects the robot, registers the head and plans a pose, as far as that is not done."""
+    before = (await cell.client.state()).branches
+    if before["robot"] == "0":
+        await connect(cell)
+    if before["registration"] != "111":
+        await digitized(cell)
+        await accept(cell, "registration.register")
+    if before["toolplan"] == "0":
+        await accept(cell, "toolplan.plan", **tool_pose())
+    await until(cell, lambda snapshot: not snapshot.running)
+    if await state(cell, "placement") == "unknown":  # the tracker was late when the robot connected
+        await accept(cell, "placement.locate")
+
+
+async def to_retracted(cell: LabCell) -> None:
+    """The head is registered, the tool away from it."""
+    await register(cell)
+    if await state(cell, "placement") == "held":
+        await accept(cell, "placement.back_off")
+    if await state(cell, "placement") != "retracted":
+        await accept(cell, "placement.home")
+
+
+async def to_standoff(cell: LabCell) -> None:
+    """The tool is at the standoff."""
+    await register(cell)
+    if await state(cell, "placement") in ("placed", "following", "held"):
+        await accept(cell, "placement.back_off")
+    if await state(cell, "placement") != "standoff":
+        await accept(cell, "placement.approach")
+
+
+async def to_placed(cell: LabCell) -> None:
+    """The tool is at its planned pose."""
+    await register(cell)
+    if await state(cell, "placement") != "placed":
+        await to_standoff(cell)
+        await accept(cell, "placement.confirm")
+
+
+async def to_following(cell: LabCell) -> None:
+    """The tool follows the head and counts as aligned.
+
+    Raises:
+        NotRun: It does not, and nothing was injected yet: the machine is too busy for a cell in real time.
+    """
+    await to_placed(cell)
+    await accept(cell, "placement.follow")
+    try:
+        await until(cell, lambda snapshot: snapshot.branches["alignment"] == "1")
+        await asyncio.sleep(FOLLOWED)
+    except Unmet as error:
+        raise NotRun(f"{TOO_BUSY} {error.text}") from None
+    if await state(cell, "placement") != "following":
+        raise NotRun(f"{TOO_BUSY} It was held within {FOLLOWED:g} s.")
+
+
+async def until(cell: LabCell, condition: Callable[[Snapshot], bool], within: float = PATIENCE) -> Snapshot:
+    """Waits for a snapshot of which the condition holds, and returns it.
+
+    Raises:
+        Unmet: None came within `within`, s of the machine; the text has the last one.
+    """
+    last: Snapshot | None = None
+    with suppress(TimeoutError):
+        async with asyncio.timeout(within), aclosing(cell.client.watch()) as events:
+            async for event in events:
+                last = event if isinstance(event, Snapshot) else last
+                if last is not None and condition(last):
+                    return last
+    shown = "nothing" if last is None else f"{last.branches}, latched {last.latched}"
+    raise Unmet(f"What was waited for did not come within {within:g} s; shown last: {shown}.")
+
+
+@asynccontextmanager
+async def moving(cell: LabCell, name: str = "placement.approach") -> AsyncIterator[asyncio.Task[Verdict]]:
+    """A motion in the middle of which the arm moves; its verdict has come when the context ends.
+
+    Raises:
+        Unmet: The arm did not move, or no verdict came within `PATIENCE`.
+    """
+    await asyncio.sleep(SEEN)
+    moves, end = await _motion(cell)
+    verdict = asyncio.create_task(cell.client.call(name, timeout=PATIENCE))
+    try:
+        await asyncio.wait((verdict, moves), timeout=PATIENCE, return_when=asyncio.FIRST_COMPLETED)
+        if not moves.done() or verdict.done():
+            raise Unmet(f"The arm does not move: {verdict.result() if verdict.done() else 'no verdict'}.")
+        yield verdict
+        await asyncio.wait([verdict], timeout=PATIENCE)
+        if not verdict.done():
+            raise Unmet(f"{name} had no verdict within {PATIENCE:g} s.")
+    finally:
+        await end()
+        verdict.cancel()
+        with suppress(asyncio.CancelledError, PcmrsError):
+            await verdict
+
+
+async def _motion(cell: LabCell) -> tuple[asyncio.Future[None], Callable[[], Any]]:
+    moves: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    def look(_key: str, joints: JointState) -> None:
+        if not moves.done() and np.abs(joints.velocities).max() > MOVES:
+            moves.set_result(None)
+
+    return moves, cell.bus.subscribe("state/joints", JointState, look)
+
+
+@asynccontextmanager
+async def injected(
+    cell: LabCell, fault: str, begin: dict[str, Any] | None = None, end: dict[str, Any] | None = None
+) -> AsyncIterator[None]:
+    """The simulated scene has a fault for the length of the context.
+
+    Args:
+        cell: Whose.
+        fault: Name of `pcmrs-sim faults`.
+        begin: Arguments that bring it about; ``on`` is added where `end` is not given.
+        end: Arguments that end it; by default those of `begin`, with ``on`` false.
+    """
+    began = dict(begin or {}) if end is not None else {**(begin or {}), "on": True}
+    ended = end if end is not None else {**began, "on": False}
+    await cell.scene.inject(fault, began)
+    try:
+        yield
+    except BaseException:
+        with suppress(PcmrsError):  # what went wrong says more than that this fails, too
+            await cell.scene.inject(fault, ended)
+        raise
+    await cell.scene.inject(fault, ended)

@@ -1,0 +1,106 @@
+"""Every forbidden operation in every joint state of a workflow, through dispatcher and journal."""
+
+from __future__ import annotations
+
+import asyncio
+import uuid
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+
+from pcmrs.dispatcher import Dispatcher, ProcedureData
+from pcmrs.experiment.tours.rehearsal import LeapingClock, Script, scripted
+from pcmrs.fsm.behaviour import joint_of
+from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.trial.tour import MAX_JOINT_STATES, Move, plan_tour
+from pcmrs.journal import Journal
+from pcmrs.messages import BlueprintTag, Command, Verdict
+from pcmrs.service.recorder import JournalRecorder
+
+
+@dataclass
+class Found:
+    """What a walk through all joint states has shown.
+
+    Attributes:
+        joint_states: How many there are.
+        forbidden: Commands that had to be rejected.
+        wrong: Of them, those that were not, or changed something, or are not in the journal.
+    """
+
+    joint_states: int = 0
+    forbidden: int = 0
+    wrong: list[str] = field(default_factory=list)
+
+
+async def walk(blueprint: Blueprint, folder: Path, runs: Blueprint | None = None, enough: int | None = None) -> Found:
+    """Asks for every forbidden operation in every joint state, and looks for what must not be.
+
+    Args:
+        blueprint: Says what is forbidden.
+        folder: Takes the journal.
+        runs: The workflow that decides; the same unless a difference is to be found.
+        enough: So much that is wrong ends the walk.
+    """
+    tour = plan_tour(blueprint, MAX_JOINT_STATES)
+    journal = Journal.open(folder / "every_state.sqlite", durable=False)
+    try:
+        found = Found(len({move.before for move in tour.wanted}))
+        for stretch in tour.stretches:
+            if enough is not None and len(found.wrong) >= enough:
+                break
+            await _walk_stretch(blueprint, runs or blueprint, stretch, journal, found)
+        return found
+    finally:
+        await journal.close()
+
+
+async def _walk_stretch(
+    blueprint: Blueprint, runs: Blueprint, moves: list[Move], journal: Journal, found: Found
+) -> None:
+    script, clock = Script(), LeapingClock()
+    tag = BlueprintTag(id=runs.id, version=runs.version, hash=runs.hash)
+    recorder = JournalRecorder(journal, clock, uuid.uuid4().hex, tag)
+    dispatcher = Dispatcher(scripted(runs, script, outside=True), None, clock, recorder, _hold, lambda _: None)
+    for move in filter(_needed, moves):
+        script.move = move
+        before = _shape(dispatcher)
+        verdict = await dispatcher.submit(_command(move))
+        if move.decision == "rejected" and not move.at:
+            found.forbidden += 1
+            wrong = _wrong(move, verdict, before == _shape(dispatcher), journal)
+            found.wrong += [f"{move} in {'-'.join(move.before)}: {wrong}"] if wrong else []
+        if joint_of(blueprint, dispatcher.snapshot().branches) != move.after:
+            break  # the rest of the stretch begins elsewhere
+        await asyncio.sleep(0)
+
+
+def _needed(move: Move) -> bool:
+    """Whether a command is forbidden, or leads on; what its checks and steps do in place is for other tests."""
+    return move.before != move.after or (move.decision == "rejected" and not move.at)
+
+
+def _shape(dispatcher: Dispatcher[None, ProcedureData]) -> bytes:
+    """States, flags, latch, number of the last commit, and data."""
+    return msgspec.msgpack.encode((dispatcher.snapshot(), dispatcher.procedure.data))
+
+
+def _wrong(move: Move, verdict: Verdict, unchanged: bool, journal: Journal) -> str:
+    if verdict.decision != "rejected":
+        return f"it was {verdict.decision}"
+    if verdict.reason is None or verdict.reason.code != move.code:
+        return f"refused as {verdict.reason}, must be {move.code}"
+    if not unchanged:
+        return "states or data have changed"
+    stored = [row.row.verdict for row in journal.reader.read(last=1, kind="outcome")]
+    return "" if stored == [verdict] else "the journal has no row of it"
+
+
+def _command(move: Move) -> Command:
+    source = "device:campaign" if move.asker == "device" else "campaign:user"
+    return Command(id=uuid.uuid4().hex, branch=move.branch, operation=move.operation, source=source)
+
+
+async def _hold() -> None:
+    """There is nothing to hold."""

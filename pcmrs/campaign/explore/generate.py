@@ -1,0 +1,68 @@
+"""Draws a session: operators who mostly do what leads on, sometimes not, while things go wrong around them."""
+
+from __future__ import annotations
+
+import random
+
+from pcmrs.campaign.explore.faults import FAULTS
+from pcmrs.campaign.explore.plans import GARBAGE, arbitrary
+from pcmrs.campaign.explore.script import Act, Physics, Script
+from pcmrs.fsm import Blueprint
+
+OPERATORS = ("anna", "ben")
+SECOND = 0.15
+"""Part of the acts of the second operator."""
+FEWEST, MOST = 12, 30
+"""Acts of a session."""
+CODED = 0.25
+"""Part of the sessions in which every message is packed and unpacked."""
+IN_THE_MIDDLE = 0.3
+"""Part of the commands that are not waited for: what comes next comes while they run."""
+
+PAUSE = 4.0
+"""Mean pause of an operator, s; one in ten is a long one."""
+LONG_PAUSE = 40.0
+BRIEF = 1.5
+"""What comes while a command runs comes within this, s."""
+
+
+def draw_script(blueprint: Blueprint, workflow: str, seed: int, physics: Physics = "kinematic") -> Script:
+    """The session of a seed.
+
+    Args:
+        blueprint: Of the workflow.
+        workflow: Its name.
+        seed: Of everything.
+        physics: Of the simulated arm.
+    """
+    draw = random.Random(f"session {workflow} {seed}")
+    trouble = draw.choice((0.0, 0.1, 0.25, 0.4))
+    acts = [_act(blueprint, draw, trouble) for _ in range(draw.randint(FEWEST, MOST))]
+    return Script(seed=seed, workflow=workflow, physics=physics, coded=draw.random() < CODED, acts=acts)
+
+
+def _act(blueprint: Blueprint, draw: random.Random, trouble: float) -> Act:
+    waits = draw.random() >= IN_THE_MIDDLE
+    after = round(draw.expovariate(1.0 / (LONG_PAUSE if draw.random() < 0.1 else PAUSE)), 3)
+    if draw.random() < trouble:
+        return _fault(draw)
+    who = OPERATORS[draw.random() < SECOND]
+    kind = draw.random()
+    if kind < 0.72:
+        return Act(after, "go_on", who, {"turn": draw.randrange(60)}, waits)
+    if kind < 0.84:
+        what, arguments = arbitrary(blueprint, draw)
+        return Act(after, what, who, arguments, waits)
+    if kind < 0.90:
+        return Act(round(draw.uniform(0.0, BRIEF), 3), "stop", who)
+    if kind < 0.95:
+        return Act(after, "repeat", who, {}, waits)
+    return Act(after, "datagram", who, {"number": draw.randrange(len(GARBAGE))})
+
+
+def _fault(draw: random.Random) -> Act:
+    names = list(FAULTS)
+    (name,) = draw.choices(names, [FAULTS[each].weight for each in names])
+    fault = FAULTS[name]
+    lasts = {} if fault.mend is None else {"lasts": round(draw.uniform(0.2, fault.lasts), 3)}
+    return Act(round(draw.uniform(0.0, BRIEF), 3), f"fault:{name}", "", fault.draw(draw) | lasts, waits=False)

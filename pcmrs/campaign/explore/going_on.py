@@ -1,0 +1,70 @@
+"""What an operator who sees the state does next: what leads on from there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pcmrs.messages import Snapshot
+
+Step = tuple[str, dict[str, Any]]
+"""What, as in an act, and its arguments."""
+
+AT_THE_BODY: dict[str, list[Step]] = {
+    "standoff": [("placement.confirm", {})],
+    "placed": [
+        ("placement.press", {}),
+        ("placement.nudge", {"translation": [0.0, 0.0, 0.001]}),
+        ("placement.follow", {}),
+        ("placement.back_off", {}),
+        ("placement.home", {}),
+        ("wire:execute_bkoffset", {}),
+    ],
+    "following": [("placement.stop_following", {}), ("placement.home", {}), ("placement.back_off", {})],
+}
+"""Placement to what is done there, one after the other."""
+
+WITH_STIMULATOR: list[Step] = [
+    ("stimulation.set_ceiling", {"percent": 60.0, "operator": "explorer"}),
+    ("stimulation.set_intensity", {"percent": 40.0}),
+    ("stimulation.arm", {}),
+    ("stimulation.fire", {}),
+    ("stimulation.fire", {}),
+]
+
+
+def going_on(snapshot: Snapshot | None, turn: int) -> Step:
+    """The next step.
+
+    Args:
+        snapshot: As the operator was shown it last.
+        turn: Of several that lead on, this one.
+    """
+    if snapshot is None:
+        return "robot.connect", {}
+    states = snapshot.branches
+    return _to_readiness(snapshot, states, turn) or _at_the_body(states, turn)
+
+
+def _to_readiness(snapshot: Snapshot, states: dict[str, str], turn: int) -> Step | None:
+    if states["robot"] == "0":
+        return ("robot.connect" if turn % 2 else "wire:rob_conn_onxxxxx"), {}
+    if snapshot.latched:
+        return "robot.acknowledge", {}
+    if states["placement"] in ("unknown", "held"):
+        return {"unknown": "placement.locate", "held": "placement.back_off"}[states["placement"]], {}
+    step: Step | None = {
+        "000": ("landmarks" if turn % 2 else "registration.plan_landmarks", {}),
+        "100": ("digitization.digitize_all" if turn % 2 else "wire:start_autodigitz", {}),
+        "110": ("registration.register" if turn % 2 else "wire:start_registrati", {}),
+    }.get(states["registration"])
+    if step is not None:
+        return step
+    return ("pose" if turn % 2 else "toolplan.plan", {}) if states["toolplan"] == "0" else None
+
+
+def _at_the_body(states: dict[str, str], turn: int) -> Step:
+    placement = states["placement"]
+    if "stimulation" in states and placement in ("placed", "following") and turn % 3:
+        return WITH_STIMULATOR[turn % len(WITH_STIMULATOR)]
+    steps = AT_THE_BODY.get(placement, [("placement.approach", {})])
+    return steps[turn % len(steps)]

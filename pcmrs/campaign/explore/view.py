@@ -1,0 +1,168 @@
+"""What is known of a simulated session at any moment: by what was published, journalled, moved, fired and answered."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+from pcmrs.fsm import Blueprint
+from pcmrs.journal import JournalReader
+from pcmrs.messages import Command, DeviceEvent, JointState, Snapshot, Verdict
+
+PULSES = ("stimulation.fire", "hotspot.pulse", "threshold.pulse")
+REGISTERING = ("register", "refine", "use_previous")
+MOVING_SPEED = 1e-3
+"""A joint that is slower than this stands, rad/s."""
+
+
+@dataclass
+class Since:
+    """Whether something is so, and since when or until when it was, s."""
+
+    holds: bool = False
+    changed: float = float("-inf")
+
+    def become(self, holds: bool, now: float) -> None:
+        """It is so from now on, or not any more."""
+        if holds != self.holds:
+            self.holds, self.changed = holds, now
+
+    def gone_for(self, now: float) -> float:
+        """How long it has not been so, s."""
+        return 0.0 if self.holds else now - self.changed
+
+
+@dataclass
+class View:
+    """Everything that the invariants are about.
+
+    Attributes:
+        blueprint: Of the workflow.
+        now: s of the simulation.
+        run: Number of the daemon's run; 0 while there is none.
+        snapshot: Published last in this run.
+        before: The one before.
+        motion: Something allows the arm to move.
+        latch: Stop is latched.
+        pulse: Something allows a pulse.
+        calm: Nothing is wrong with network, hosts and robot.
+        by_hand: Until then the arm is moved from outside, s.
+        performed: Ids of commands on which a verdict that is no rejection was published.
+        outcomes: Journalled verdicts by (source, id).
+        by_id: The same by id alone, which is all that a published verdict has.
+        accounts: Verdicts that operators got by (source, id).
+        registered: The registration in force rests on a journalled accepted verdict.
+        danger: The last event was danger, and no snapshot has been published since.
+        released: Journalled accepted verdicts that release the latch, which have not released it yet.
+        excused: The daemon's disk has failed in this run: what it then refuses is not journalled.
+        seen: How often what was seen, by names such as ``accepted placement.approach``.
+    """
+
+    blueprint: Blueprint
+    now: float = 0.0
+    run: int = 0
+    snapshot: Snapshot | None = None
+    before: Snapshot | None = None
+    motion: Since = field(default_factory=Since)
+    latch: Since = field(default_factory=Since)
+    pulse: Since = field(default_factory=Since)
+    calm: Since = field(default_factory=lambda: Since(True, 0.0))
+    by_hand: float = float("-inf")
+    performed: set[str] = field(default_factory=set)
+    outcomes: dict[tuple[str, str], Verdict] = field(default_factory=dict)
+    by_id: dict[str, Verdict] = field(default_factory=dict)
+    accounts: dict[tuple[str, str], Verdict] = field(default_factory=dict)
+    registered: bool = False
+    danger: bool = False
+    released: int = 0
+    excused: bool = False
+    seen: Counter[str] = field(default_factory=Counter)
+    _registration: str = ""
+    _rows: int = 0
+
+    def begin_run(self) -> None:
+        """A daemon has started: the latch of before and all states are gone, or as it says now."""
+        self.run += 1
+        self.snapshot = self.before = None
+        self.registered = self.excused = self.danger = False
+        self.released = 0
+        self._registration = ""
+
+    def end_run(self) -> None:
+        """The daemon is gone: nothing allows anything any more."""
+        self.motion.become(False, self.now)
+        self.pulse.become(False, self.now)
+        self.snapshot = self.before = None
+
+    def take_snapshot(self, snapshot: Snapshot) -> None:
+        """It was published."""
+        self.before, self.snapshot = self.snapshot, snapshot
+        running = [f"{each.branch}.{each.operation}" for each in snapshot.running]
+        branches = snapshot.branches
+        near = branches.get("placement") in ("placed", "following") and branches.get("stimulation") == "armed"
+        self.latch.become(snapshot.latched, self.now)
+        self.motion.become(self._allows_motion(snapshot) and not snapshot.latched, self.now)
+        self.pulse.become(near and not snapshot.latched and any(name in PULSES for name in running), self.now)
+
+    def take_rows(self, reader: JournalReader) -> None:
+        """Reads what was journalled since."""
+        for stored in reader.read(after=self._rows):
+            row, self._rows = stored.row, stored.sequence
+            if row.kind == "outcome" and row.verdict is not None:
+                self.outcomes[row.source or "", row.command_id or ""] = row.verdict
+                self.by_id[row.command_id or ""] = row.verdict
+                self.released += self._releases(row.verdict)
+            if row.kind == "outcome" and row.branch == "registration" and row.operation in REGISTERING:
+                accepted = row.verdict is not None and row.verdict.decision == "accepted"
+                self.registered = self.registered or accepted
+            state = (row.states or {}).get("registration", self._registration)
+            if state != "111" and row.kind in ("outcome", "device", "event"):
+                self.registered = False
+            self._registration = state
+
+    def take_verdict(self, verdict: Verdict) -> None:
+        """It was published."""
+        self.seen[f"{verdict.decision} {verdict.branch}.{verdict.operation}"] += 1
+
+    def _releases(self, verdict: Verdict) -> bool:
+        spec = self.blueprint.branches[verdict.branch].operations.get(verdict.operation) if verdict.state else None
+        return spec is not None and spec.unlatches and verdict.decision == "accepted"
+
+    def _allows_motion(self, snapshot: Snapshot) -> bool:
+        branches = self.blueprint.branches
+        if any(branches[each.branch].operations[each.operation].moves for each in snapshot.running):
+            return True
+        ongoing = (branches[each.branch].activities.get(each.state) for each in snapshot.activities)
+        return any(spec is not None and spec.moves for spec in ongoing)
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """The arm has reported its joints."""
+
+    state: JointState
+
+    @property
+    def speed(self) -> float:
+        """Of the fastest joint, rad/s."""
+        return max(map(abs, self.state.velocities))
+
+
+@dataclass(frozen=True, slots=True)
+class Fired:
+    """The stimulator has given a pulse."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """A verdict has reached the operator who asked."""
+
+    command: Command
+    verdict: Verdict
+
+
+Event = Snapshot | Verdict | DeviceEvent | Moved | Fired | Answered
+Fields = dict[str, Any]

@@ -1,0 +1,113 @@
+"""How a fault is injected and judged: functions registered under the ids of the catalogue.
+
+@fault("S3", how="simulated tracker: a position that is not a number")
+async def pose_nan(lab: Lab) -> Evidence:
+    ...
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import dataclass, field
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import TYPE_CHECKING, Any
+
+from pcmrs.campaign import faults
+from pcmrs.campaign.catalogue import catalogue
+from pcmrs.errors import ConfigurationError, PcmrsError
+
+if TYPE_CHECKING:
+    from pcmrs.campaign.lab import Lab
+
+DEADLINE = 120.0
+"""An injection that has not ended within this has failed, s of the machine."""
+
+
+class Unmet(PcmrsError):  # noqa: N818 - what a campaign finds, not an error of the program
+    """The required response was not seen; the text says what was seen instead."""
+
+    code = "response_unmet"
+
+
+class NotRun(PcmrsError):  # noqa: N818 - see above
+    """The fault cannot be injected on this machine; the text says why."""
+
+    code = "not_run"
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What was seen when a fault was injected and the required response came.
+
+    Attributes:
+        response: In a few words.
+        details: Measured values; ``control`` is what the same check saw without the fault.
+    """
+
+    response: str
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+Injector = Callable[["Lab"], Awaitable[Evidence]]
+
+
+@dataclass(frozen=True, slots=True)
+class Injection:
+    """One way in which a fault is injected.
+
+    Attributes:
+        fault: Id of the catalogue.
+        name: Of the function.
+        how: By what means.
+        tools: Programs it needs; without one of them it is not run.
+        deadline: It has failed when it has not ended within this, s of the machine.
+        run: Injects the fault, checks the response; raises `Unmet` or `NotRun`.
+    """
+
+    fault: str
+    name: str
+    how: str
+    tools: tuple[str, ...]
+    deadline: float
+    run: Injector
+
+    def missing(self) -> list[str]:
+        """Tools that this machine does not have."""
+        return [tool for tool in self.tools if shutil.which(tool) is None]
+
+
+_injections: dict[str, list[Injection]] = {}
+
+
+def fault(
+    fault_id: str, *, how: str, tools: Iterable[str] = (), deadline: float = DEADLINE
+) -> Callable[[Injector], Injector]:
+    """Registers a way to inject a fault; several may be registered under one id, and all must pass.
+
+    Args:
+        fault_id: Of the catalogue.
+        how: By what means it is injected, for the report.
+        tools: Programs it needs.
+        deadline: It has failed when it has not ended within this, s of the machine.
+
+    Raises:
+        ConfigurationError: The catalogue has no such id.
+    """
+    if fault_id not in catalogue():
+        raise ConfigurationError(f"The catalogue has no fault {fault_id}.", fault=fault_id)
+
+    def register(run: Injector) -> Injector:
+        name = getattr(run, "__name__", fault_id)
+        _injections.setdefault(fault_id, []).append(Injection(fault_id, name, how, tuple(tools), deadline, run))
+        return run
+
+    return register
+
+
+def injections() -> dict[str, list[Injection]]:
+    """Id to all ways in which that fault is injected."""
+    for module in iter_modules(faults.__path__):
+        import_module(f"{faults.__name__}.{module.name}")
+    return _injections

@@ -1,0 +1,1 @@
+"""How the faults of the catalogue are injected: one module for each class."""

@@ -1,0 +1,220 @@
+"""What somebody does on purpose, as far as it needs no access control: floods, magic texts, forged files."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import sqlite3
+from contextlib import closing, suppress
+from pathlib import Path
+
+from pcmrs.campaign.checks import confirmed, expect, held, shape
+from pcmrs.campaign.datagrams import Raw, raw_socket, refused_all
+from pcmrs.campaign.driving import PATIENCE, accept, digitized, moving, register, start_anew, until
+from pcmrs.campaign.fault import Evidence, fault
+from pcmrs.campaign.flood import flood
+from pcmrs.campaign.lab import Lab, LabCell
+from pcmrs.campaign.lateness import percentile, timer_lateness
+from pcmrs.journal.verification import verify
+
+FLOOD = 40_000.0
+"""Datagrams per second."""
+
+STOP_WITHIN = 0.02
+"""The daemon has begun to stop within this, s of the machine, beyond what a bare timer is late in the same run."""
+
+STOPS = 50
+SPAM = 2_000
+BATCH = 50
+"""So many Stops are sent before their answers are waited for: more would not fit into the socket's buffer."""
+
+RIGHT = "0.1"
+WRONG_NUMBERS = ("nan", "1e999", "-1e999", "٣", "1_000", "inf", "0x10", "1,5", "")
+MAGIC = (
+    b"close", b"quit", b"exit", b"shutdown", b"q", b"stop", b"end", b"\x03", b"\x04", b"\x1a",
+    b"close;", b"quit;", b"exit;", b"shutdown;", b"end_session;", b"end_communication",
+)  # fmt: skip
+
+
+@fault("A4", how="a process that sends 40,000 datagrams per second, nearly all of them refused", deadline=180.0)
+async def stop_under_a_flood(lab: Lab) -> Evidence:
+    """Stop over the bus while the planner's socket is flooded; once in the middle of a motion."""
+    async with lab.daemon("cell.rate=1", "procedure.max_pose_age=0.5", "robot.deadman=0.5") as cell:
+        await register(cell)
+        async with moving(cell), flood(cell.ready.links["planner"], FLOOD, lab.seed) as sent:
+            await cell.client.stop()
+            await until(cell, lambda shown: shown.latched)
+        await held(cell)
+        async with flood(cell.ready.links["planner"], FLOOD, lab.seed) as sent, timer_lateness() as timer:
+            taken = await stop_times(cell, STOPS)
+        await confirmed(cell)
+        await start_anew(cell)
+    details = {"rate_hz": round(sent.rate), **in_ms("stop", taken), **in_ms("timer", timer.late)}
+    late = percentile(taken, 0.5) - percentile(timer.late, 0.99)
+    expect(late < STOP_WITHIN, f"Stop took {late * 1e3:.1f} ms longer than a bare timer is late: {details}.")
+    return Evidence(f"Stop begun after {percentile(taken, 0.5) * 1e3:.1f} ms in the median", details)
+
+
+@fault("A5", how="raw datagrams")
+async def magic_texts(lab: Lab) -> Evidence:
+    """Words that might end a receiver, whole and as a part of a datagram."""
+    async with lab.cell() as cell:
+        await digitized(cell)
+        return Evidence(
+            "refused, the receiver goes on", await refused_all(cell, [*MAGIC, *(b"x" * 16 + m for m in MAGIC)])
+        )
+
+
+@fault("A6", how="raw datagrams and requests on the bus")
+async def unknown_commands_and_bad_numbers(lab: Lab) -> Evidence:
+    """Commands that there are not, indices and numbers that are none."""
+    wrong = [b"no_such_commandx;", b"img_fid_numxxxxx_-1;", b"img_fid_numxxxxx_1000;", b"img_dig_digitize_x;"]
+    wrong += [b"target_tslxxxxxx_1_2;", b"target_tslxxxxxx_1_2_3_4;", b"target_tslxxxxxx_1_2_x;"]
+    async with lab.cell() as cell:
+        await digitized(cell)
+        details = await refused_all(cell, wrong)
+        for name, arguments in (
+            ("registration.no_such_operation", {}),
+            ("no_such_branch.reinit", {}),
+            ("toolplan.plan", {"position": [1, 2], "quat_xyzw": [0, 0, 0, 1]}),
+            ("toolplan.plan", {"position": ["1", "2", "x"], "quat_xyzw": [0, 0, 0, 1]}),
+        ):
+            verdict = await cell.client.call(name, arguments)
+            expect(verdict.decision == "rejected", f"{name} {arguments} was {verdict.decision}.")
+            details[f"{name} {arguments}"] = verdict.reason.code if verdict.reason is not None else ""
+    return Evidence("refused, nothing changed", details)
+
+
+@fault("A7", how="raw datagrams and requests on the bus")
+async def numbers_that_only_some_parsers_read(lab: Lab) -> Evidence:
+    """What Python's own conversion would take, and what it would take for infinite."""
+    wrong = [f"target_tslxxxxxx_{RIGHT}_{RIGHT}_{number};".encode() for number in WRONG_NUMBERS]
+    wrong += [f"img_fid_numxxxxx_{number};".encode() for number in WRONG_NUMBERS]
+    async with lab.cell() as cell:
+        await register(cell)
+        details = await refused_all(cell, wrong)
+        for number in (float("nan"), float("inf"), "1", None):
+            pose = {"position": [0.0, 0.0, number], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
+            verdict = await cell.client.call("toolplan.plan", pose)
+            expect(verdict.decision == "rejected", f"A position of {number} was {verdict.decision}.")
+            details[str(number)] = verdict.reason.code if verdict.reason is not None else ""
+    return Evidence("refused, nothing changed", details)
+
+
+@fault("A8", how="raw datagrams")
+async def paths_from_the_network(lab: Lab) -> Evidence:
+    """Paths that lead elsewhere: only the last part counts, and it names a surface that was configured."""
+    secret = lab.folder / "secret.ply"
+    secret.write_text("ply")
+    paths = (
+        f"{secret}",
+        "../../../etc/passwd",
+        f"..\\..\\{secret.name}",
+        "C:\\Windows\\win.ini",
+        "\\\\host\\share\\x.ply",
+    )
+    async with lab.cell() as cell:
+        await digitized(cell)
+        before, files = await cell.client.state(), set(cell.folder.rglob("*"))
+        verdicts = {path: await cell.planner.command("icp_registerxxxx", path) for path in paths}
+        after = await until(cell, lambda shown: not shown.running)
+        new = set(cell.folder.rglob("*")) - files
+    accepted = [path for path, verdict in verdicts.items() if verdict.decision == "accepted"]
+    expect(not accepted, f"Accepted was {accepted}.")
+    expect(shape(before) == shape(after), f"The state has changed: {before} became {after}.")
+    expect(not new, f"Files were made: {new}.")
+    return Evidence("refused, no file was touched", {path: verdict.reason for path, verdict in verdicts.items()})
+
+
+@fault("A10", how="raw datagrams")
+async def stop_spam(lab: Lab) -> Evidence:
+    """Thousands of Stops: the first one stops, all are honoured, and the cell can be used again."""
+    async with lab.cell() as cell:
+        await register(cell)
+        row = cell.last_row()
+        async with moving(cell), raw_socket(cell.ready.links["planner"]) as raw:
+            answers: list[bytes] = []
+            for first in range(1, SPAM, BATCH):
+                for number in range(first, first + BATCH):
+                    raw.send(f"stop_now_xxxxxxx_#{number};".encode())
+                answers += await _answers(raw, BATCH)
+        await held(cell)
+        await confirmed(cell)
+        honoured = sum(b"_accepted_" in answer for answer in answers)
+        stops = sum(entry.operation == "stopped" for entry in cell.rows(row))
+        expect(honoured == SPAM, f"Of {SPAM} Stops {honoured} were confirmed.")
+        expect(stops == SPAM, f"Of {SPAM} Stops the journal has {stops}.")
+        await start_anew(cell)
+    return Evidence("all honoured, held until confirmed", {"sent": SPAM, "honoured": honoured, "rows": stops})
+
+
+@fault("A16", how="SQL on the file, its guards removed first", deadline=300.0)
+async def the_journal_is_edited(lab: Lab) -> Evidence:
+    """A row is changed, and its hash is left; a start reads from the last snapshot on only, verifying reads it all."""
+    async with lab.daemon() as cell:
+        await accept(cell, "registration.reinit")
+        journal = Path(cell.ready.journal)
+    with closing(sqlite3.connect(journal)) as connection:
+        (guard,) = connection.execute("SELECT sql FROM sqlite_master WHERE name = 'no_update'").fetchone()
+        connection.executescript(
+            f"DROP TRIGGER no_update; UPDATE journal SET body = zeroblob(20) WHERE sequence = 2; {guard};"
+        )
+    verified = await asyncio.to_thread(verify, journal)
+    expect(not verified.sound and verified.first_bad == 2, f"Verified as {verified}.")
+    return Evidence("found by pcmrs journal verify", {"first_bad": 2, "problems": list(verified.problems)})
+
+
+@fault("A16", how="an older copy of the database in place of the newer one", deadline=300.0)
+async def the_journal_is_rolled_back(lab: Lab) -> Evidence:
+    """The database is as it was some commands ago; key and head are left alone."""
+    copy = lab.folder / "older.sqlite"
+    async with lab.daemon() as cell:
+        await accept(cell, "registration.reinit")
+        journal = Path(cell.ready.journal)
+        with closing(sqlite3.connect(journal)) as connection, closing(sqlite3.connect(copy)) as older:
+            connection.backup(older)
+        for _ in range(5):
+            await accept(cell, "registration.reinit")
+    for beside in journal.parent.glob(f"{journal.name}-*"):
+        beside.unlink()
+    shutil.copyfile(copy, journal)
+    return await _detected(lab, cell, "rolled back")
+
+
+async def _detected(lab: Lab, cell: LabCell, how: str) -> Evidence:
+    status, errors = await lab.ending(folder=cell.folder)
+    expect(status != 0, f"The daemon took the journal that was {how}.")
+    text = errors.strip().splitlines()[-1] if errors.strip() else ""
+    expect(Path(cell.ready.journal).name in text and "Traceback" not in errors, f"It ended with: {text}")
+    return Evidence("refused to start, and said why", {"status": status, "text": text})
+
+
+async def _answers(raw: Raw, most: int) -> list[bytes]:
+    """So many answers, or those that came within `PATIENCE`."""
+    answers: list[bytes] = []
+    with suppress(TimeoutError):
+        async with asyncio.timeout(PATIENCE):
+            while len(answers) < most:
+                answers.append(await raw.answers.get())
+    return answers
+
+
+async def stop_times(cell: LabCell, times: int) -> list[float]:
+    """Seconds from asking for Stop until the daemon has said that it has begun."""
+    clock = asyncio.get_running_loop().time
+    taken = []
+    for _ in range(times):
+        begun = clock()
+        await cell.client.stop()
+        taken.append(clock() - begun)
+        await asyncio.sleep(0.02)
+    return taken
+
+
+def in_ms(name: str, seconds: list[float]) -> dict[str, float]:
+    """Median, p99 and worst."""
+    return {
+        f"{name}_p50_ms": round(percentile(seconds, 0.5) * 1e3, 2),
+        f"{name}_p99_ms": round(percentile(seconds, 0.99) * 1e3, 2),
+        f"{name}_max_ms": round(percentile(seconds, 1.0) * 1e3, 2),
+    }

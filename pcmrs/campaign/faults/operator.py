@@ -1,0 +1,375 @@
+"""Operator faults: what a person asks for that must not be done, over the bus and over UDP, to a running daemon."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from pcmrs.campaign.checks import check_refused, confirmed, expect, refused, shape, stands
+from pcmrs.campaign.driving import (
+    accept,
+    connect,
+    digitized,
+    landmarks,
+    moving,
+    plan,
+    register,
+    said,
+    to_placed,
+    to_retracted,
+    to_standoff,
+    tool_pose,
+    until,
+)
+from pcmrs.campaign.every_state import walk
+from pcmrs.campaign.fault import Evidence, NotRun, Unmet, fault
+from pcmrs.campaign.lab import REAL_TIME, Lab, LabCell
+from pcmrs.clock import SystemClock
+from pcmrs.errors import DeviceError
+from pcmrs.experiment.tours.arguments import Arguments, plan_arguments
+from pcmrs.fsm import load_blueprint
+from pcmrs.fsm.behaviour import behaviour, joint_of, operations
+from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.closure import Denial
+from pcmrs.workflows import find_workflow
+
+GATES = ("residual_too_large", "landmark_outlier", "swapped_landmarks", "mirrored", "tre_too_large")
+"""Codes of a registration that is refused for what its landmarks say."""
+
+
+@fault(
+    "O1",
+    how="dispatcher and journal in one process, scripted steps, every joint state of the workflow",
+    deadline=400.0,
+)
+async def every_state(lab: Lab) -> Evidence:
+    """What is forbidden is refused in every joint state there is."""
+    workflows = ("ratms", "femoroplasty")
+    blueprint = load_blueprint(find_workflow(workflows[lab.seed % len(workflows)]).blueprint)
+    # In a thread: it takes seconds of computing, and the deadlines of others go on.
+    found = await asyncio.to_thread(asyncio.run, walk(blueprint, lab.folder))
+    expect(not found.wrong, f"{len(found.wrong)} of {found.forbidden}: {'; '.join(found.wrong[:3])}")
+    control = await asyncio.to_thread(asyncio.run, walk(blueprint, _folder(lab), _without_guard(blueprint), 1))
+    expect(bool(control.wrong), "A guard was removed, and nothing was found.")
+    counts = {"workflow": blueprint.id, "joint_states": found.joint_states, "forbidden": found.forbidden}
+    removed = f"with one guard removed this is found: {control.wrong[0]}"
+    return Evidence(f"{found.forbidden} refused in {found.joint_states} joint states", {**counts, "control": removed})
+
+
+def _folder(lab: Lab) -> Path:
+    folder = lab.folder / "control"
+    folder.mkdir()
+    return folder
+
+
+def _without_guard(blueprint: Blueprint) -> Blueprint:
+    """The same workflow, in which an approach asks for nothing but its own branch."""
+    branch = blueprint.branches["placement"]
+    freed = msgspec.structs.replace(branch.operations["approach"], requires={})
+    changed = msgspec.structs.replace(branch, operations={**branch.operations, "approach": freed})
+    return msgspec.structs.replace(blueprint, branches={**blueprint.branches, "placement": changed})
+
+
+@fault("O1", how="a running daemon, on its way to the placed tool, asked over the bus for all that is forbidden there")
+async def all_forbidden(lab: Lab) -> Evidence:
+    """What is forbidden is refused by a whole daemon."""
+    blueprint = load_blueprint(find_workflow("ratms").blueprint)
+    rulings, asked, states = behaviour(blueprint), 0, 0
+    async with lab.cell() as cell:
+        for step in _way():
+            if step is not None:
+                await step(cell)
+                await until(cell, lambda snapshot: not snapshot.running)
+            asked += await _ask_forbidden(cell, blueprint, rulings)
+            states += 1
+    return Evidence(f"{asked} refused in {states} joint states", {"control": "what leads on was accepted"})
+
+
+def _way() -> tuple[Any, ...]:
+    async def planned(cell: LabCell) -> None:
+        await accept(cell, "registration.plan_landmarks", **landmarks())
+
+    async def all_digitized(cell: LabCell) -> None:
+        await accept(cell, "digitization.digitize_all")
+
+    return None, planned, all_digitized, register, to_standoff, to_placed
+
+
+async def _ask_forbidden(cell: LabCell, blueprint: Blueprint, rulings: Any) -> int:
+    """Asks for every operation that is denied in the present joint state; how many these are."""
+    before, row = await cell.client.state(), cell.last_row()
+    there = rulings[joint_of(blueprint, before.branches)]
+    arguments = Arguments(plan_arguments(plan()))
+    denied = [
+        (f"{branch}.{name}", spec.payload)
+        for branch, name, spec in operations(blueprint)
+        if spec.event or spec.iio or isinstance(there[f"{branch}.{name}"], Denial)
+    ]
+    # Whether the tool counts as aligned is for a watch to say, in these states at any time.
+    denied = [(name, payload) for name, payload in denied if not name.startswith("alignment.")]
+    verdicts = [await cell.client.call(name, arguments.next(name, payload)) for name, payload in denied]
+    after, recorded = await cell.client.state(), [stored.verdict for stored in cell.rows(row)]
+    for verdict in verdicts:
+        expect(verdict.decision == "rejected", f"{verdict.branch}.{verdict.operation} was {verdict.decision}.")
+        expect(verdict in recorded, f"The journal has no row of {verdict.branch}.{verdict.operation}.")
+    if after.branches["alignment"] == before.branches["alignment"]:
+        expect(shape(after) == shape(before), f"The state changed: {before} became {after}.")
+    return len(verdicts)
+
+
+@fault("O2", how="index beyond the plan, negative and far off, over the bus and over UDP")
+async def index_out_of_range(lab: Lab) -> Evidence:
+    """A landmark that is not planned is not digitized."""
+    async with lab.cell() as cell:
+        await accept(cell, "registration.plan_landmarks", **landmarks())
+        count = len(plan().landmarks)
+        indices = (-1, count, lab.random.randrange(count, 10**6))
+        for index in indices:
+            verdict = await refused(
+                cell, "digitization.digitize_one", {"index": index}, codes=("no_such_landmark", "bad_arguments")
+            )
+        before = await cell.client.state()
+        answer = await cell.planner.command("img_dig_digitize", count, timeout=30.0)
+        expect(answer.decision == "rejected", f"Over UDP it was {answer.decision}.")
+        expect(shape(await cell.client.state()) == shape(before), "The state changed.")
+        await accept(cell, "digitization.digitize_one", index=count - 1)
+    return Evidence(f"refused: {said(verdict)}", {"indices": str(indices), "control": f"index {count - 1} accepted"})
+
+
+async def _displaced(cell: LabCell, offsets: dict[int, Any]) -> str:
+    """Digitizes with touches off by `offsets` (m, by index); the code with which registering is refused."""
+    await accept(cell, "registration.plan_landmarks", **landmarks())
+    for index, offset in offsets.items():
+        x, y, z = map(float, offset)
+        await cell.scene.displace_touch(index, (x, y, z))
+    await accept(cell, "digitization.digitize_all")
+    verdict = await refused(cell, "registration.register", codes=GATES)
+    await refused(cell, "placement.approach", codes=("requirement_not_met", "invalid_in_state", "parent_refuses"))
+    await digitized(cell)
+    await accept(cell, "registration.register")
+    return verdict.reason.code if verdict.reason is not None else ""
+
+
+def _points() -> Any:
+    return np.array([landmark.position for landmark in plan().landmarks])
+
+
+CONTROL = "the same landmarks without the error are accepted"
+
+
+@fault("O3", how="simulated person touches two landmarks in exchanged order")
+async def swapped(lab: Lab) -> Evidence:
+    """Landmarks in another order are no registration."""
+    points = _points()
+    first, second = lab.random.sample(range(len(points)), 2)
+    way = points[second] - points[first]
+    async with lab.cell() as cell:
+        code = await _displaced(cell, {first: way, second: -way})
+    return Evidence(f"registration refused: {code}", {"landmarks": f"{first}, {second}", "control": CONTROL})
+
+
+@fault("O4", how="simulated person touches 25 mm or more beside a landmark")
+async def large_residual(lab: Lab) -> Evidence:
+    """A landmark far off is no registration."""
+    index, direction = lab.random.randrange(len(_points())), np.array([lab.random.gauss(0, 1) for _ in range(3)])
+    offset = lab.random.uniform(0.025, 0.050) * direction / np.linalg.norm(direction)
+    async with lab.cell() as cell:
+        code = await _displaced(cell, {index: offset})
+    details = {"landmark": index, "millimetres": float(np.linalg.norm(offset) * 1e3), "control": CONTROL}
+    return Evidence(f"registration refused: {code}, never 111", details)
+
+
+@fault("O5", how="landmarks planned on one line")
+async def collinear(lab: Lab) -> Evidence:
+    """Landmarks on a line are no plan."""
+    step = lab.random.uniform(0.01, 0.05)
+    line = [{"name": f"p{n}", "position": [step * n, 2 * step * n, 0.0]} for n in range(6)]
+    codes = ("degenerate_points", "landmarks_collinear")
+    async with lab.cell() as cell:
+        verdict = await refused(cell, "registration.plan_landmarks", {"landmarks": line}, codes=codes)
+        await accept(cell, "registration.plan_landmarks", **landmarks())
+    return Evidence(f"refused: {said(verdict)}", {"control": "the example's landmarks are accepted"})
+
+
+def _patient(name: str) -> tuple[str, ...]:
+    """Settings of a patient, of whom there is no surface."""
+    return f"procedure.patient={name}", 'procedure.body.surface=""'
+
+
+@fault("O6", how="the daemon is started for another patient on the journal of the last one")
+async def previous_patient(lab: Lab) -> Evidence:
+    """Another patient's registration is not taken."""
+    async with lab.daemon(*_patient("one")) as cell:
+        await digitized(cell)
+        await accept(cell, "registration.register")
+    async with lab.daemon(*_patient("two"), folder=cell.folder) as other:
+        verdict = await refused(other, "registration.use_previous", codes=("other_patient",))
+    async with lab.daemon(*_patient("one"), folder=cell.folder) as same:
+        await accept(same, "registration.use_previous")
+    return Evidence(f"refused: {said(verdict)}", {"control": "accepted for the same patient"})
+
+
+@fault("O7", how="landmarks are planned again, as many as before, while the head is registered")
+async def planned_again(lab: Lab) -> Evidence:
+    """A new plan ends digitization and registration."""
+    async with lab.cell() as cell:
+        await register(cell)
+        await accept(cell, "registration.plan_landmarks", **landmarks())
+        shown = await cell.client.state()
+        states = (shown.branches["registration"], shown.branches["digitization"], shown.registration)
+        expect(states == ("100", "0", None), f"registration, digitization and id are {states}.")
+        await refused(cell, "registration.register", codes=("invalid_in_state",))
+        await refused(cell, "placement.approach", codes=("requirement_not_met", "invalid_in_state"))
+        await accept(cell, "digitization.digitize_all")
+        await accept(cell, "registration.register")
+    return Evidence("digitization and registration gone, approach refused", {"control": "digitized anew: registered"})
+
+
+@fault("O8", how="landmarks planned in mm; the person touches the mirror image of every landmark")
+async def wrong_units(lab: Lab) -> Evidence:
+    """Another unit, or a mirror image, is no registration."""
+    given = landmarks()["landmarks"]
+    in_mm = [{**each, "position": [1e3 * value for value in each["position"]]} for each in given]
+    points = _points()
+    middle = points.mean(axis=0)
+    normal = np.array([lab.random.gauss(0, 1) for _ in range(3)])
+    normal /= np.linalg.norm(normal)
+    mirrored = points - 2.0 * np.outer((points - middle) @ normal, normal)
+    async with lab.cell() as cell:
+        unit = await refused(cell, "registration.plan_landmarks", {"landmarks": in_mm}, codes=("wrong_unit",))
+        code = await _displaced(cell, dict(enumerate(mirrored - points)))
+    return Evidence(f"mm: {said(unit)}; mirror image: {code}", {"control": CONTROL})
+
+
+@fault("O10", how="commands with an id that was used: at once, later, and while the first runs")
+async def repeated(lab: Lab) -> Evidence:
+    """One id is run once."""
+    async with lab.cell() as cell:
+        row, name = cell.last_row(), f"again-{lab.random.random()}"
+        arguments = landmarks()
+        both = [cell.client.call("registration.plan_landmarks", arguments, id=name) for _ in range(2)]
+        first, second = await asyncio.gather(*both)
+        await accept(cell, "digitization.digitize_all")
+        third = await cell.client.call("registration.plan_landmarks", arguments, id=name)
+        expect(first == second == third, f"Three verdicts for one id: {first}, {second}, {third}.")
+        shown = (await cell.client.state()).branches
+        expect(shown["digitization"] == "1", "The repeat was run: the digitization is gone.")
+        outcomes = [stored for stored in cell.rows(row) if (stored.kind, stored.command_id) == ("outcome", name)]
+        expect(len(outcomes) == 1, f"The journal has {len(outcomes)} outcomes of one id.")
+        other = await accept(cell, "registration.plan_landmarks", **arguments)
+        expect(other.sequence > first.sequence, "Another id was not run.")
+    return Evidence("run once, the recorded verdict thrice", {"control": "another id is run"})
+
+
+STOPS = 9
+PROMISE = 0.020
+"""A digitization is cancelled within this of a Stop, s."""
+
+
+@fault(
+    "O11", how="Stop over UDP while the simulated person reaches for a landmark; the median of 9 counts", deadline=180
+)
+async def stop_while_digitizing(lab: Lab) -> Evidence:
+    """Stop ends a digitization at once."""
+    took: list[float] = []
+    async with lab.daemon("sim.digitization.reach_time=60") as cell:
+        await connect(cell)
+        await accept(cell, "registration.plan_landmarks", **landmarks())
+        for _ in range(STOPS):
+            took.append(await _stop_digitizing(cell))
+            await accept(cell, "robot.acknowledge")
+            expect((await cell.client.state()).branches["digitization"] == "0", "Something was digitized.")
+    late = await _timer_lateness()
+    if median(took) > PROMISE:
+        raise Unmet(
+            f"Cancelled after {median(took) * 1e3:.1f} ms in the median; a bare timer is {late * 1e3:.1f} ms late."
+        )
+    values = {"median_ms": median(took) * 1e3, "worst_ms": max(took) * 1e3, "timer_worst_ms": late * 1e3}
+    return Evidence(f"cancelled within {values['median_ms']:.1f} ms", values)
+
+
+async def _stop_digitizing(cell: LabCell) -> float:
+    """From the datagram of Stop to the cancelled operation's verdict at its caller, s."""
+    clock = SystemClock()
+    call = asyncio.create_task(cell.client.call("digitization.digitize_one", {"index": 0}, timeout=30.0))
+    await until(cell, lambda snapshot: bool(snapshot.running))
+    expect(not call.done(), "The digitization ended without a Stop.")
+    begun = clock.monotonic()
+    stop = asyncio.create_task(cell.planner.stop())
+    verdict = await call
+    took = clock.monotonic() - begun
+    await stop
+    expect(verdict.decision == "failed", f"The digitization was {verdict.decision}.")
+    return took
+
+
+async def _timer_lateness() -> float:
+    """How late a bare timer of 5 ms is in the worst of 100 cases, s."""
+    clock, late = SystemClock(), list[float]()
+    for _ in range(100):
+        due = clock.monotonic() + 0.005
+        await clock.sleep(0.005)
+        late.append(clock.monotonic() - due)
+    return max(late)
+
+
+@fault("O12", how="another pose and other landmarks are planned while the tool moves to the first one")
+async def edited_while_moving(lab: Lab) -> Evidence:
+    """No plan changes under a motion."""
+    async with lab.cell(*REAL_TIME) as cell:
+        await to_retracted(cell)
+        before = await cell.client.state()
+        async with moving(cell) as approach:
+            row, meanwhile = cell.last_row(), await cell.client.state()
+            pose = await cell.client.call("toolplan.plan", tool_pose(1))
+            await check_refused(cell, pose, meanwhile, row, ("busy",))
+            points = await cell.client.call("registration.plan_landmarks", landmarks())
+            await check_refused(cell, points, meanwhile, row, ("busy",))
+            verdict = await approach
+        expect(verdict.decision == "accepted", f"The approach was {verdict.decision}: {said(verdict)}.")
+        expect((await cell.client.state()).plan == before.plan, "The plan was changed.")
+        await accept(cell, "toolplan.plan", **tool_pose(1))
+        await until(cell, lambda snapshot: snapshot.branches["placement"] == "held")
+    details = {"control": "accepted when the tool stood at the standoff, which was revoked: held"}
+    return Evidence(f"refused: {said(pose)}", details)
+
+
+ABANDONED = ("procedure.abandoned_after=3", "workflow=ratms_threshold", *REAL_TIME)
+
+
+@fault("O13", how="the operator leaves with the stimulator armed and the tool on the head; the limit is 3 s here")
+async def abandoned(lab: Lab) -> Evidence:
+    """A session that nobody attends to is made safe."""
+    try:
+        async with lab.daemon(*ABANDONED) as cell:
+            return await _leave(cell)
+    except DeviceError as error:
+        if "abandoned_after" in error.text:
+            raise NotRun("this version has no limit for a session that is left: procedure.abandoned_after") from None
+        raise
+
+
+async def _leave(cell: LabCell) -> Evidence:
+    await to_placed(cell)
+    await accept(cell, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
+    await accept(cell, "stimulation.set_intensity", percent=50.0)
+    await accept(cell, "stimulation.arm")
+    for _ in range(4):  # somebody is there: each of these is within the limit
+        await asyncio.sleep(1.5)
+        await cell.client.call("stimulation.set_intensity", {"percent": 50.0})
+    expect(not (await cell.client.state()).latched, "It was held although somebody was there.")
+    clock = SystemClock()
+    left = clock.monotonic()
+    shown = await until(cell, lambda snapshot: snapshot.latched and snapshot.branches["stimulation"] == "disarmed")
+    took = clock.monotonic() - left
+    stimulator = await cell.client.request_device("stimulator", "state")
+    expect(not stimulator["armed"], "The stimulator itself is armed.")
+    await stands(cell)
+    await confirmed(cell)
+    details = {"seconds": took, "placement": shown.branches["placement"], "control": "6 s with somebody there: nothing"}
+    return Evidence("held, latched, stimulator disarmed", details)

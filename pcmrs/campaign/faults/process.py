@@ -1,0 +1,345 @@
+"""Faults of processes: killed, stopped, starved, blocked, or started twice."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import resource
+import signal
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+
+from pcmrs.campaign.cgroups import memory_limit, processor_quota
+from pcmrs.campaign.checks import confirmed, expect, held, stands
+from pcmrs.campaign.daemonkills import kill_daemons
+from pcmrs.campaign.driving import PATIENCE, accept, moving, register, start_anew, tool_pose, until
+from pcmrs.campaign.fault import Evidence, fault
+from pcmrs.campaign.kills import OF_JOURNAL, kill_writers
+from pcmrs.campaign.lab import Lab, LabCell
+from pcmrs.campaign.older import as_version_1
+from pcmrs.campaign.saboteur import order, sabotaged
+from pcmrs.campaign.waiting import until_said
+from pcmrs.client import Client
+from pcmrs.clock import SystemClock
+from pcmrs.errors import UnknownOutcomeError
+from pcmrs.experiment.process import descendants
+from pcmrs.failpoints import FAILPOINTS
+from pcmrs.journal import JournalReader
+from pcmrs.journal.verification import verify
+from pcmrs.replay.replay import replay
+
+SLOW = ("procedure.motion.linear_velocity=0.03", "robot.deadman=0.5")
+"""Every motion lasts for seconds, and a busy machine is no reason to hold."""
+
+HELD_BY_NODE = "held_by_node"
+TASK = "reference watch"
+"""A background task of the daemon."""
+
+WRITERS = 30
+TIGHT = 6 << 20
+"""What a daemon may still take when its memory is limited, bytes."""
+
+
+@fault(
+    "P1", how="SIGKILL at every failpoint and at random instants: of a process that writes a journal", deadline=240.0
+)
+async def a_writer_is_killed(lab: Lab) -> Evidence:
+    """Processes that write the same journal one after the other."""
+    found = await asyncio.to_thread(kill_writers, WRITERS, lab.seed, SystemClock())
+    expect(not found.violated, f"{found.lost} acknowledged rows are lost; {found.refused}")
+    expect(set(found.at) >= set(OF_JOURNAL) or lab.seed > 0, f"Not every failpoint was reached: {found.at}")
+    return Evidence("no acknowledged row lost", {"kills": found.at, "acknowledged": found.acknowledged})
+
+
+@fault("P1", how="SIGKILL at every failpoint and at a random instant: of the daemon in operation", deadline=600.0)
+async def a_daemon_is_killed(lab: Lab) -> Evidence:
+    """Daemons that follow each other on the same folder."""
+    found = await kill_daemons(len(FAILPOINTS) + 1, lab.seed, SystemClock())
+    expect(not found.violated, f"{found.lost} acknowledged decisions are lost; {found.refused}")
+    return Evidence("no acknowledged decision lost", {"kills": found.at, "acknowledged": found.acknowledged})
+
+
+@fault("P2", how="SIGTERM in the middle of a motion")
+async def told_to_end_in_motion(lab: Lab) -> Evidence:
+    """The motion is held before anything else ends; the exit is clean, and the next daemon can take it from there."""
+    async with lab.daemon(*SLOW) as cell:
+        await register(cell)
+        with suppress(UnknownOutcomeError):  # the bus may be closed before the answer is through
+            async with moving(cell):
+                cell.process.terminate()
+                status = await cell.process.wait()
+        nodes = [pid for pid in descendants(os.getpid()) if _is_node_of(pid, cell)]
+        rows = cell.rows()
+        expect("Traceback" not in cell.log, "The log has a traceback.")
+    (outcome,) = (row for row in rows if row.operation == "approach" and row.kind == "outcome" and row.verdict)
+    expect(status == 0, f"It ended with exit status {status}.")
+    expect(outcome.verdict is not None and outcome.verdict.state == "held", f"The outcome was {outcome.verdict}.")
+    expect(not nodes, f"Nodes still run: {nodes}.")
+    return Evidence("held, then a clean exit", {"status": status})
+
+
+@fault("P3", how="SIGSTOP of the daemon in the middle of a motion")
+async def the_daemon_is_stopped(lab: Lab) -> Evidence:
+    """The node holds the arm by its own timer; nothing goes on when the daemon does."""
+    async with lab.daemon(SLOW[0]) as cell:
+        await register(cell)
+        async with moving(cell) as verdict:
+            cell.process.send_signal(signal.SIGSTOP)
+            try:
+                found = await until_said(cell, HELD_BY_NODE)
+            finally:
+                cell.process.send_signal(signal.SIGCONT)
+            ended = await verdict
+        expect(ended.decision != "accepted", "The approach was accepted.")
+        expect(ended.state in ("held", "unknown"), f"The tool counts as {ended.state}.")
+        way = await stands(cell)
+    return Evidence(
+        f"held by the node, {ended.decision}, {ended.state}", {"seen_after_s": round(found, 3), "way_m": way}
+    )
+
+
+@fault("P4", how="a saboteur inside the daemon keeps its event loop busy for 300 ms")
+async def the_event_loop_is_blocked(lab: Lab) -> Evidence:
+    """At rest an alarm; in motion the arm is held and latched."""
+    orders = lab.folder / "orders"
+    async with lab.daemon(SLOW[0], "robot.deadman=0.1", prefix=sabotaged(orders)) as cell:
+        await register(cell)
+        row = cell.last_row()
+        await order(orders, "block 0.3")
+        await until_said(cell, "stall")
+        async with moving(cell) as verdict:
+            await order(orders, "block 0.3")
+            ended = await verdict
+        expect(ended.decision != "accepted", "The approach was accepted.")
+        await held(cell)
+        await confirmed(cell)
+        told = sorted({entry.operation or "" for entry in cell.rows(row) if entry.kind == "device"})
+    return Evidence("alarm at rest, held in motion", {"events": told, "approach": ended.decision})
+
+
+@fault("P5", how="a saboteur inside the daemon makes what a background task waits for raise")
+async def a_task_dies(lab: Lab) -> Evidence:
+    """It is begun anew, and that is told."""
+    orders = lab.folder / "orders"
+    async with lab.daemon(prefix=sabotaged(orders)) as cell:
+        row = cell.last_row()
+        expect(await order(orders, f"fail {TASK}") == "failed", f"There is no task {TASK}.")
+        await until_said(cell, "task_died")
+        await register(cell)
+        events = [entry for entry in cell.rows(row) if entry.operation == "task_restarted"]
+        expect(bool(events), "The journal has no row of it.")
+        await accept(cell, "placement.approach")
+    return Evidence("begun anew and told", {"rows": len(events)})
+
+
+@fault(
+    "P6", how="control group: the daemon may take no more memory, and is killed by the kernel in motion", deadline=300.0
+)
+async def memory_is_limited(lab: Lab) -> Evidence:
+    """The node holds the arm by itself, nothing acknowledged is lost, and the next daemon starts."""
+    orders = lab.folder / "orders"
+    async with lab.daemon(*SLOW, prefix=sabotaged(orders)) as cell:
+        await register(cell)
+        answered = await cell.client.call("toolplan.plan", tool_pose(), id="before")
+        with memory_limit([cell.process.pid], _resident(cell.process.pid) + TIGHT), suppress(UnknownOutcomeError):
+            async with moving(cell) as verdict:
+                with suppress(TimeoutError, OSError):
+                    await order(orders, "eat 2000000000")
+                await asyncio.wait_for(cell.process.wait(), PATIENCE)
+                await verdict
+        status = cell.process.returncode
+        expect(status is not None and status != 0, "The daemon took more memory than it may.")
+        await until_said(cell, HELD_BY_NODE)
+        with JournalReader(Path(cell.ready.journal)) as journal:
+            expect(journal.verdict_of("bus:local", "before") == answered, "An acknowledged decision is lost.")
+    async with lab.daemon(folder=cell.folder) as successor:
+        snapshot = await successor.client.state()
+    expect(snapshot.branches["robot"] == "0", "The next daemon says that the robot is connected.")
+    return Evidence("killed; held by the node, nothing lost", {"status": status})
+
+
+@fault("P7", how="prlimit: no further file descriptor")
+async def no_file_descriptors(lab: Lab) -> Evidence:
+    """What is open works on; what is not is refused; when there are some again, so is it."""
+    async with lab.daemon(*SLOW) as cell:
+        await register(cell)
+        pid = cell.process.pid
+        before = resource.prlimit(pid, resource.RLIMIT_NOFILE)
+        resource.prlimit(pid, resource.RLIMIT_NOFILE, (3, before[1]))
+        try:
+            async with moving(cell):
+                await cell.client.stop()
+            await held(cell)
+            status = await cell.client.state()
+            newcomer = await _connects(cell)
+        finally:
+            resource.prlimit(pid, resource.RLIMIT_NOFILE, before)
+        await confirmed(cell)
+        expect(await _connects(cell), "Nobody can connect although there are descriptors again.")
+        await start_anew(cell)
+    return Evidence("Stop and status work", {"newcomer_connected": newcomer, "sequence": status.sequence})
+
+
+@fault("P8", how="control group: the daemon gets 5 % of a processor")
+async def processor_is_limited(lab: Lab) -> Evidence:
+    """Stop and status work, and what needs fresh poses or a living daemon is refused or held, never accepted late."""
+    async with lab.daemon(SLOW[0], "cell.rate=1", "procedure.max_pose_age=0.1") as cell:
+        await register(cell)
+        with processor_quota([cell.process.pid], 0.05):
+            await asyncio.sleep(2.0)
+            approach = await cell.client.call("placement.approach", timeout=PATIENCE)
+            expect(approach.decision != "accepted", "The approach was accepted.")
+            await cell.client.stop(timeout=PATIENCE)
+            status = await cell.client.state(timeout=PATIENCE)
+        await until(cell, lambda shown: shown.latched)
+        await stands(cell)
+    reason = approach.reason.code if approach.reason is not None else ""
+    details = {"approach": approach.decision, "reason": reason, "sequence": status.sequence}
+    return Evidence("refused or held; Stop and status work", details)
+
+
+@fault("P9", how="a saboteur inside the daemon lets a background task die again and again, in motion")
+async def a_crash_loop(lab: Lab) -> Evidence:
+    """After its restarts are used up the daemon holds the arm and ends with an error."""
+    orders = lab.folder / "orders"
+    async with lab.daemon(*SLOW, prefix=sabotaged(orders)) as cell:
+        await register(cell)
+        with suppress(UnknownOutcomeError):
+            async with moving(cell):
+                for _ in range(100):
+                    with suppress(TimeoutError, OSError):
+                        await order(orders, f"fail {TASK}")
+                    if cell.process.returncode is not None:
+                        break
+                    await asyncio.sleep(0.05)
+        status = await asyncio.wait_for(cell.process.wait(), PATIENCE)
+        rows = cell.rows()
+    expect(status not in (0, -signal.SIGKILL), f"It ended with exit status {status}.")
+    last = next(row for row in reversed(rows) if row.operation == "approach" and row.verdict is not None)
+    expect(last.verdict is not None and last.verdict.state in ("held", "unknown"), f"The outcome was {last.verdict}.")
+    expect("died more than" in cell.log, "The log does not say why it ended.")
+    restarts = sum(row.operation == "task_restarted" for row in rows)
+    return Evidence("held, then ended with an error", {"status": status, "restarts": restarts})
+
+
+@fault("P10", how="a second daemon on the same folder, and one on the same bus")
+async def a_second_daemon(lab: Lab) -> Evidence:
+    """It is refused with its reason, and the first one works on."""
+    async with lab.daemon() as cell:
+        folder = await lab.ending(folder=cell.folder)
+        endpoint = await lab.ending(f"cell.endpoint={cell.ready.endpoint}")
+        await register(cell)
+    expect(folder[0] == 4 and "Another daemon runs this cell" in folder[1], f"Exit status {folder[0]}: {folder[1]}")
+    expect(endpoint[0] == 3 and "another daemon is there" in endpoint[1], f"Exit status {endpoint[0]}: {endpoint[1]}")
+    return Evidence("refused with exit status 4 and 3", {"folder": folder[0], "endpoint": endpoint[0]})
+
+
+@fault("P11", how="a subscriber to everything whose callback never returns, in a process of its own")
+async def a_callback_that_never_returns(lab: Lab) -> Evidence:
+    """Nobody but that process is held up."""
+    async with lab.cell() as cell, _blocked_subscriber(cell):
+        await register(cell)
+        clock = asyncio.get_running_loop().time
+        begun = clock()
+        for _ in range(20):
+            await accept(cell, "toolplan.plan", **tool_pose())
+        taken = (clock() - begun) / 20
+        async with moving(cell):
+            await cell.client.stop()
+        await held(cell)
+        await start_anew(cell)
+    expect(taken < 0.5, f"A command took {taken:.2f} s.")
+    return Evidence("the bus is unaffected", {"command_s": round(taken, 4)})
+
+
+@fault("P12", how="wrong settings on the command line and in a file")
+async def bad_configuration(lab: Lab) -> Evidence:
+    """Each is refused with exit status 4, and by name; nothing is left in the folder."""
+    wrong = {
+        "robot.model=no_such_arm": "no_such_arm",
+        "cell.rate=0.1": "rate",
+        "procedure.no_such_key=1": "no_such_key",
+        "robot.driver=no_such_driver": "no_such_driver",
+        "gateway.planner={port=99999}": "port",
+        "workflow=/no/such/workflow.toml": "workflow.toml",
+    }
+    statuses: dict[str, int] = {}
+    for setting, named in wrong.items():
+        folder = lab.folder / f"wrong{len(statuses)}"
+        statuses[setting], errors = await lab.ending(setting, folder=folder)
+        expect(statuses[setting] == 4, f"{setting}: exit status {statuses[setting]}: {errors}")
+        expect(named in errors and "Traceback" not in errors, f"{setting}: {errors}")
+        expect(not list(folder.glob("*.sqlite")), f"{setting}: a journal was made.")
+    return Evidence("named error and exit status 4", {"statuses": statuses})
+
+
+@fault("P13", how="the journal of a run, rewritten as version 1 of its format had it", deadline=300.0)
+async def a_journal_of_an_older_version(lab: Lab) -> Evidence:
+    """It is taken up, keeps its decisions, can be replayed, and has a signed head from then on."""
+    async with lab.daemon(SLOW[1]) as cell:
+        await register(cell)
+        answered = await cell.client.call("toolplan.plan", tool_pose(), id="before")
+        await accept(cell, "placement.approach")
+    journal = Path(cell.ready.journal)
+    rows = await asyncio.to_thread(as_version_1, journal)
+    async with lab.daemon(SLOW[1], folder=cell.folder) as successor:
+        repeated = await successor.client.call("toolplan.plan", tool_pose(), id="before")
+        expect(repeated == answered, f"A repeated command was answered {repeated}, first {answered}.")
+        await register(successor)
+    replayed = await asyncio.to_thread(replay, journal, SystemClock())
+    expect(replayed.is_same, f"{len(replayed.differences)} decisions differ: {replayed.differences[:2]}")
+    verified = await asyncio.to_thread(verify, journal)
+    expect(verified.sound and verified.signature == "holds", f"{verified.problems}")
+    return Evidence("taken up and replayed", {"rows": rows, "compared": replayed.compared, "signed": verified.signed})
+
+
+def _is_node_of(pid: int, cell: LabCell) -> bool:
+    with suppress(OSError):
+        return cell.name.encode() in Path(f"/proc/{pid}/cmdline").read_bytes()
+    return False
+
+
+def _resident(pid: int) -> int:
+    """Memory of a process, bytes."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * resource.getpagesize()
+
+
+async def _connects(cell: LabCell) -> bool:
+    """Whether somebody new gets an answer."""
+    try:
+        async with asyncio.timeout(5.0), Client.connect(cell.ready.endpoint, cell=cell.name) as client:
+            await client.state()
+    except Exception:  # whatever the bus says of it
+        return False
+    return True
+
+
+BLOCKED = """
+import json, sys, time, zenoh
+config = zenoh.Config()
+for key, value in {"mode": "client", "connect/endpoints": [sys.argv[1]], "scouting/multicast/enabled": False}.items():
+    config.insert_json5(key, json.dumps(value))
+def never(sample):
+    print("blocked", flush=True)
+    time.sleep(3600)
+session = zenoh.open(config)
+subscriber = session.declare_subscriber(sys.argv[2] + "/**", never)
+time.sleep(3600)
+"""
+
+
+@asynccontextmanager
+async def _blocked_subscriber(cell: LabCell) -> AsyncIterator[None]:
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", BLOCKED, cell.ready.endpoint, cell.ready.prefix, stdout=asyncio.subprocess.PIPE
+    )
+    try:
+        if process.stdout is not None:
+            await asyncio.wait_for(process.stdout.readline(), PATIENCE)
+        yield
+    finally:
+        with suppress(ProcessLookupError):
+            process.kill()
+        await process.wait()

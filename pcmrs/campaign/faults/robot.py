@@ -1,0 +1,305 @@
+"""Robot faults, brought about in the simulated arm, its link or its virtual cabinet."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import numpy as np
+
+from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.keys import command_key
+from pcmrs.campaign.checks import confirmed, expect, held, refused, stands
+from pcmrs.campaign.driving import (
+    FOLLOWED,
+    accept,
+    calmed,
+    connect,
+    injected,
+    moving,
+    said,
+    to_following,
+    to_placed,
+    to_retracted,
+    to_standoff,
+    until,
+)
+from pcmrs.campaign.fault import Evidence, NotRun, Unmet, fault
+from pcmrs.campaign.lab import REAL_TIME, Lab, LabCell
+from pcmrs.clock import SystemClock
+from pcmrs.messages import Verdict
+
+HOW = "simulated arm of a running cell, in motion"
+SETTLING = 0.8
+"""After a fault has ended, s of the machine: what would go on by itself has begun."""
+
+
+async def braked(
+    lab: Lab, name: str, begin: dict[str, Any] | None = None, end: dict[str, Any] | None = None
+) -> Evidence:
+    """A motion fails, the tool is held; nothing goes on when the fault has ended, until an operator confirms."""
+    async with lab.cell(*REAL_TIME, anew=False) as cell:
+        await to_retracted(cell)
+        async with moving(cell) as approach, injected(cell, name, begin, end):
+            verdict = await approach
+            _expect_end(verdict, ("failed", "held"))
+            await held(cell)
+        await asyncio.sleep(SETTLING)
+        await held(cell)
+        await confirmed(cell)
+        async with moving(cell) if await _retracted(cell) else moving(cell, "placement.home"):
+            pass
+    return Evidence("motion failed, held and latched until confirmed", {"control": "the next motion was done"})
+
+
+async def _retracted(cell: LabCell) -> bool:
+    return (await cell.client.state()).branches["placement"] == "retracted"
+
+
+def _expect_end(verdict: Verdict, *endings: tuple[str, str]) -> None:
+    seen = f"The operation ended {verdict.decision} in {verdict.state} ({said(verdict)})"
+    known = " or ".join(" in ".join(ending) for ending in endings)
+    expect((verdict.decision, verdict.state) in endings, f"{seen}, must be {known}.")
+
+
+Endings = tuple[tuple[str, str], ...]
+"""Decision and state in which a motion may end."""
+
+DOUBTFUL: Endings = (("unknown", "unknown"),)
+TOLD: Endings = (*DOUBTFUL, ("failed", "held"))
+"""Where the robot tells in time that its application fails, it is known to stand before it is lost."""
+
+
+async def lost(
+    lab: Lab,
+    name: str,
+    begin: dict[str, Any] | None = None,
+    end: dict[str, Any] | None = None,
+    endings: Endings = DOUBTFUL,
+) -> Evidence:
+    """The outcome of a motion is unknown, the robot counts as disconnected, and nothing is sent again."""
+    async with lab.cell(*REAL_TIME, anew=False) as cell:
+        await to_retracted(cell)
+        row = cell.last_row()
+        async with moving(cell) as approach, injected(cell, name, begin, end):
+            _expect_end(await approach, *endings)
+            await until(cell, lambda shown: shown.latched and shown.branches["robot"] == "0")
+            expect((await cell.client.state()).branches["placement"] == "unknown", "The placement counts as known.")
+            way = await stands(cell)
+        await connect(cell)
+        located = await until(cell, lambda snapshot: snapshot.branches["placement"] != "unknown")
+        expect(located.latched, "The latch is gone, and nobody has confirmed.")
+        await stands(cell)
+        intents = [stored for stored in cell.rows(row) if (stored.kind, stored.operation) == ("intent", "approach")]
+        expect(len(intents) == 1, f"The approach was begun {len(intents)} times.")
+        await confirmed(cell)
+    return Evidence("unknown, disconnected, latched; located anew", {"moved_m": way, "begun": len(intents)})
+
+
+@fault("B1", how=f"{HOW}: its link carries nothing any more")
+async def cut(lab: Lab) -> Evidence:
+    """The link is cut in motion."""
+    return await lost(lab, "cut_robot")
+
+
+@fault("B2", how=f"{HOW}: it does what it is told and answers nothing")
+async def silent(lab: Lab) -> Evidence:
+    """Nothing is answered in motion."""
+    return await lost(lab, "silence_robot")
+
+
+@fault("B3", how=f'{HOW}: the motion breaks off, the reply says "interrupted"')
+async def interrupted(lab: Lab) -> Evidence:
+    """The cabinet breaks the motion off."""
+    async with lab.cell(*REAL_TIME, anew=False) as cell:
+        await to_retracted(cell)
+        async with moving(cell) as approach, injected(cell, "interrupt", {}, {}):
+            verdict = await approach
+        _expect_end(verdict, ("failed", "held"))
+        expect("interrupted" in said(verdict), f"The reason does not say so: {said(verdict)}.")
+        await stands(cell)
+    return Evidence("the operation has failed, the tool is held", {"reason": said(verdict)})
+
+
+VIRTUAL = (*REAL_TIME, "robot.driver=kst", "kst.reply_timeout=2.0", "kst.pose_limit=0.3")
+
+
+@fault("B4", how="virtual cabinet over TCP: replies split, merged and mixed in their segments", deadline=240.0)
+async def framed(lab: Lab) -> Evidence:
+    """However replies are framed, motions go on."""
+    async with lab.daemon(*VIRTUAL) as cell:
+        await cell.scene.inject("frame_replies", {"how": "whole"})
+        try:
+            await to_placed(cell)
+            await _there_and_back(cell)
+        except Unmet as error:
+            raise NotRun(f"The virtual cabinet fails with whole replies, too, on this machine: {error.text}") from None
+        for framing in ("split", "merged", "mixed"):
+            async with injected(cell, "frame_replies", {"how": framing}, {"how": "whole"}):
+                await _there_and_back(cell)
+    details = {"framings": "split, merged, mixed", "control": "the same with whole replies"}
+    return Evidence("back_off and confirm accepted with every framing", details)
+
+
+async def _there_and_back(cell: LabCell) -> None:
+    await accept(cell, "placement.back_off")
+    await asyncio.sleep(SETTLING)
+    await accept(cell, "placement.confirm")
+
+
+@fault("B5", how=f"{HOW}: emergency stop")
+async def emergency(lab: Lab) -> Evidence:
+    """Emergency stop in motion."""
+    return await braked(lab, "e_stop")
+
+
+@fault("B6", how="simulated scene: the head is moved out of the arm's reach")
+async def unreachable(lab: Lab) -> Evidence:
+    """The planned pose is out of reach."""
+    far = {"millimetres": 1500.0}
+    async with lab.cell(*REAL_TIME, anew=False) as cell:
+        await to_retracted(cell)
+        async with injected(cell, "shift_body", far, {"millimetres": -1500.0}):
+            await asyncio.sleep(1.0)
+            verdict = await refused(cell, "placement.approach", codes=("unreachable",))
+            await stands(cell)
+        await asyncio.sleep(1.0)
+        await accept(cell, "placement.approach")
+    return Evidence(f"refused: {said(verdict)}", {"control": "accepted when it was back"})
+
+
+@fault("B7", how=f"{HOW}: a joint goes beside what is commanded by 0.05 rad")
+async def beside(lab: Lab) -> Evidence:
+    """The arm is not where it was told to be."""
+    joint = lab.random.choice((2, 3, 4))
+    end = {"joint": joint, "angle": 0.0}
+    return await braked(lab, "offset_joint", {"joint": joint, "angle": 0.05}, end)
+
+
+@fault("B8", how=f"{HOW}: the operating mode changes")
+async def mode(lab: Lab) -> Evidence:
+    """Somebody turns the mode switch in motion."""
+    return await braked(lab, "change_mode")
+
+
+@fault("B8", how=f"{HOW}: the brakes close")
+async def brakes(lab: Lab) -> Evidence:
+    """The brakes close in motion."""
+    return await braked(lab, "close_brakes")
+
+
+@fault("B9", how="simulated arm: moved by hand while it was disconnected")
+async def guided(lab: Lab) -> Evidence:
+    """The arm is elsewhere when it is connected again."""
+    angle = lab.random.choice((-1.0, 1.0)) * lab.random.uniform(0.2, 0.4)
+    async with lab.cell(*REAL_TIME, anew=False) as cell:
+        await to_standoff(cell)
+        before = await _joints(cell)
+        await cell.scene.inject("drop_client", {})
+        await until(cell, lambda shown: (shown.branches["robot"], shown.branches["placement"]) == ("0", "unknown"))
+        await cell.scene.inject("guide_by_hand", {"joint": 1, "angle": angle})
+        await asyncio.sleep(2.0)
+        await connect(cell)
+        located = await until(cell, lambda shown: shown.branches["placement"] != "unknown")
+        found = located.branches["placement"]
+        expect(found in ("held", "retracted"), f"The arm was moved, and counts as {found}.")
+        moved = float(np.abs(np.subtract(await _joints(cell), before)).max())
+        expect(moved > 0.1, f"The arm was not moved by hand: {moved:.3f} rad.")
+        await refused(cell, "placement.approach", codes=("latched", "invalid_in_state"))
+        await confirmed(cell)
+        await accept(cell, "placement.home")
+    return Evidence(f"placement unknown, then {found}", {"moved_rad": moved})
+
+
+async def _joints(cell: LabCell) -> list[float]:
+    state = await cell.client.request_device("robot", "joints")
+    return list(state["positions"])
+
+
+@fault("B10", how="simulated arm refuses: the step of robot.connect raises")
+async def raising(lab: Lab) -> Evidence:
+    """A step raises, the state stays."""
+    async with lab.cell(*REAL_TIME) as cell:
+        async with injected(cell, "refuse_robot"):
+            verdict = await cell.client.call("robot.connect")
+            _expect_end(verdict, ("failed", "0"))
+            expect((await cell.client.state()).branches["robot"] == "0", "The robot counts as connected.")
+        await connect(cell)
+    return Evidence(f"failed, state 0 kept: {said(verdict)}", {"control": "connected when it did not refuse"})
+
+
+@fault("B11", how=f"{HOW}: the cabinet's application fails and closes the connection")
+async def dropped(lab: Lab) -> Evidence:
+    """The application on the cabinet fails in motion."""
+    return await lost(lab, "drop_client", {}, {}, TOLD)
+
+
+@fault("B12", how="simulated arm: a set point of the earlier connection arrives after the new one")
+async def late(lab: Lab) -> Evidence:
+    """What was sent earlier arrives after a new connection."""
+    async with lab.cell(*REAL_TIME, anew=False) as cell:
+        await to_following(cell)
+        async with injected(cell, "late_set_point"):
+            await cell.scene.inject("drop_client", {})
+            await until(cell, lambda shown: shown.branches["robot"] == "0")
+            await stands(cell)
+            before = (await cell.scene.truth()).tracker_from_coil.position
+            await connect(cell)
+            await stands(cell)
+            after = (await cell.scene.truth()).tracker_from_coil.position
+            moved = float(np.linalg.norm(np.subtract(after, before)))
+        expect(moved < 1e-3, f"The tool moved by {moved * 1e3:.1f} mm after the reconnection.")
+        expect((await cell.client.state()).latched, "The latch is gone, and nobody has confirmed.")
+        await confirmed(cell)
+    return Evidence("dropped: the arm stands after the reconnection", {"moved_m": moved})
+
+
+@fault("B12", how="a command sent an hour ago reaches the daemon over the bus now")
+async def old_command(lab: Lab) -> Evidence:
+    """A command that was held up on its way is not run late."""
+    async with lab.cell(*REAL_TIME, anew=False) as cell:
+        await to_retracted(cell)
+        sent = SystemClock().wall() - lab.random.uniform(10.0, 3600.0)
+        before, key = await cell.client.state(), command_key("local", "placement", "approach")
+        verdict = await cell.bus.request(key, Envelope(id=f"old-{sent}", sent=sent, ttl=5.0), Verdict, 20.0)
+        expect(verdict.decision == "rejected", f"It was {verdict.decision}.")
+        await stands(cell)
+        expect((await cell.client.state()).branches == before.branches, "A state changed.")
+        await accept(cell, "placement.approach")
+    return Evidence(f"refused: {said(verdict)}", {"control": "accepted when sent anew"})
+
+
+@fault("B13", how="simulated arm: every set point arrives twice while the tool follows")
+async def doubled(lab: Lab) -> Evidence:
+    """The arm follows every set point once."""
+    async with lab.cell(*REAL_TIME, anew=False) as cell:
+        await to_following(cell)
+        async with injected(cell, "double_commands"):
+            await asyncio.sleep(FOLLOWED)
+            shown = (await cell.client.state()).branches
+        if shown["placement"] != "following":
+            await calmed(cell)
+            await to_following(cell)  # not run where it does not follow without the fault, either
+            raise Unmet(f"With every set point twice it does not follow: {shown}.")
+        await accept(cell, "placement.stop_following")
+    return Evidence("followed on", {"seconds": FOLLOWED, "control": f"{FOLLOWED:g} s without the fault"})
+
+
+@fault("B13", how="a motion is asked for twice with one id, the second time while the first moves")
+async def twice(lab: Lab) -> Evidence:
+    """One command id is one motion."""
+    async with lab.cell(*REAL_TIME, anew=False) as cell:
+        await to_retracted(cell)
+        row, name = cell.last_row(), f"twice-{lab.random.random()}"
+        both = [cell.client.call("placement.approach", id=name) for _ in range(2)]
+        first, second = await asyncio.gather(*both)
+        expect(first == second and first.decision == "accepted", f"{first} and {second}")
+        begun = [stored for stored in cell.rows(row) if (stored.kind, stored.command_id) == ("intent", name)]
+        expect(len(begun) == 1, f"It was begun {len(begun)} times.")
+    return Evidence("moved once, one verdict for both", {"begun": len(begun)})
+
+
+@fault("B14", how=f"{HOW}: something pushes against the tool with 35 N or more")
+async def collision(lab: Lab) -> Evidence:
+    """The tool hits something."""
+    return await braked(lab, "push_tool", {"force": lab.random.uniform(35.0, 50.0)}, {"force": 0.0})

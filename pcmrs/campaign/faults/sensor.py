@@ -1,0 +1,312 @@
+"""Sensor faults, brought about in the simulated tracker, scene and muscle of a running cell."""
+
+from __future__ import annotations
+
+import asyncio
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from pcmrs.calibration import Calibration, write_calibration
+from pcmrs.campaign.checks import confirmed, expect, held, refused, stands
+from pcmrs.campaign.driving import (
+    FOLLOWED,
+    accept,
+    injected,
+    landmarks,
+    said,
+    to_following,
+    to_placed,
+    to_standoff,
+    until,
+)
+from pcmrs.campaign.fault import Evidence, NotRun, fault
+from pcmrs.campaign.lab import REAL_TIME, Lab, LabCell
+from pcmrs.clock import SystemClock
+from pcmrs.devices.ndi.tools import placeholder
+from pcmrs.messages import PoseMessage
+
+STALE = 0.9
+"""Longer than `procedure.max_pose_age` of any cell here, s of the machine."""
+
+NOT_BELIEVED = ("pose_stale", "pose_missing")
+
+
+async def no_pose(lab: Lab, name: str, *many: dict[str, Any]) -> Evidence:
+    """With the fault nothing goes to the body, once for each of `many` arguments; without it, it does."""
+    async with lab.cell(*REAL_TIME, anew=False) as cell:
+        await to_standoff(cell)
+        codes = [await _confirm_refused(cell, name, arguments) for arguments in many or ({},)]
+        await stands(cell)
+        await accept(cell, "placement.confirm")
+    return Evidence(f"confirm refused: {', '.join(dict.fromkeys(codes))}", {"control": "accepted once it had ended"})
+
+
+async def _confirm_refused(cell: LabCell, name: str, arguments: dict[str, Any]) -> str:
+    async with injected(cell, name, arguments):
+        await asyncio.sleep(STALE)
+        verdict = await refused(cell, "placement.confirm", codes=NOT_BELIEVED)
+    await asyncio.sleep(STALE)
+    return verdict.reason.code if verdict.reason is not None else ""
+
+
+async def following_held(
+    lab: Lab, name: str, begin: dict[str, Any] | None = None, end: dict[str, Any] | None = None
+) -> Evidence:
+    """A tool that follows the head is held when the fault comes, and stays so when it has gone."""
+    async with lab.cell(*REAL_TIME, anew=False) as cell:
+        await to_following(cell)
+        async with injected(cell, name, begin, end):
+            await held(cell)
+        await asyncio.sleep(STALE)
+        await confirmed(cell)
+    return Evidence("held and latched, confirmed by an operator", {"control": f"followed for {FOLLOWED:g} s before"})
+
+
+HOW = "simulated tracker of a running cell"
+
+
+@fault("S1", how=f"{HOW}: coil hidden before the last way to the body")
+async def occluded(lab: Lab) -> Evidence:
+    """Nothing goes to the body by a coil or body that is not seen."""
+    return await no_pose(lab, "occlude", {"body": "coil"}, {"body": "body_ref"})
+
+
+@fault("S1", how=f"{HOW}: body hidden while the tool follows")
+async def occluded_while_following(lab: Lab) -> Evidence:
+    """Nothing is followed that is not seen."""
+    return await following_held(lab, "occlude", {"body": "body_ref"})
+
+
+@fault("S2", how=f"{HOW}: frames repeat a number; no frames at all")
+async def frozen(lab: Lab) -> Evidence:
+    """Frames that are not new, and none at all."""
+    first = await no_pose(lab, "frame_frozen")
+    await no_pose(lab, "tracker_absent")
+    return first
+
+
+@fault("S3", how=f"{HOW}: NaN and infinity in a position")
+async def not_finite(lab: Lab) -> Evidence:
+    """A position that is none."""
+    return await no_pose(lab, "pose_nan", {"body": "coil"}, {"body": "body_ref"})
+
+
+@fault("S4", how=f"{HOW}: a quaternion of length 1.2")
+async def not_unit(lab: Lab) -> Evidence:
+    """A rotation that is none."""
+    return await no_pose(lab, "pose_not_unit", {"body": "coil"}, {"body": "body_ref"})
+
+
+@fault("S5", how=f"{HOW}: the coil, or the body, jumps aside while the tool follows")
+async def jump(lab: Lab) -> Evidence:
+    """Nothing follows a jump."""
+    body, millimetres = lab.random.choice(("coil", "body_ref")), lab.random.uniform(15.0, 60.0)
+    end = {"body": body, "millimetres": 0.0}
+    evidence = await following_held(lab, "pose_jump", {"body": body, "millimetres": millimetres}, end)
+    return Evidence(evidence.response, {**evidence.details, "body": body, "millimetres": millimetres})
+
+
+@fault("S6", how="simulated scene of a running cell: the reference slips on the patient")
+async def bumped(lab: Lab) -> Evidence:
+    """The reference is not where it was on the patient."""
+    millimetres = lab.random.uniform(3.0, 8.0)
+    async with lab.cell(*REAL_TIME, anew=False) as cell:
+        await to_placed(cell)
+        await asyncio.sleep(STALE)
+        expect((await cell.client.state()).branches["registration"] == "111", "It was taken back without the fault.")
+        slip, back = {"millimetres": millimetres}, {"millimetres": -millimetres}
+        async with injected(cell, "bump_reference", slip, back):
+            await until(cell, lambda snapshot: snapshot.branches["registration"] == "100")
+            await held(cell)
+        shown = await cell.client.state()
+        expect((shown.registration, shown.branches["digitization"]) == (None, "0"), f"Still registered: {shown}.")
+        await confirmed(cell)
+    return Evidence("registration and digitization taken back, held", {"millimetres": millimetres, "control": "stayed"})
+
+
+@fault("S7", how=f"{HOW}: four reasons for which a body is not measured, and a bad fit", deadline=180.0)
+async def badly_measured(lab: Lab) -> Evidence:
+    """What the tracker says of a body is heeded."""
+    reasons = ("out_of_volume", "partially_out", "temperature", "interference")
+    evidence = await no_pose(lab, "not_measured", *({"body": "coil", "reason": reason} for reason in reasons))
+    await no_pose(lab, "bad_fit", {"body": "coil"})
+    return evidence
+
+
+@fault("S8", how=f"{HOW}: a reflection moves every other pose; two tools are taken for each other")
+async def mistaken(lab: Lab) -> Evidence:
+    """A body is taken for something else."""
+    evidence = await no_pose(lab, "phantom_marker", {"body": "coil"})
+    await no_pose(lab, "tool_swap", {"first": "coil", "second": "body_ref"})
+    return evidence
+
+
+@fault("S9", how=f"{HOW}: another tool than the defined one is mounted")
+async def exchanged_tool(lab: Lab) -> Evidence:
+    """The mounted tool is not the defined one."""
+    return await no_pose(lab, "wrong_tool", {"body": "coil"})
+
+
+@fault("S9", how="driver ndi: a tool definition whose hash is not the agreed one")
+async def wrong_definition(lab: Lab) -> Evidence:
+    """The file of the tool is not the agreed one."""
+    tool = lab.folder / "coil.rom"
+    tool.write_bytes(placeholder("coil"))
+    status, errors = await lab.ending(
+        "cell.rate=1", "tracker.driver=ndi", f"ndi.tools.coil={tool}", f"ndi.sha256.coil={lab.seed:064x}"
+    )
+    expect(status == 2 and "is not the agreed tool definition" in errors, f"Exit status {status}: {errors[-300:]}")
+    return Evidence("the daemon does not start, and names the file", {"status": status})
+
+
+@fault("S9", how="a calibration file that was changed by hand, and one of a tool with another serial number")
+async def wrong_calibration(lab: Lab) -> Evidence:
+    """The calibration is not that of the mounted tool."""
+    file = lab.folder / "tool.toml"
+    _write_calibration(file, serial="17")
+    settings = (f"procedure.calibration.tool_file={file}", 'procedure.calibration.tool_serial="17"')
+    await _digitize_with(lab, settings, "")
+    foreign = await _digitize_with(lab, (settings[0], 'procedure.calibration.tool_serial="18"'), "calibration_foreign")
+    file.write_text(file.read_text().replace("0.15", "0.16"))
+    changed = await _digitize_with(lab, settings, "calibration_changed")
+    return Evidence(f"digitizing refused: {foreign}, {changed}", {"control": "accepted with the right file"})
+
+
+async def _digitize_with(lab: Lab, settings: tuple[str, ...], code: str) -> str:
+    """A daemon with these settings digitizes, or refuses with `code` where there is one."""
+    async with lab.daemon(*settings) as cell:
+        await accept(cell, "registration.plan_landmarks", **landmarks())
+        if not code:
+            await accept(cell, "digitization.digitize_all")
+            return ""
+        await refused(cell, "digitization.digitize_all", codes=(code,))
+        return code
+
+
+def _write_calibration(file: Path, serial: str) -> None:
+    """A calibration that fits the simulated cell."""
+    calibration = Calibration(
+        kind="tool",
+        type="coil",
+        name="simulated coil",
+        serial=serial,
+        method="of the simulation",
+        date=datetime.fromtimestamp(SystemClock().wall(), UTC),
+        valid_days=1,
+        error_mm=0.1,
+        transforms={"flange_from_coil": PoseMessage(position=(0.0, 0.0, 0.15), quat_wxyz=(0.0, 1.0, 0.0, 0.0))},
+    )
+    write_calibration(file, calibration)
+
+
+@fault("S10", how=f"{HOW}: 5 frames a second while the tool follows")
+async def slow_frames(lab: Lab) -> Evidence:
+    """Too few frames to follow by."""
+    return await following_held(lab, "tracker_rate", {"hertz": 5.0}, {"hertz": 0.0})
+
+
+@fault("S11", how=f"{HOW}: numbers and stamps run backwards; stamps lie in the future")
+async def wrong_stamps(lab: Lab) -> Evidence:
+    """Stamps that cannot be."""
+    evidence = await no_pose(lab, "stamp_reversed")
+    await no_pose(lab, "stamp_future")
+    return evidence
+
+
+@fault("S13", how="simulated arm: something pushes the tool with 40 N where it is placed")
+async def pushed(lab: Lab) -> Evidence:
+    """The force on a tool at rest is over the limit."""
+    force = lab.random.uniform(35.0, 50.0)
+    async with lab.cell(*REAL_TIME, anew=False) as cell:
+        await to_placed(cell)
+        async with injected(cell, "push_tool", {"force": force}, {"force": 0.0}):
+            await held(cell)
+        await asyncio.sleep(STALE)
+        await confirmed(cell)
+    return Evidence("held and latched", {"newtons": force, "limit": 25.0})
+
+
+ARMED = ("workflow=ratms_threshold", "procedure.alignment.off_time=30", *REAL_TIME)
+"""The gate of alignment tolerates a fault for so long here: it is the pulse that must be refused."""
+
+
+async def _arm(cell: LabCell) -> None:
+    """Placed and aligned, the stimulator armed at 50 %, the interval since then behind."""
+    await to_placed(cell)
+    await accept(cell, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
+    await accept(cell, "stimulation.set_intensity", percent=50.0)
+    await until(cell, lambda snapshot: snapshot.branches["alignment"] == "1")
+    await accept(cell, "stimulation.arm")
+    await asyncio.sleep(INTERVAL)
+
+
+async def _fire(cell: LabCell) -> None:
+    """A pulse without any fault, and the interval after it.
+
+    Raises:
+        NotRun: It was not given: the machine is too busy for frames that are fresh enough.
+    """
+    verdict = await cell.client.call("stimulation.fire")
+    if verdict.decision != "accepted":
+        raise NotRun(f"No pulse is given without the fault, either: {said(verdict)}")
+    await asyncio.sleep(INTERVAL)
+
+
+INTERVAL = 5.0
+"""Longer than the least interval between pulses, s of the cell."""
+
+PULSE_REFUSED = ("coil_off_target", "head_moves", *NOT_BELIEVED)
+
+
+@fault("S12", how="simulated scene: the head moves at 86 mm/s while the stimulator is armed")
+async def dashing_head(lab: Lab) -> Evidence:
+    """No pulse to a head that moves fast."""
+    async with lab.daemon(*ARMED) as cell:
+        await _arm(cell)
+        await _fire(cell)
+        async with injected(cell, "dash_head", {"millimetres_per_second": 86.0}, {"millimetres_per_second": 0.0}):
+            await asyncio.sleep(0.25)
+            verdict = await refused(cell, "stimulation.fire", codes=PULSE_REFUSED)
+    code = verdict.reason.code if verdict.reason is not None else ""
+    return Evidence(f"pulse refused: {code}", {"control": "a pulse was given at rest"})
+
+
+@fault("S10", how=f"{HOW}: 5 frames a second while the stimulator is armed")
+async def slow_frames_at_pulse(lab: Lab) -> Evidence:
+    """No pulse by frames that are too old."""
+    async with lab.daemon(*ARMED) as cell:
+        await _arm(cell)
+        await _fire(cell)
+        async with injected(cell, "tracker_rate", {"hertz": 5.0}, {"hertz": 0.0}):
+            await asyncio.sleep(STALE)
+            verdict = await refused(cell, "stimulation.fire", codes=PULSE_REFUSED)
+    code = verdict.reason.code if verdict.reason is not None else ""
+    return Evidence(f"pulse refused: {code}", {"control": "a pulse was given at 60 frames a second"})
+
+
+@fault("S14", how="simulated muscle: pulses evoke nothing while a threshold is hunted", deadline=300.0)
+async def no_response(lab: Lab) -> Evidence:
+    """A threshold that no pulse reaches is none."""
+    async with lab.daemon(*ARMED, "procedure.stimulation.intervals.least=1.1") as cell:
+        await to_placed(cell)
+        await accept(cell, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
+        await until(cell, lambda snapshot: snapshot.branches["alignment"] == "1")
+        async with injected(cell, "no_mep"):
+            pulses, result = await _hunt(cell)
+    expect(bool(result.get("refusal")), f"A threshold came out of {pulses} pulses that evoked nothing: {result}.")
+    return Evidence("threshold refused with its reason", {"pulses": pulses, "refusal": result["refusal"]})
+
+
+async def _hunt(cell: LabCell) -> tuple[int, dict[str, Any]]:
+    """Pulses until the hunt ends: how many, and what the last one said."""
+    begun = (await accept(cell, "threshold.begin")).result or {}
+    await accept(cell, "stimulation.set_intensity", percent=begun.get("intensity", 50.0))
+    await accept(cell, "stimulation.arm")
+    pulses, result = 0, dict[str, Any]()
+    while (await cell.client.state()).branches["threshold"] == "hunting":
+        await asyncio.sleep(1.2)
+        result = (await accept(cell, "threshold.pulse")).result or {}
+        expect(not result["mep"]["present"], f"Pulse {pulses + 1} counts as answered: {result['mep']}.")
+        pulses += 1
+    return pulses, result

@@ -1,0 +1,274 @@
+"""Faults of the disk under the journal: full, failing, slow, cut off, or changed behind the daemon's back."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sqlite3
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager, closing
+from pathlib import Path
+
+from pcmrs.campaign.checks import expect
+from pcmrs.campaign.cuts import cut_and_flip, cut_power
+from pcmrs.campaign.driving import accept, landmarks
+from pcmrs.campaign.durable import Asked
+from pcmrs.campaign.fault import Evidence, Unmet, fault
+from pcmrs.campaign.lab import Lab, LabCell
+from pcmrs.campaign.loopdisk import LoopDisk, loop_disk
+from pcmrs.campaign.syscalls import injected
+from pcmrs.clock import SystemClock
+from pcmrs.messages import Snapshot
+
+WRITES = ("pwrite64", "write", "pwritev", "writev")
+SYNCS = ("fsync", "fdatasync")
+DISK_TOOLS = ("mkfs.ext4", "mount", "umount")
+SEVERAL = 300.0
+"""Deadline of a fault with several daemons, one after the other, s of the machine."""
+COMMANDS = 5
+STALL = 2.0
+"""The disk keeps a synchronisation waiting so long, s of the machine."""
+POWER_CUTS = 3
+
+
+@fault("T1", how="a real ext4 disk, full", tools=DISK_TOOLS, deadline=SEVERAL)
+async def the_disk_is_full(lab: Lab) -> Evidence:
+    """All space is taken while the daemon runs, and given back."""
+    async with _on_disk(lab) as (disk, asked):
+        disk.fill()
+        details = await _refused_sooner_or_later(asked)
+        disk.release()
+        return await _afterwards(lab, asked, details)
+
+
+@fault("T2", how="strace: write of the journal's files gives EIO", tools=("strace",), deadline=SEVERAL)
+async def writing_fails(lab: Lab) -> Evidence:
+    """The disk does not take what is written."""
+    return await _with_failing(lab, WRITES, "EIO")
+
+
+@fault("T3", how="strace: fsync of the journal's files gives EIO", tools=("strace",), deadline=SEVERAL)
+async def synchronising_fails(lab: Lab) -> Evidence:
+    """Nobody knows what the disk has: nothing is acknowledged until the file was opened and read again."""
+    async with lab.daemon() as cell:
+        asked = await _asked(cell)
+        async with injected(cell.process.pid, SYNCS, "error=EIO", files=_files(cell)):
+            details = await asked.degraded()
+        details["recovered"] = await asked.recovers()
+        if not details["recovered"]:
+            await _killed(cell)
+    kept = asked.check_kept(Path(cell.ready.journal))
+    await _successor(lab, cell)
+    return Evidence("fail-stop; nothing acknowledged is lost", {**details, "kept": kept})
+
+
+@fault("T4", how="kill -9, then the end of the write-ahead log is cut within its last frame")
+async def a_torn_write(lab: Lab) -> Evidence:
+    """Acknowledged rows are lost by that, and the next daemon says so."""
+    cell = await _killed_with_rows(lab)
+    log = _log_of(cell)
+    content = log.read_bytes()
+    log.write_bytes(content[: len(content) - lab.random.randrange(1, 4000)])
+    return await _reported(lab, cell, "torn")
+
+
+@fault("T5", how="a real ext4 disk whose file system is cut off without flushing", tools=DISK_TOOLS, deadline=SEVERAL)
+async def the_power_is_cut(lab: Lab) -> Evidence:
+    """Everything acknowledged before is there when the disk is mounted again."""
+    kept = 0
+    for number in range(POWER_CUTS):
+        async with _on_disk(lab, f"power{number}") as (disk, asked):
+            await asyncio.gather(*(asked.ask() for _ in range(1 + lab.random.randrange(20))))
+            disk.cut_power()
+            await _killed(asked.cell)
+            await disk.power_on()
+            kept += asked.check_kept(Path(asked.cell.ready.journal))
+            await _successor(lab, asked.cell)
+    return Evidence("acknowledged rows kept", {"cuts": POWER_CUTS, "kept": kept})
+
+
+@fault("T5", how="recorded system calls of a writer: only what was synchronised is kept, and a part of the rest")
+async def the_power_is_cut_at_any_write(lab: Lab) -> Evidence:
+    """At instants between any two writes, with torn and reordered sectors."""
+    found = await asyncio.to_thread(cut_power, 60, lab.seed, SystemClock())
+    expect(not found.violated, f"{found.lost} acknowledged rows are lost; {found.silent[:3]} {found.broken[:3]}")
+    return Evidence("acknowledged rows kept", {"cuts": found.tried, "acknowledged": found.acknowledged})
+
+
+@fault("T6", how="bits of the files of a journal are flipped")
+async def a_bit_flips(lab: Lab) -> Evidence:
+    """Database, write-ahead log and head, at random places."""
+    found = await asyncio.to_thread(cut_and_flip, 0, 120, lab.seed, SystemClock())
+    expect(not found.violated, f"silent: {found.silent[:3]}; broken: {found.broken[:3]}")
+    return Evidence("reported, or without effect", {"flips": found.tried, "reported": found.reported})
+
+
+@fault("T7", how="the files of a journal are cut")
+async def the_tail_is_cut(lab: Lab) -> Evidence:
+    """Database, write-ahead log and head, at random places."""
+    found = await asyncio.to_thread(cut_and_flip, 120, 0, lab.seed, SystemClock())
+    expect(not found.violated, f"silent: {found.silent[:3]}; broken: {found.broken[:3]}")
+    return Evidence("reported, never silent", {"cuts": found.tried, "reported": found.reported})
+
+
+@fault("T8", how="strace: fsync of the journal's files takes 2 s", tools=("strace",))
+async def the_disk_stalls(lab: Lab) -> Evidence:
+    """Commands wait or are refused; Stop and status do not wait for the disk."""
+    async with lab.daemon() as cell:
+        asked = await _asked(cell)
+        clock = asyncio.get_running_loop().time
+        async with injected(cell.process.pid, SYNCS, f"delay_enter={int(STALL * 1e6)}:when=1", files=_files(cell)):
+            waiting = asyncio.create_task(asked.ask())
+            await asyncio.sleep(0.2)
+            begun = clock()
+            await cell.client.stop()
+            await cell.client.state()
+            taken = clock() - begun
+            expect(not waiting.done(), "A command was answered before the disk was.")
+            expect(taken < STALL / 2, f"Stop and status took {taken:.2f} s.")
+            verdict = await waiting
+        recovered = await asked.recovers()
+        expect(recovered, "Nothing is accepted after the stall.")
+    kept = asked.check_kept(Path(cell.ready.journal))
+    decision = verdict.decision if verdict is not None else "no verdict"
+    return Evidence(
+        "Stop and status did not wait", {"stop_and_status_s": round(taken, 3), "command": decision, "kept": kept}
+    )
+
+
+@fault("T9", how="a real ext4 disk that goes read-only by itself", tools=DISK_TOOLS, deadline=SEVERAL)
+async def the_disk_is_read_only(lab: Lab) -> Evidence:
+    """As a damaged file system does."""
+    async with _on_disk(lab) as (disk, asked):
+        await disk.make_read_only()
+        details = await _refused_sooner_or_later(asked)
+        await _killed(asked.cell)
+        await disk.power_on()
+        details["kept"] = asked.check_kept(Path(asked.cell.ready.journal))
+        await _successor(lab, asked.cell)
+        return Evidence("refused; Stop and status work", details)
+
+
+@fault("T10", how="half-written files beside the journal and among the records")
+async def a_half_written_file(lab: Lab) -> Evidence:
+    """What a crash can leave of files that are written as a whole is not read."""
+    async with lab.daemon() as cell:
+        await accept(cell, "registration.plan_landmarks", **landmarks())
+    left = ["lock.tmp", "journal.key.tmp", "ratms.sqlite.head.tmp", "records/placements.csv.tmp", "cache.json"]
+    for name in left:
+        file = cell.folder / name
+        file.parent.mkdir(exist_ok=True)
+        file.write_bytes(b'{"registration": "111", "landm')
+    async with lab.daemon(folder=cell.folder) as successor:
+        snapshot = await successor.client.state()
+        await accept(successor, "registration.plan_landmarks", **landmarks())
+    _expect_initial(snapshot)
+    return Evidence("ignored", {"files": left})
+
+
+@fault("T11", how="kill -9, then the write-ahead log is deleted")
+async def the_log_is_lost(lab: Lab) -> Evidence:
+    """Rows that were only there are missing, and the next daemon says so."""
+    cell = await _killed_with_rows(lab)
+    _log_of(cell).unlink()
+    return await _reported(lab, cell, "lost")
+
+
+@fault("T12", how="another program holds the lock of the database", deadline=SEVERAL)
+async def a_foreign_lock(lab: Lab) -> Evidence:
+    """As a backup program or somebody with the sqlite3 command does."""
+    async with lab.daemon() as cell:
+        asked = await _asked(cell)
+        with closing(sqlite3.connect(cell.ready.journal, isolation_level=None)) as foreign:
+            foreign.execute("BEGIN IMMEDIATE")
+            details = await _refused_sooner_or_later(asked)
+            foreign.execute("ROLLBACK")
+        return await _afterwards(lab, asked, details)
+
+
+@asynccontextmanager
+async def _on_disk(lab: Lab, name: str = "mounted") -> AsyncIterator[tuple[LoopDisk, Asked]]:
+    """A daemon whose folder is on a disk of its own, with some rows in its journal."""
+    place = lab.folder / name
+    place.mkdir()
+    async with loop_disk(place) as disk, lab.daemon(f"cell.folder={disk.path}", folder=place) as cell:
+        yield disk, await _asked(cell)
+        await _killed(cell)
+
+
+async def _asked(cell: LabCell) -> Asked:
+    asked = Asked(cell)
+    for _ in range(COMMANDS):
+        verdict = await asked.ask("registration.plan_landmarks", **landmarks())
+        expect(verdict is not None and verdict.decision == "accepted", f"{verdict} before the fault.")
+    return asked
+
+
+async def _with_failing(lab: Lab, calls: Sequence[str], error: str) -> Evidence:
+    async with lab.daemon() as cell:
+        asked = await _asked(cell)
+        async with injected(cell.process.pid, calls, f"error={error}", files=_files(cell)):
+            details = await _refused_sooner_or_later(asked)
+        return await _afterwards(lab, asked, details)
+
+
+async def _refused_sooner_or_later(asked: Asked) -> dict[str, object]:
+    """Response D; a command or two may still fit into space that is already there."""
+    for _ in range(40):
+        verdict = await asked.ask("registration.plan_landmarks", **landmarks())
+        if verdict is None or verdict.decision != "accepted":
+            return await asked.degraded()
+    raise Unmet("Forty commands were accepted although nothing can be written.")
+
+
+async def _afterwards(lab: Lab, asked: Asked, details: dict[str, object]) -> Evidence:
+    """The fault has ended: the daemon goes on, or its successor does; nothing acknowledged is lost."""
+    cell = asked.cell
+    details["recovered"] = await asked.recovers(5.0)
+    await _killed(cell)
+    details["kept"] = asked.check_kept(Path(cell.ready.journal))
+    await _successor(lab, cell)
+    return Evidence("refused; Stop and status work; nothing lost", dict(details))
+
+
+async def _successor(lab: Lab, cell: LabCell) -> None:
+    """The next daemon on the folder begins as all do, and decides again."""
+    async with lab.daemon(f"cell.folder={cell.ready.folder}", folder=cell.folder) as successor:
+        _expect_initial(await successor.client.state())
+        await accept(successor, "registration.plan_landmarks", **landmarks())
+
+
+def _expect_initial(snapshot: Snapshot) -> None:
+    expect(snapshot.branches["registration"] == "000", f"The next daemon begins in {snapshot.branches}.")
+
+
+async def _killed(cell: LabCell) -> None:
+    if cell.process.returncode is None:
+        cell.process.send_signal(signal.SIGKILL)
+        await cell.process.wait()
+
+
+async def _killed_with_rows(lab: Lab) -> LabCell:
+    async with lab.daemon() as cell:
+        await _asked(cell)
+        await _killed(cell)
+    expect(_log_of(cell).exists(), "The daemon left no write-ahead log.")
+    return cell
+
+
+async def _reported(lab: Lab, cell: LabCell, how: str) -> Evidence:
+    status, errors = await lab.ending(folder=cell.folder)
+    text = errors.strip().splitlines()[-1] if errors.strip() else ""
+    expect(status != 0 and "Traceback" not in errors, f"Exit status {status}: {errors[-2000:]}")
+    expect("journal" in text or "sqlite" in text, f"It ended with: {text}")
+    return Evidence(f"{how}: refused to start, and said why", {"status": status, "text": text})
+
+
+def _files(cell: LabCell) -> list[Path]:
+    """What the journal consists of."""
+    journal = Path(cell.ready.journal)
+    return [journal, *(journal.with_name(journal.name + ending) for ending in ("-wal", ".head"))]
+
+
+def _log_of(cell: LabCell) -> Path:
+    return _files(cell)[1]

@@ -1,0 +1,220 @@
+"""kill -9 of what writes the journal: everything that was acknowledged must be there afterwards."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import random
+import select
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Collection
+from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerContext
+from pathlib import Path
+
+import msgspec
+
+from pcmrs.campaign.writing import REFUSED, SEQUENCE, write
+from pcmrs.clock import Clock
+from pcmrs.errors import JournalError
+from pcmrs.failpoints import FAILPOINTS
+from pcmrs.journal import JournalReader
+from pcmrs.journal.rows import GENESIS, chain_hash, encode_row
+
+RANDOM = "random instant"
+
+LATEST = 30
+"""An armed process dies before it comes to its failpoint so often."""
+
+LONGEST = 0.05
+"""A process that is killed at a random instant lives so long at most after it has begun to write, s of the machine."""
+
+DIES_WITHIN = 30.0
+"""A process that is armed has come to its failpoint within this, s of the machine."""
+
+PER_JOURNAL = 100
+"""So many processes write one journal after the other, before a new one is begun."""
+
+OF_JOURNAL = tuple(name for name in FAILPOINTS if name.startswith("journal."))
+
+ShowProgress = Callable[[str, int, int], None]
+
+
+class KillReport(msgspec.Struct, frozen=True):
+    """What was found.
+
+    Attributes:
+        what: Was killed.
+        kills: Processes killed.
+        at: How many of them at which failpoint, and at random instants.
+        acknowledged: Rows, or decisions of a daemon, that were acknowledged before.
+        lost: Of these, how many were not there afterwards, or not as they had been.
+        refused: Journals that could not be opened afterwards, in their own words.
+        seed: Of the instants.
+        seconds: s of the machine.
+    """
+
+    what: str
+    kills: int
+    at: dict[str, int]
+    acknowledged: int
+    lost: int
+    refused: list[str]
+    seed: int
+    seconds: float
+
+    @property
+    def violated(self) -> bool:
+        """Whether anything was lost, or cannot be read."""
+        return self.lost > 0 or bool(self.refused)
+
+
+def kill_writers(
+    times: int, seed: int, clock: Clock, *, minutes: float | None = None, progress: ShowProgress = lambda *_: None
+) -> KillReport:
+    """Kills processes that write a journal: at every failpoint of the journal in turn, and at random instants.
+
+    The kernel outlives them, so this is about what a process loses, not about what a disk does.
+
+    Args:
+        times: So many processes.
+        seed: Of instants and failpoints.
+        clock: The machine's.
+        minutes: Ends earlier after so long.
+        progress: Told after each.
+    """
+    tally = Tally(clock, seed, times, minutes, progress)
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["pcmrs.campaign.kills"])
+    while not tally.done:
+        with tempfile.TemporaryDirectory(prefix="pcmrs-kills-") as folder:
+            _one_journal(context, Path(folder) / "journal.sqlite", tally)
+    return tally.report("a process that writes a journal")
+
+
+class Tally:
+    """What has been found so far."""
+
+    def __init__(self, clock: Clock, seed: int, times: int, minutes: float | None, progress: ShowProgress) -> None:
+        self.clock = clock
+        self.generator = random.Random(seed)
+        self.at: Counter[str] = Counter()
+        self.acknowledged = self.lost = 0
+        self.refused: list[str] = []
+        self._seed, self._times, self._progress = seed, times, progress
+        self._begun = clock.monotonic()
+        self._end = math.inf if minutes is None else self._begun + minutes * 60.0
+
+    @property
+    def kills(self) -> int:
+        return self.at.total()
+
+    @property
+    def done(self) -> bool:
+        return self.kills >= self._times or self.clock.monotonic() >= self._end
+
+    def count(self, failpoint: str, acknowledged: int, lost: int) -> None:
+        self.at[failpoint or RANDOM] += 1
+        self.acknowledged += acknowledged
+        self.lost += lost
+        self._progress(f"killed at {failpoint or RANDOM}", self.kills, self._times)
+
+    def report(self, what: str) -> KillReport:
+        seconds = self.clock.monotonic() - self._begun
+        at = {name: self.at[name] for name in (*FAILPOINTS, RANDOM) if name in self.at}
+        return KillReport(what, self.kills, at, self.acknowledged, self.lost, self.refused, self._seed, seconds)
+
+
+def _one_journal(context: ForkServerContext, path: Path, tally: Tally) -> None:
+    """One process after the other writes the same journal and is killed, until one cannot open it."""
+    checked = Checked()
+    for _ in range(PER_JOURNAL):
+        if tally.done:
+            return
+        number, failpoint = tally.kills, tally.generator.choice(("", *OF_JOURNAL))
+        try:
+            told = _killed(context, path, number, failpoint, tally.generator, tally.clock)
+            tally.count(failpoint, len(told), lost_rows(path, f"run{number}", told, checked))
+        except JournalError as error:
+            tally.count(failpoint, 0, 0)
+            tally.refused.append(error.text)
+            return
+
+
+class Checked(msgspec.Struct):
+    """How far a journal has been found whole."""
+
+    sequence: int = 0
+    hash: bytes = GENESIS
+
+
+def _killed(
+    context: ForkServerContext, path: Path, number: int, failpoint: str, generator: random.Random, clock: Clock
+) -> list[int]:
+    """Has a process write until it is killed; returns the sequences that it was acknowledged.
+
+    Raises:
+        JournalError: It could not open the journal.
+    """
+    armed = f"{failpoint}:{generator.randrange(1, LATEST)}" if failpoint else ""
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_run, args=(path, number, generator.randrange(1 << 30), armed, sender))
+    process.start()
+    sender.close()
+    told = _read(receiver.fileno(), 8, clock.monotonic() + DIES_WITHIN, clock)
+    lives = DIES_WITHIN if failpoint else generator.uniform(0.0, LONGEST)
+    told += _read(receiver.fileno(), 0, clock.monotonic() + lives, clock)
+    process.kill()
+    told += _read(receiver.fileno(), 0, clock.monotonic() + DIES_WITHIN, clock)
+    receiver.close()
+    process.join()
+    return _acknowledged(told)
+
+
+def _run(path: Path, number: int, seed: int, armed: str, sender: Connection) -> None:
+    write(path, f"run{number}", seed, armed, sender.fileno())
+
+
+def _read(descriptor: int, enough: int, until: float, clock: Clock) -> bytes:
+    """What comes until the sender has ended, there is enough (0: never), or time is up."""
+    read = b""
+    while not enough or len(read) < enough:
+        ready, _, _ = select.select([descriptor], [], [], max(0.0, until - clock.monotonic()))
+        piece = os.read(descriptor, enough or 65536) if ready else b""
+        if not piece:
+            break
+        read += piece
+    return read
+
+
+def _acknowledged(told: bytes) -> list[int]:
+    sequences = []
+    for start in range(0, len(told) - len(told) % SEQUENCE.size, SEQUENCE.size):
+        (sequence,) = SEQUENCE.unpack_from(told, start)
+        if sequence == REFUSED:
+            raise JournalError(told[start + SEQUENCE.size :].decode(errors="replace"))
+        if sequence:
+            sequences.append(sequence)
+    return sequences
+
+
+def lost_rows(path: Path, run: str, acknowledged: Collection[int], checked: Checked) -> int:
+    """How many of the sequences are not there, or not of this run; the chain is followed from where it was whole.
+
+    Raises:
+        JournalError: It cannot be read, or the chain does not hold.
+    """
+    found = set()
+    if not path.exists():
+        return len(acknowledged)
+    with JournalReader(path) as journal:
+        for stored in journal.read(after=checked.sequence):
+            own = chain_hash(checked.hash, stored.sequence, encode_row(stored.row))
+            if (stored.sequence, stored.hash) != (checked.sequence + 1, own):
+                raise JournalError(f"Row {stored.sequence} does not continue row {checked.sequence}.")
+            checked.sequence, checked.hash = stored.sequence, own
+            if stored.row.session_id == run:
+                found.add(stored.sequence)
+    return len(set(acknowledged) - found)

@@ -1,0 +1,111 @@
+"""A small ext4 disk of a fault's own, in a file: it can be full, fail, lose its power and come back."""
+
+from __future__ import annotations
+
+import asyncio
+import fcntl
+import os
+import struct
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from pcmrs.campaign.fault import NotRun
+from pcmrs.campaign.tools import require_root, tool
+
+MEBIBYTES = 24
+"""Size of the disk; the smallest that ext4 gives a journal of its own."""
+
+SHUTDOWN = 0x8004587D
+"""EXT4_IOC_SHUTDOWN, Linux, fs/ext4/ext4.h: the file system is cut off from its disk."""
+WITHOUT_FLUSHING = 2
+"""EXT4_GOING_FLAGS_NOLOGFLUSH: what no fsync has waited for is lost, as in a power cut."""
+
+RESERVE = "reserve"
+
+
+@dataclass(frozen=True, slots=True)
+class LoopDisk:
+    """A mounted disk.
+
+    Attributes:
+        path: Where it is mounted.
+        image: The file that holds it.
+    """
+
+    path: Path
+    image: Path
+
+    def fill(self) -> None:
+        """Takes all the space that is left; `release` gives it back."""
+        with (self.path / RESERVE).open("wb", buffering=0) as reserve:
+            for size in (1 << 20, 1 << 12, 1):
+                with suppress(OSError):
+                    while reserve.write(bytes(size)):
+                        continue
+            with suppress(OSError):
+                os.fsync(reserve.fileno())
+
+    def release(self) -> None:
+        """Gives back what `fill` has taken."""
+        (self.path / RESERVE).unlink()
+        folder = os.open(self.path, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def cut_power(self) -> None:
+        """Nothing reaches the disk any more, and what was not synchronised never will; until `power_on`."""
+        folder = os.open(self.path, os.O_RDONLY)
+        try:
+            fcntl.ioctl(folder, SHUTDOWN, struct.pack("I", WITHOUT_FLUSHING))
+        finally:
+            os.close(folder)
+
+    async def power_on(self) -> None:
+        """Mounts the disk anew, as a machine that starts does; nobody may have files of it open."""
+        await _unmounted(self.path)
+        await tool(["mount", "-o", "loop,errors=remount-ro", str(self.image), str(self.path)])
+
+    async def make_read_only(self) -> None:
+        """The file system goes read-only by itself, as it does when it finds itself damaged."""
+        await tool(["mount", "-o", "remount,abort", str(self.path)])
+
+
+@asynccontextmanager
+async def loop_disk(folder: Path) -> AsyncIterator[LoopDisk]:
+    """Makes a disk in `folder`, mounts it, and takes it away with the context.
+
+    Raises:
+        NotRun: This machine does not let this process mount one.
+    """
+    require_root("A disk of its own")
+    disk = _prepared(folder)
+    await tool(["mkfs.ext4", "-q", "-O", "has_journal", "-m", "0", str(disk.image)])
+    await tool(["mount", "-o", "loop,errors=remount-ro", str(disk.image), str(disk.path)])
+    try:
+        yield disk
+    finally:
+        await _unmounted(disk.path)
+
+
+def _prepared(folder: Path) -> LoopDisk:
+    if not Path("/dev/loop-control").exists():
+        raise NotRun("This machine has no loop devices.")
+    disk = LoopDisk(folder / "disk", folder / "disk.ext4")
+    disk.path.mkdir()
+    with disk.image.open("wb") as image:
+        image.truncate(MEBIBYTES << 20)
+    return disk
+
+
+async def _unmounted(path: Path) -> None:
+    """A process that is about to end may hold the disk for a while."""
+    for _ in range(100):
+        with suppress(NotRun):
+            await tool(["umount", str(path)])
+            return
+        await asyncio.sleep(0.1)
+    await tool(["umount", "-l", str(path)])

@@ -1,0 +1,45 @@
+"""Device nodes that no daemon starts, as those of another machine: they outlive it, and reach it by any address."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+
+DEVICES = ("robot", "tracker", "pointer", "scene")
+WITHOUT_NODES = tuple(f"{device}.driver=none" for device in (*DEVICES, "stimulator", "emg"))
+"""Settings of a daemon that starts no nodes itself."""
+
+END_TIME = 5.0
+
+
+@asynccontextmanager
+async def outside_node(settings: Sequence[str], log: Path) -> AsyncIterator[asyncio.subprocess.Process]:
+    """A node of the simulated devices for the length of the context; it keeps trying to reach its bus.
+
+    Args:
+        settings: Those of its daemon, but with ``cell.endpoint`` where this node finds the bus.
+        log: Takes its standard error.
+    """
+    simulated = [setting for setting in settings if setting not in WITHOUT_NODES]
+    words = [word for setting in simulated for word in ("--set", setting)]
+    with log.open("ab") as errors:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "pcmrs.cli", "node", "sim", *DEVICES, *words,
+            stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL, stderr=errors,
+        )  # fmt: skip
+    try:
+        yield process
+    finally:
+        with suppress(ProcessLookupError):
+            process.send_signal(signal.SIGCONT)
+            process.terminate()
+        try:
+            async with asyncio.timeout(END_TIME):
+                await process.wait()
+        except TimeoutError:
+            process.kill()
+            await process.wait()

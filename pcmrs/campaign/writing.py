@@ -1,0 +1,94 @@
+"""A process that writes a journal until it is killed, and tells every row that was acknowledged to it."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+import struct
+import sys
+from pathlib import Path
+
+from pcmrs.errors import JournalError
+from pcmrs.failpoints import arm
+from pcmrs.journal import Journal, JournalRow
+from pcmrs.messages import BlueprintTag
+
+SEQUENCE = struct.Struct("<Q")
+REFUSED = (1 << 64) - 1
+"""Told in place of a sequence when the journal cannot be opened; the error's text follows."""
+PARALLEL = 3
+"""So many write at the same time, as parallel branches do."""
+
+TAG = BlueprintTag(id="campaign", version="1", hash="0" * 16)
+
+
+def row(run: str, writer: int, number: int) -> JournalRow:
+    """A row that says by itself who wrote it, and as what."""
+    return JournalRow(
+        kind="event",
+        wall=0.0,
+        monotonic=0.0,
+        boot_id="",
+        session_id=run,
+        blueprint=TAG,
+        source=f"writer{writer}",
+        operation=str(number),
+        arguments={"filling": "x" * (number % 700)},
+    )
+
+
+def write(path: Path, run: str, seed: int, failpoint: str, told: int) -> None:
+    """Opens the journal and writes until killed.
+
+    Args:
+        path: Of the journal.
+        run: Unique to this process.
+        seed: Of how the writers take turns.
+        failpoint: ``name:N``, or empty.
+        told: Descriptor to which 0 is written before anything else, then the sequence of every acknowledged row.
+    """
+    arm(failpoint)
+    asyncio.run(_write(path, run, random.Random(seed), told))
+
+
+async def _write(path: Path, run: str, generator: random.Random, told: int) -> None:
+    os.write(told, SEQUENCE.pack(0))
+    try:
+        journal = Journal.open(path)
+    except JournalError as error:
+        os.write(told, SEQUENCE.pack(REFUSED) + error.text.encode())
+        return
+
+    async def one(writer: int) -> None:
+        number = 0
+        while True:
+            rows = [row(run, writer, number + each) for each in range(generator.randrange(1, 4))]
+            number += len(rows)
+            os.write(told, SEQUENCE.pack(await journal.append(rows)))
+            if generator.random() < 0.1:
+                await asyncio.sleep(0.001)
+
+    await asyncio.gather(*map(one, range(PARALLEL)))
+
+
+async def _write_some(folder: Path, commits: int, generator: random.Random, *, durable: bool) -> None:
+    """Commits groups of rows and writes a byte to a file for every row that was acknowledged."""
+    journal = Journal.open(folder / "journal.sqlite", durable=durable)
+    with (folder / "told").open("wb", buffering=0) as told:
+        for number in range(commits):
+            groups = [[row("some", writer, number)] * generator.randrange(1, 3) for writer in range(PARALLEL)]
+            for durable in [journal.append(group) for group in groups]:
+                await durable
+            told.write(b"." * sum(map(len, groups)))
+
+
+def main() -> None:
+    """Writes on the journal in a folder: ``FOLDER COMMITS SEED durable|careless``."""
+    folder, commits, seed, care = sys.argv[1:]
+    asyncio.run(_write_some(Path(folder), int(commits), random.Random(int(seed)), durable=care == "durable"))
+    os._exit(0)  # nothing is closed: what a power cut leaves is looked at
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,26 @@
+"""`pcmrs faults`: the fault campaign, and what it is made of."""
+
+from __future__ import annotations
+
+import click
+
+from pcmrs.cli.lazy import LazyGroup
+
+COMMANDS = {
+    "list": "pcmrs.cli.faults.list:list_",
+    "run": "pcmrs.cli.faults.run:run_",
+    "kill": "pcmrs.cli.faults.kill:kill",
+    "cut": "pcmrs.cli.faults.cut:cut",
+    "fuzz": "pcmrs.cli.faults.fuzz:fuzz",
+    "soak": "pcmrs.cli.faults.soak:soak",
+    "explore": "pcmrs.cli.faults.explore:explore",
+}
+
+
+@click.group(cls=LazyGroup, commands=COMMANDS)
+def faults() -> None:
+    """Inject faults into simulated cells, and check that nothing is lost and nothing moves unasked.
+
+    Every command starts daemons of its own; a running cell is never touched. Exit status: 0 every response was as
+    required, 1 one was not, 2 usage.
+    """

@@ -1,0 +1,41 @@
+"""Which faults a command is about."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from pcmrs.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from pcmrs.campaign.catalogue import Row
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def choosing(function: F) -> F:
+    """Adds --class and --id; the command gets them as `classes` and `ids`."""
+    for option in (
+        click.option("--id", "ids", multiple=True, metavar="ID", help="Only this fault, such as S3; may be repeated."),
+        click.option(
+            "--class",
+            "classes",
+            multiple=True,
+            metavar="CLASS",
+            help="Only operator, sensor, robot, network, process, storage, clock or adversary; may be repeated.",
+        ),
+    ):
+        function = option(function)
+    return function
+
+
+def chosen(classes: Sequence[str], ids: Sequence[str]) -> list[Row]:
+    """The rows that are asked for; a usage error when there is no such class or fault."""
+    from pcmrs.campaign.catalogue import choose
+
+    try:
+        return choose(classes, ids)
+    except ConfigurationError as error:
+        raise click.UsageError(error.text) from None

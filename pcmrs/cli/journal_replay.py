@@ -1,0 +1,72 @@
+"""`pcmrs journal replay`: is every decision on record the one that this program would make?"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import structlog
+from rich.console import RenderableType
+from rich.markup import escape
+from rich.table import Table
+
+from pcmrs.cli.options import json_option
+from pcmrs.cli.printing import print_report
+from pcmrs.cli.progress import progress_bar
+from pcmrs.cli.running import EXIT_REJECTED, readable_errors
+
+if TYPE_CHECKING:
+    from pcmrs.replay import Replayed
+
+LONG = 2000
+"""From so many rows on a replay takes long enough for a bar."""
+
+
+@click.command()
+@click.argument("path", type=click.Path(path_type=Path))
+@click.option(
+    "--blueprint",
+    type=click.Path(path_type=Path),
+    help="Decide by this blueprint, whatever the journal was decided under.",
+)
+@json_option
+@readable_errors
+def replay(path: Path, blueprint: Path | None, as_json: bool) -> None:
+    """Decide everything in the journal at PATH anew, and list what comes out differently.
+
+    PATH is a journal, or its export as JSON lines. What came from outside and what devices answered is taken from it;
+    checks of arguments, data and settings, states, locks, Stop and the latch are decided by this program.
+
+    Exit status: 0 all the same, 1 something differs, 2 the journal cannot be replayed.
+    """
+    from pcmrs.clock import SystemClock
+    from pcmrs.replay import replay as decide_anew
+
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))  # what went wrong then
+    with progress_bar(beyond=LONG, transient=True) as show:
+        replayed = decide_anew(path, SystemClock(), blueprint, lambda done, total: show("deciding anew", done, total))
+    print_report(replayed, _table(replayed), as_json=as_json)
+    if not replayed.is_same:
+        sys.exit(EXIT_REJECTED)
+
+
+def _table(replayed: Replayed) -> RenderableType:
+    told = "all as recorded" if replayed.is_same else f"{len(replayed.differences)} differences"
+    summary = escape(
+        f"{replayed.journal}: {replayed.rows} rows of {replayed.runs} runs, {replayed.compared} decided anew, {told}; "
+        f"{replayed.answered} commands needed what the world had answered; {replayed.rows_per_second:.0f} rows/s"
+    )
+    if replayed.is_same:
+        return summary
+    table = Table("row", "what", "differs in", "recorded", "decided now", title=summary, title_justify="left")
+    for each in replayed.differences:
+        cells = (str(each.sequence), each.row, each.what, _shown(each.recorded), _shown(each.decided))
+        table.add_row(*map(escape, cells))
+    return table
+
+
+def _shown(value: Any) -> str:
+    return "" if value is None else str(value)

@@ -1,0 +1,204 @@
+"""`pcmrs record` and `pcmrs repair`: recordings of what a cell says, and what is left of a damaged one."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import platform
+import signal
+import sys
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import contextmanager
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import msgspec
+from rich.console import Console
+
+from pcmrs.cli.number import POSITIVE
+from pcmrs.cli.options import OutputFile, config_options, json_option
+from pcmrs.cli.running import EXIT_FAILED, readable_errors, run
+from pcmrs.cli.sizes import Size
+from pcmrs.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    # For annotations only: asking for help must not load the robot's kinematics.
+    from pcmrs.recording.recorder import Plan, Recorder, Report
+    from pcmrs.recording.repair import Repaired
+    from pcmrs.settings import Settings
+
+NICENESS = 10
+"""Of the recorder of a daemon: control comes first."""
+
+
+@click.command()
+@click.argument("recording", type=click.Path(path_type=Path), metavar="FILE.mcap")
+@click.option("--max-size", type=Size(), help="Begin the next file at about this size, such as 512MB.")
+@click.option("--max-duration", type=POSITIVE, help="Begin the next file after so many seconds.")
+@click.option("--max-total", type=Size(), help="Remove the oldest files of this recording beyond this, such as 4GB.")
+@click.option(
+    "--keep-free", type=Size(), default="256MB", show_default=True, help="End rather than leave less on the disk."
+)
+@click.option(
+    "--topics",
+    multiple=True,
+    metavar="KEY",
+    help="Key expression of what is recorded, such as state/pose/*; may be repeated. By default all but heartbeats.",
+)
+@click.option("--session", default="", hidden=True, help="Of the daemon that starts this.")
+@click.option("--lifeline", is_flag=True, hidden=True, help="Read the configuration from standard input; end with it.")
+@config_options
+@json_option
+@readable_errors
+def record(
+    recording: Path,
+    max_size: float | None,
+    max_duration: float | None,
+    max_total: float | None,
+    keep_free: float,
+    topics: tuple[str, ...],
+    session: str,
+    lifeline: bool,
+    file: Path | None,
+    overrides: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Record what a running cell says on its bus, until Ctrl-C.
+
+    --config and --set are those of its daemon: from them come the cell's address, the arm and its calibration. The
+    file holds transforms, joints, log, states and the plan as Foxglove and Rerun show them, and every message as it
+    was, for pcmrs play. With --max-size or --max-duration the files are numbered: run.0001.mcap, run.0002.mcap, …
+
+    Exit status: 0 ended as told, 2 the disk is full or a file cannot be written, 3 no daemon, 4 bad configuration.
+
+    Example: pcmrs record run.mcap --max-size 512MB --max-total 4GB
+    """
+    from pcmrs.recording.recorder import Plan
+    from pcmrs.recording.series import Limits, all_files, check_new, files_of
+    from pcmrs.recording.topics import TOPICS, check_topics
+    from pcmrs.settings import read_settings
+
+    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(levelname)s %(message)s")
+    if max_total is not None and max_size is None and max_duration is None:
+        raise click.UsageError("--max-total needs --max-size or --max-duration: one file alone is never removed.")
+    if lifeline:
+        settings = _from_daemon()
+        limits, chosen = settings.recording.limits(), settings.recording.topics
+        pool = partial(all_files, recording.parent)
+        os.nice(NICENESS)
+    else:
+        settings = read_settings(file, overrides)
+        limits, chosen = Limits(max_size, max_duration, max_total, keep_free), topics or TOPICS
+        pool = partial(files_of, recording)
+    check_topics(chosen)
+    check_new(recording)
+    plan = Plan(recording, limits, _origin(settings, session), pool)
+    report = run(_record(settings, plan, chosen, lifeline=lifeline))
+    click.echo(msgspec.json.encode(report).decode() if as_json else _recorded(report))
+    if report.error is not None:
+        sys.exit(EXIT_FAILED)
+
+
+@click.command()
+@click.argument("damaged", type=click.Path(path_type=Path), metavar="FILE.mcap")
+@click.option("-o", "--output", type=OutputFile(), required=True, metavar="FILE.mcap", help="Where what is left goes.")
+@json_option
+@readable_errors
+def repair(damaged: Path, output: Path, as_json: bool) -> None:
+    """Save what can be read of a damaged recording, up to its last whole chunk, and say how much is lost.
+
+    The damaged file stays as it is. Any MCAP file can be given.
+
+    Exit status: 0 saved, whole or not; 2 it is no MCAP file; 4 the output is there already.
+    """
+    from pcmrs.recording.repair import repair as save
+
+    saved = save(damaged, output)
+    click.echo(msgspec.json.encode(saved).decode() if as_json else _saved(saved))
+
+
+def _from_daemon() -> Settings:
+    """The configuration that the daemon hands to the recorder. Raises `ConfigurationError`."""
+    from pcmrs.settings import Settings
+
+    try:
+        return msgspec.json.decode(sys.stdin.buffer.readline(), type=Settings)
+    except (msgspec.MsgspecError, RecursionError) as error:
+        raise ConfigurationError(f"Standard input is no configuration: {error}.") from None
+
+
+def _origin(settings: Settings, session: str) -> dict[str, str]:
+    return {
+        "site": settings.cell.site,
+        "cell": settings.cell.name,
+        "workflow": settings.workflow,
+        "rate": repr(settings.cell.rate),
+        "session": session,
+        "pcmrs": version("pcmrs"),
+        "python": platform.python_version(),
+        "machine": platform.node(),
+    }
+
+
+async def _record(settings: Settings, plan: Plan, topics: tuple[str, ...], *, lifeline: bool) -> Report:
+    from pcmrs.clock import SystemClock
+    from pcmrs.kinematics.urdf_arms import find_arm
+    from pcmrs.node import when_input_ends
+    from pcmrs.recording.chain import Mounting
+    from pcmrs.recording.recorder import Recorder
+    from pcmrs.recording.tap import Tap
+    from pcmrs.recording.views import Views
+
+    loop, ended, clock = asyncio.get_running_loop(), asyncio.Event(), SystemClock()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, ended.set)
+    if lifeline:
+        when_input_ends(ended.set)
+    mounting = Mounting.read(settings.procedure.calibration)
+    views = Views(find_arm(settings.robot.model), mounting, settings.cell.rate)
+    tap = await Tap.open(settings.bus("client"), topics, clock)
+    try:
+        recorder = Recorder(plan, views, clock)
+        with _status(recorder, str(plan.first)) as shown:
+            showing = asyncio.create_task(shown())
+            try:
+                return await recorder.run(tap, ended)
+            finally:
+                showing.cancel()
+    finally:
+        await tap.close()
+
+
+@contextmanager
+def _status(recorder: Recorder, name: str) -> Iterator[Callable[[], Coroutine[Any, Any, None]]]:
+    """A line on a terminal that says how much has been recorded; what it gives keeps it up to date."""
+    with Console(stderr=True).status(f"recording {name}") as status:
+
+        async def show() -> None:
+            while True:
+                await asyncio.sleep(1.0)
+                status.update(f"recording {name}: {recorder.messages} messages; Ctrl-C ends it")
+
+        yield show
+
+
+def _recorded(report: Report) -> str:
+    lost = f", {report.dropped} dropped" if report.dropped else ""
+    removed = f"; {report.removed} older files were removed" if report.removed else ""
+    files = ", ".join(report.files)
+    said = f"{report.messages} messages in {report.duration:.1f} s{lost}: {files}{removed}"
+    return said if report.error is None else f"{said}\nended early: {report.error}"
+
+
+def _saved(saved: Repaired) -> str:
+    if saved.complete:
+        return f"the file was whole: {saved.messages} messages copied"
+    share = 100.0 * saved.lost_bytes / max(1, saved.kept_bytes + saved.lost_bytes)
+    return (
+        f"{saved.messages} messages saved from {saved.kept_bytes} bytes; the last {saved.lost_bytes} bytes "
+        f"({share:.1f} %) are lost: {saved.damage}"
+    )

@@ -1,0 +1,40 @@
+"""How late the messages of another process are, whatever its clock shows."""
+
+from __future__ import annotations
+
+from math import inf
+
+WINDOW = 30.0
+"""Clocks that drift apart are compared anew after at most twice this, s of the machine."""
+
+
+class Lateness:
+    """Compares stamps of the sender's monotonic clock with ours; the quickest message of late is taken for not late.
+
+    A delay that lasts longer than `WINDOW` comes to count as the link's own: what shows it is the gap when it begins.
+    """
+
+    def __init__(self) -> None:
+        self._least = self._least_before = inf
+        self._since = -inf
+
+    def forget(self) -> None:
+        """The sender has begun anew, perhaps with another clock."""
+        self._least = self._least_before = inf
+
+    def hear(self, sent: float, now: float) -> float:
+        """Takes a message for the comparison, and says by how much it is late, s.
+
+        Args:
+            sent: When it was sent, s of the sender's clock.
+            now: When it came, s of ours.
+        """
+        if now - self._since > WINDOW:
+            self._least_before, self._least, self._since = self._least, inf, now
+        self._least = min(self._least, now - sent)
+        return self.of(sent, now)
+
+    def of(self, sent: float, now: float) -> float:
+        """By how much a message is later than the quickest one of late, s; 0 while there is nothing to compare."""
+        least = min(self._least, self._least_before)
+        return max(0.0, now - sent - least) if least < inf else 0.0

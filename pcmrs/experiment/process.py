@@ -1,0 +1,148 @@
+"""A daemon as a child process: on free ports, in a folder and a cell of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import socket
+import sys
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from pcmrs.errors import DeviceError
+from pcmrs.service import Ready
+
+START_TIME = 60.0
+"""The daemon must say that it is ready within this, s."""
+
+END_TIME = 15.0
+
+
+@dataclass(frozen=True, slots=True)
+class DaemonProcess:
+    """A running daemon.
+
+    Attributes:
+        process: The child process: the daemon, or the program given before it.
+        ready: What the daemon said about itself when it was ready.
+    """
+
+    process: asyncio.subprocess.Process
+    ready: Ready
+
+
+def own_settings(folder: Path, cell: str) -> list[str]:
+    """Settings of a cell that nobody else has; port 0 takes a free one."""
+    own = [f"cell.name={cell}", f"cell.folder={folder}", f"cell.endpoint=tcp/127.0.0.1:{free_port()}"]
+    links = [f"gateway.{link}.port=0" for link in ("planner", "robot", "visualization", "mep")]
+    # Where virtual devices are served, if a driver looks for them.
+    virtual = [f"kst.port={free_port()}", f"ndi.device=127.0.0.1:{free_port()}"]
+    return [*own, *links, "gateway.tcp_port=0", "recording.enabled=false", *virtual]
+
+
+def serve_command(overrides: Sequence[str]) -> list[str]:
+    """The command line of a daemon with these settings, ``key=value`` each."""
+    settings = [word for override in overrides for word in ("--set", override)]
+    return [sys.executable, "-m", "pcmrs.cli", "serve", "--json", *settings]
+
+
+@asynccontextmanager
+async def running_daemon(
+    overrides: Sequence[str], log: Path, *, prefix: Sequence[str] = (), environment: Mapping[str, str] | None = None
+) -> AsyncIterator[DaemonProcess]:
+    """Starts a daemon, waits until it is ready, and ends it and its nodes with the context, whatever state it is in.
+
+    Args:
+        overrides: Settings of the daemon, ``key=value`` each.
+        log: Takes its standard error, after what is there.
+        prefix: Words before its command line: a program that runs it.
+        environment: Variables that it has besides those of this process.
+
+    Raises:
+        DeviceError: It did not start; the text has its last words.
+    """
+    with log.open("ab") as errors:
+        process = await asyncio.create_subprocess_exec(
+            *prefix,
+            *serve_command(overrides),
+            stdout=asyncio.subprocess.PIPE,
+            stderr=errors,
+            env={**os.environ, **(environment or {})},
+        )
+    family: list[int] = []
+    try:
+        ready = await _ready(process, log)
+        family = descendants(process.pid)
+        yield DaemonProcess(process, ready)
+    finally:
+        await _end(process, family or descendants(process.pid))
+
+
+def descendants(pid: int) -> list[int]:
+    """Ids of all processes below a process: device nodes, and whatever they have started."""
+    found: list[int] = []
+    for children in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):
+            found += map(int, children.read_text().split())
+    return found + [below for child in found for below in descendants(child)]
+
+
+def free_port() -> int:
+    """A port on which nobody listens, TCP and UDP."""
+    while True:
+        with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp, suppress(OSError):
+            tcp.bind(("127.0.0.1", 0))
+            port: int = tcp.getsockname()[1]
+            udp.bind(("127.0.0.1", port))
+            return port
+
+
+async def _end(process: asyncio.subprocess.Process, family: Sequence[int]) -> None:
+    """Ends a daemon that may be stopped, or held by the program that runs it, and what it leaves behind."""
+    for pid in (process.pid, *family):
+        _send(pid, signal.SIGCONT)
+    if process.returncode is None:
+        process.terminate()
+    try:
+        async with asyncio.timeout(END_TIME):
+            await process.wait()
+    except TimeoutError:
+        process.kill()
+        await process.wait()
+    for pid in family:
+        if _is_ours(pid):
+            _send(pid, signal.SIGKILL)
+
+
+def _is_ours(pid: int) -> bool:
+    """Whether a process is still one of a daemon: its id may have gone to somebody else."""
+    with suppress(OSError):
+        return b"pcmrs" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    return False
+
+
+def _send(pid: int, number: int) -> None:
+    with suppress(ProcessLookupError):
+        os.kill(pid, number)
+
+
+async def _ready(process: asyncio.subprocess.Process, log: Path) -> Ready:
+    line = b""
+    if process.stdout is not None:
+        with suppress(TimeoutError):
+            async with asyncio.timeout(START_TIME):
+                line = await process.stdout.readline()
+    try:
+        return msgspec.json.decode(line, type=Ready)
+    except msgspec.MsgspecError:
+        raise DeviceError(f"The daemon did not start: {last_words(log)}") from None
+
+
+def last_words(log: Path, lines: int = 3) -> str:
+    """The end of a log, in one line."""
+    return " ".join(log.read_text(errors="replace").splitlines()[-lines:])

@@ -1,0 +1,85 @@
+"""Following the hash chain through the rows as they lie in the file."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from pcmrs.errors import JournalError
+from pcmrs.journal.rows import START, JournalRow, Place, StoredRow, chain_hash, decode_row
+from pcmrs.journal.schema import DATABASE_ERRORS
+
+COLUMNS: Final = "sequence, body, previous_hash, hash"
+_ALL_COLUMNS: Final = f"{COLUMNS}, kind, source, command_id, branch, wall"
+
+REMEDY: Final = (
+    "`pcmrs journal verify` says what is good, `pcmrs journal export --good-part` saves it; keep the files as they are "
+    "and go on in another cell.folder."
+)
+"""What to do with a journal that is damaged."""
+
+
+def stored_row(path: Path, record: tuple[Any, ...]) -> StoredRow:
+    """The row of a record with `COLUMNS`.
+
+    Raises:
+        JournalError: Its bytes do not have the hash that was recorded with them; the field ``sequence`` says which.
+    """
+    sequence, body, previous, own = record
+    if not (isinstance(sequence, int) and sequence > 0 and all(isinstance(each, bytes) for each in record[1:])):
+        raise _damaged(path, sequence, "does not hold what a row holds")
+    if own != chain_hash(previous, sequence, body):
+        raise _damaged(path, sequence, "does not have the hash recorded with it")
+    try:
+        row = decode_row(body)
+    except JournalError as error:
+        raise _damaged(path, sequence, f"cannot be read ({error.text})") from error
+    return StoredRow(sequence=sequence, row=row, previous_hash=previous, hash=own)
+
+
+def follow_chain(connection: sqlite3.Connection, path: Path, after: Place | int = START) -> Iterator[StoredRow]:
+    """All rows after a place, in order, each only when it is whole, the next in the chain, and found by its command.
+
+    Args:
+        connection: To the journal.
+        path: Of the journal, for the texts.
+        after: The place from which the chain is followed; a sequence alone where its hash is taken on trust.
+
+    Raises:
+        JournalError: A row is missing, changed or unreadable; the field ``sequence`` says which.
+    """
+    expected, previous = (after, None) if isinstance(after, int) else (after.sequence, after.hash)
+    query = f"SELECT {_ALL_COLUMNS} FROM journal WHERE sequence > ? ORDER BY sequence"
+    try:
+        for record in connection.execute(query, (expected,)):
+            expected += 1
+            if record[0] != expected:
+                raise _damaged(path, expected, f"is missing; the next is {record[0]}")
+            stored = stored_row(path, record[:4])
+            if previous is not None and stored.previous_hash != previous:
+                raise _damaged(path, expected, "does not follow from the row before it")
+            _check_found(connection, path, stored.row, record)
+            previous = stored.hash
+            yield stored
+    except DATABASE_ERRORS as error:
+        raise _damaged(path, expected + 1, f"cannot be read ({error})") from error
+
+
+def _check_found(connection: sqlite3.Connection, path: Path, row: JournalRow, record: tuple[Any, ...]) -> None:
+    """The columns and indexes beside the row must lead to it: by them repeats and unfinished commands are found."""
+    if record[4:] != (row.kind, row.source, row.command_id, row.branch, row.wall):
+        raise _damaged(path, record[0], "is entered under other keys than its own")
+    if row.command_id is None or row.source is None or row.kind not in ("intent", "outcome"):
+        return
+    query = (
+        f"SELECT sequence FROM journal INDEXED BY one_{row.kind} "
+        f"WHERE kind = '{row.kind}' AND source = ? AND command_id = ?"
+    )
+    if connection.execute(query, (row.source, row.command_id)).fetchall() != [(record[0],)]:
+        raise _damaged(path, record[0], "is not found by its command")
+
+
+def _damaged(path: Path, sequence: object, what: str) -> JournalError:
+    return JournalError(f"{path} is damaged: row {sequence} {what}. {REMEDY}", path=str(path), sequence=sequence)

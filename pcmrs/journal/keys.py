@@ -1,0 +1,109 @@
+"""The key pair that signs the journal's head: made with the first journal of a cell's folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from cryptography.exceptions import InternalError, InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+
+from pcmrs.errors import JournalError
+from pcmrs.journal.files import write_durably
+
+PRIVATE: Final = "journal.key"
+PUBLIC: Final = "journal.pub"
+
+_NO_KEY: Final = (ValueError, TypeError, UnsupportedAlgorithm, InternalError)
+"""What OpenSSL finds in bytes that are no key, depending on where they are damaged."""
+
+
+def signing_key(folder: Path, *, make: bool) -> Ed25519PrivateKey:
+    """The private key of the journals in `folder`; the public one lies beside it afterwards.
+
+    Args:
+        folder: Of the journals.
+        make: Whether a pair is made where there is none.
+
+    Raises:
+        JournalError: The key is missing, is none, does not fit the public one, or others may read it.
+    """
+    path = folder / PRIVATE
+    try:
+        if not path.exists():
+            _refuse_to_replace(path, folder / PUBLIC, make)
+            _make(path)
+        key = _read_private(path)
+        _publish(key.public_key(), folder / PUBLIC)
+    except OSError as error:
+        raise JournalError(f"{path} cannot be used: {error.strerror}.", path=str(path)) from error
+    return key
+
+
+def public_key(path: Path) -> Ed25519PublicKey:
+    """Reads a public key in PEM.
+
+    Raises:
+        JournalError: It is missing or no Ed25519 key.
+    """
+    try:
+        key = serialization.load_pem_public_key(path.read_bytes())
+    except (OSError, *_NO_KEY) as error:
+        raise JournalError(f"{path} is not the public key of a journal: {error}.", path=str(path)) from error
+    if not isinstance(key, Ed25519PublicKey):
+        raise JournalError(f"{path} is not an Ed25519 key.", path=str(path))
+    return key
+
+
+def signed_by(key: Ed25519PublicKey, signature: bytes, message: bytes) -> bool:
+    """Whether the signature holds."""
+    try:
+        key.verify(signature, message)
+    except InvalidSignature:
+        return False
+    return True
+
+
+def _refuse_to_replace(path: Path, public: Path, make: bool) -> None:
+    if public.exists() or not make:
+        raise JournalError(
+            f"{path} is missing, and journals are signed with it: put it back from a copy, or begin anew in another "
+            "cell.folder. `pcmrs journal verify` needs the public key only.",
+            path=str(path),
+        )
+
+
+def _make(path: Path) -> None:
+    private = Ed25519PrivateKey.generate().private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+    write_durably(path, private, mode=0o600)
+
+
+def _read_private(path: Path) -> Ed25519PrivateKey:
+    if mode := path.stat().st_mode & 0o077:
+        raise JournalError(
+            f"{path} may be read by others (mode {mode:03o} for group and others, 000 is needed): `chmod 600 {path}`, "
+            "and begin anew in another cell.folder if somebody may have copied it.",
+            path=str(path),
+        )
+    try:
+        key = serialization.load_pem_private_key(path.read_bytes(), None)
+    except _NO_KEY as error:
+        raise JournalError(f"{path} is not a private key: {error}. Put it back from a copy.", path=str(path)) from error
+    if not isinstance(key, Ed25519PrivateKey):
+        raise JournalError(f"{path} is not an Ed25519 key. Put it back from a copy.", path=str(path))
+    return key
+
+
+def _publish(key: Ed25519PublicKey, path: Path) -> None:
+    if not path.exists():
+        pem = key.public_bytes(serialization.Encoding.PEM, serialization.PublicFormat.SubjectPublicKeyInfo)
+        write_durably(path, pem, mode=0o644)
+    elif public_key(path) != key:
+        raise JournalError(
+            f"{path} does not belong to {PRIVATE} beside it: one of the two was replaced. Put the pair back from a "
+            "copy, or begin anew in another cell.folder.",
+            path=str(path),
+        )

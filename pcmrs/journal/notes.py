@@ -1,0 +1,52 @@
+"""What the journal writes about itself: after a crash or a failure, and when it takes up an older version."""
+
+from __future__ import annotations
+
+from pcmrs.clock import SystemClock
+from pcmrs.errors import JournalError
+from pcmrs.journal.rows import JournalRow
+from pcmrs.journal.schema import HEADLESS
+from pcmrs.journal.soundness import Found
+
+SOURCE = "journal"
+"""Source of rows that the journal writes about itself."""
+
+
+def note_rows(found: Found) -> list[JournalRow]:
+    """The rows that are still to be journalled about a file that was taken up.
+
+    They belong to the session of the row before them, and carry its time of the cell's clock, which is not running yet.
+    """
+    rows = []
+    if found.last is not None and found.version == HEADLESS:
+        text = f"A signed head was begun for a journal of version {HEADLESS}, after all its rows were found whole."
+        rows.append(_note(found.last.row, "head_begun", {"text": text, "rows": found.place.sequence}))
+    if found.last is not None and found.unnamed:
+        text = f"The writer died before its head named the last rows, {found.unnamed} of them: they are taken up."
+        rows.append(_note(found.last.row, "head_behind", {"text": text, "rows": found.unnamed}))
+    if found.last is not None and found.damaged:
+        text = "A slot of the head could not be read, as after a power cut: the other one held."
+        rows.append(_note(found.last.row, "head_damaged", {"text": text, "slots": found.damaged}))
+    return rows
+
+
+def reopened_rows(found: Found, why: JournalError | None) -> list[JournalRow]:
+    """The row that says that the journal was reopened after a failure; none where it has no row yet."""
+    if found.last is None:
+        return []
+    text = f"The journal was reopened, and what the disk has was read again. {why.text if why is not None else ''}"
+    return [_note(found.last.row, "reopened", {"text": text.rstrip()})]
+
+
+def _note(before: JournalRow, operation: str, result: dict[str, object]) -> JournalRow:
+    return JournalRow(
+        kind="event",
+        source=SOURCE,
+        operation=operation,
+        result=result,
+        wall=SystemClock().wall(),
+        monotonic=before.monotonic,
+        boot_id=before.boot_id,
+        session_id=before.session_id,
+        blueprint=before.blueprint,
+    )

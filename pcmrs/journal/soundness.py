@@ -1,0 +1,150 @@
+"""Whether a journal may be written on: it must hold everything that its head says, since a tail was lost otherwise."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from pcmrs.errors import JournalError
+from pcmrs.journal.chain import REMEDY, follow_chain
+from pcmrs.journal.head import Head, HeadState, head_path, read_head
+from pcmrs.journal.keys import signing_key
+from pcmrs.journal.rows import START, Place, StoredRow
+from pcmrs.journal.schema import HEADLESS, check_schema, last_sequence, open_for_reading, version_of
+
+LARGEST_GROUP: Final = 512
+"""Rows of one commit at most, so that a crash can leave so many, and no more, that the head does not name yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A journal that may be written on.
+
+    Attributes:
+        key: Signs its head.
+        version: Of the file; 0 when there is none yet.
+        head: None when one is still to be begun.
+        last: None when there are no rows.
+        damaged: How many slots of the head are damaged.
+    """
+
+    key: Ed25519PrivateKey
+    version: int
+    head: Head | None
+    last: StoredRow | None
+    damaged: int
+
+    @property
+    def place(self) -> Place:
+        """Of the last row."""
+        return START if self.last is None else Place(self.last.sequence, self.last.hash)
+
+    @property
+    def unnamed(self) -> int:
+        """Rows that the head does not name: committed when the writer died, and never acknowledged."""
+        return 0 if self.head is None else self.place.sequence - self.head.place.sequence
+
+
+def examine(path: Path) -> Found:
+    """Reads the journal from its last snapshot on, and the head; writes nothing into either.
+
+    The whole chain is followed where no snapshot begins a shorter part, and for a journal of version 1, which has
+    no head.
+
+    Raises:
+        JournalError: Rows are missing, changed, or not written by who has the key; the head or its key is missing
+            or damaged; the file is no journal.
+    """
+    version = 0 if not path.exists() or path.stat().st_size == 0 else _version(path)
+    headed = head_path(path).exists()
+    key = signing_key(path.parent, make=not headed and version in (0, HEADLESS))
+    state = read_head(head_path(path), key.public_key())
+    head = require_head(path, state, version)
+    last = None
+    if version:
+        last = _read_end(path, version, head)
+    found = Found(key, version, head, last, 0 if state is None else state.damaged)
+    if head is not None:
+        require_rows(path, head.place, found.place)
+        require_named(path, found.unnamed, found.damaged)
+    return found
+
+
+def require_head(path: Path, state: HeadState | None, version: int) -> Head | None:
+    """The head that a journal must have; None where it is still to be begun.
+
+    Raises:
+        JournalError: It is missing or damaged.
+    """
+    where = head_path(path)
+    if state is None:
+        if version <= HEADLESS:
+            return None
+        text = f"{where} is missing, so nobody can say whether rows at the end of {path} are. {REMEDY}"
+        raise JournalError(text, path=str(where))
+    if state.head is None:
+        text = f"{where} is damaged, or signed with another key than the one beside it. {REMEDY}"
+        raise JournalError(text, path=str(where))
+    return state.head
+
+
+def require_rows(path: Path, named: Place, last: Place) -> None:
+    """The row that the head names must be there.
+
+    Raises:
+        JournalError: Rows are missing; the field ``missing`` says how many.
+    """
+    missing = named.sequence - last.sequence
+    if missing > 0:
+        raise JournalError(
+            f"{path} ends with row {last.sequence}, and its signed head names row {named.sequence}: {missing} "
+            f"acknowledged rows are lost. {REMEDY}",
+            path=str(path),
+            missing=missing,
+            last=last.sequence,
+        )
+
+
+def another_row(path: Path, named: Place) -> JournalError:
+    """Of a row that is not the one that the head names."""
+    text = f"{path} holds another row {named.sequence} than the one that its signed head names. {REMEDY}"
+    return JournalError(text, path=str(path), sequence=named.sequence)
+
+
+def require_named(path: Path, unnamed: int, damaged: int) -> None:
+    """No more rows may follow the head than a crash can leave: a group, or two where one of its slots was torn.
+
+    Raises:
+        JournalError: There are more; the field ``unnamed`` says how many.
+    """
+    if unnamed > LARGEST_GROUP * (1 + damaged):
+        raise JournalError(
+            f"{path} has {unnamed} rows after the last one that its signed head names, and a crash leaves no more "
+            f"than {LARGEST_GROUP}: another program wrote them, or the head is an old one. {REMEDY}",
+            path=str(path),
+            unnamed=unnamed,
+        )
+
+
+def _version(path: Path) -> int:
+    with closing(open_for_reading(path)) as connection:
+        return version_of(connection)
+
+
+def _read_end(path: Path, version: int, head: Head | None) -> StoredRow | None:
+    last = None
+    with closing(open_for_reading(path)) as connection:
+        check_schema(connection, path)
+        snapshot = last_sequence(connection, path, kind="snapshot")
+        if version == HEADLESS and snapshot:
+            text = f"{path} says that it is of version {version}, and holds rows of a later one. {REMEDY}"
+            raise JournalError(text, path=str(path))
+        first = min(snapshot, head.place.sequence if head is not None else 0)
+        for last in follow_chain(connection, path, first - 1 if first > 1 else START):
+            if head is not None and last.sequence == head.place.sequence and last.hash != head.place.hash:
+                raise another_row(path, head.place)
+    return last

@@ -1,0 +1,86 @@
+"""Reading MCAP files, also those that were cut or damaged: everything up to the first record that is not whole."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from pcmrs.errors import FileFormatError
+from pcmrs.recording import raw
+from pcmrs.recording.file import METADATA
+from pcmrs.recording.tap import Heard
+
+_MAGIC = b"\x89MCAP0\r\n"
+
+
+class Reading:
+    """One pass over a file.
+
+    Args:
+        path: Of the file.
+
+    Attributes:
+        whole: Bytes, from the start, that could be read.
+        size: Bytes of the file.
+        complete: Whether the end of the file was reached without damage.
+        damage: What was wrong at `whole`; empty while nothing was.
+        origin: What the file says of itself, as far as that has been read.
+
+    Raises:
+        FileFormatError: It does not begin as an MCAP file.
+        OSError: It cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.size = path.stat().st_size
+        self.whole = 0
+        self.complete = False
+        self.damage = ""
+        self.origin: dict[str, str] = {}
+        with path.open("rb") as file:
+            if file.read(len(_MAGIC)) != _MAGIC:
+                raise FileFormatError(f"{path} is no MCAP file, or was cut before its first record.", file=str(path))
+
+    def records(self) -> Iterator[McapRecord]:
+        """All records in order, those of a chunk in its place; ends where the file is damaged."""
+        with self.path.open("rb") as file:
+            records = self._whole_records(file)
+            while True:
+                try:
+                    batch = next(records, None)
+                except Exception as error:  # of a damaged file the parsers raise whatever they stumble over
+                    self.damage = f"a record is not whole ({str(error) or type(error).__name__})"
+                    return
+                if batch is None:
+                    self.complete = True
+                    return
+                yield from batch
+
+    def bus_messages(self) -> Iterator[tuple[int, Heard]]:
+        """What came over the bus, and when, ns since 1970; other topics are passed over.
+
+        Raises:
+            FileFormatError: A message is not of PCMRS.
+        """
+        keys: dict[int, str] = {}
+        for record in self.records():
+            if isinstance(record, Channel) and record.topic.startswith(raw.PREFIX):
+                keys[record.id] = record.topic.removeprefix(raw.PREFIX)
+            elif isinstance(record, Message) and record.channel_id in keys:
+                monotonic, payload = raw.decode(record.data)
+                yield record.log_time, Heard(keys[record.channel_id], payload, monotonic)
+
+    def _whole_records(self, file: BinaryIO) -> Iterator[list[McapRecord]]:
+        """Record by record; a chunk is taken apart first, and counts only as a whole."""
+        # No record is longer than the file: a damaged length must not take all memory.
+        for record in StreamReader(file, emit_chunks=True, record_size_limit=self.size).records:
+            batch = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+            self.whole = self.size if isinstance(record, Footer) else file.tell()
+            if isinstance(record, Metadata) and record.name == METADATA:
+                self.origin = record.metadata
+            yield batch

@@ -1,0 +1,97 @@
+"""The numbered files of a recording, and how much of the disk they may take together."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pcmrs.errors import ConfigurationError
+
+SUFFIX = ".mcap"
+_NUMBERED = re.compile(r"(?P<stem>.+)\.(?P<number>\d{4,})\.mcap")
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When a file is followed by the next one, and when a recording ends.
+
+    Attributes:
+        file_bytes: Size of a file, about; None for any.
+        file_s: Its duration, s; None for any.
+        total_bytes: Of all files together; beyond it the oldest are removed. None for any.
+        keep_free_bytes: The recording ends rather than leave less on the disk.
+    """
+
+    file_bytes: float | None = None
+    file_s: float | None = None
+    total_bytes: float | None = None
+    keep_free_bytes: float = 0.0
+
+    @property
+    def numbered(self) -> bool:
+        """Whether there may be more than one file."""
+        return self.file_bytes is not None or self.file_s is not None
+
+
+def path_of(first: Path, number: int) -> Path:
+    """File `number`, from 1, of the recording that is called `first`: ``run.mcap`` gives ``run.0001.mcap``."""
+    return first.with_name(f"{first.stem}.{number:04}{SUFFIX}")
+
+
+def files_of(first: Path) -> list[Path]:
+    """The files of a recording, oldest first: itself, or the numbered ones that are left of it."""
+    own = [path for path in first.parent.glob(f"*{SUFFIX}") if (found := _match(path)) and found["stem"] == first.stem]
+    return [first] if first.exists() else sorted(own, key=_order)
+
+
+def all_files(folder: Path) -> list[Path]:
+    """All numbered files in a folder, oldest first, where the names of recordings begin with their date."""
+    return sorted((path for path in folder.glob(f"*{SUFFIX}") if _match(path)), key=_order)
+
+
+def check_new(first: Path) -> None:
+    """Accepts the name of a recording that is not there yet.
+
+    Raises:
+        ConfigurationError: It does not end in ``.mcap``, its folder is missing, or it is there already.
+    """
+    if first.suffix != SUFFIX:
+        raise ConfigurationError(f"{first} does not end in {SUFFIX}: give such a name.", file=str(first))
+    if not first.parent.is_dir():
+        text = f"{first} cannot be written: there is no folder {first.parent}; make it first."
+        raise ConfigurationError(text, file=str(first))
+    if files := files_of(first):
+        text = f"{files[0]} is there already: give another name, or move it away."
+        raise ConfigurationError(text, file=str(files[0]))
+
+
+def remove_oldest(files: Sequence[Path], limit: float, removed: Callable[[Path, int], None]) -> None:
+    """Removes files until the others have at most `limit` bytes together; the last one stays.
+
+    Args:
+        files: Oldest first; the last one is being written.
+        limit: Bytes.
+        removed: Told each file that went, and its size.
+
+    Raises:
+        OSError: One cannot be removed.
+    """
+    sizes = {path: path.stat().st_size for path in files}
+    total = sum(sizes.values())
+    for path in files[:-1]:
+        if total <= limit:
+            return
+        path.unlink()
+        total -= sizes[path]
+        removed(path, sizes[path])
+
+
+def _match(path: Path) -> re.Match[str] | None:
+    return _NUMBERED.fullmatch(path.name)
+
+
+def _order(path: Path) -> tuple[str, int]:
+    found = _match(path)
+    return (found["stem"], int(found["number"])) if found else (path.stem, 0)

@@ -1,0 +1,101 @@
+"""Poses, frames and text as the messages of Foxglove, which Foxglove and Rerun know how to show."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+from foxglove.messages import (
+    FrameTransform,
+    FrameTransforms,
+    JointState,
+    JointStates,
+    Log,
+    LogLevel,
+    Pose,
+    PoseInFrame,
+    Quaternion,
+    Timestamp,
+    Vector3,
+)
+
+from pcmrs.messages import Message
+from pcmrs.spatial import Transform
+
+View = FrameTransforms | JointStates | Log | PoseInFrame | Message
+"""What a topic for people shows; a `Message` is shown as JSON."""
+
+_SECOND = 1_000_000_000
+
+
+def stamp(at_ns: int) -> Timestamp:
+    """Nanoseconds since 1970 as seconds and nanoseconds."""
+    return Timestamp(at_ns // _SECOND, at_ns % _SECOND)
+
+
+def link(parent: str, child: str, parent_from_child: Transform, at_ns: int) -> FrameTransforms:
+    """Where one frame is in another, at a time."""
+    return FrameTransforms(
+        transforms=[
+            FrameTransform(
+                timestamp=stamp(at_ns),
+                parent_frame_id=parent,
+                child_frame_id=child,
+                translation=_vector(parent_from_child),
+                rotation=_quaternion(parent_from_child),
+            )
+        ]
+    )
+
+
+def pose_in(frame: str, pose: Transform, at_ns: int) -> PoseInFrame:
+    """A pose in a frame, at a time."""
+    shown = Pose(position=_vector(pose), orientation=_quaternion(pose))
+    return PoseInFrame(timestamp=stamp(at_ns), frame_id=frame, pose=shown)
+
+
+def joints(names: list[str], positions: list[float], velocities: list[float], at_ns: int) -> JointStates:
+    """Joint positions, rad, and velocities, rad/s, of which there are as many as names."""
+    each = [
+        JointState(name=name, position=position, velocity=velocity)
+        for name, position, velocity in zip(names, positions, velocities, strict=True)
+    ]
+    return JointStates(timestamp=stamp(at_ns), joints=each)
+
+
+def line(level: LogLevel, name: str, text: str, at_ns: int) -> Log:
+    """A line of the log."""
+    return Log(timestamp=stamp(at_ns), level=level, name=name, message=text)
+
+
+def json_schema(kind: type[Message]) -> dict[str, Any]:
+    """JSON schema of a type of messages, without references: not every reader follows them."""
+    whole = msgspec.json.schema(kind)
+    parts = whole.pop("$defs")
+    schema: dict[str, Any] = _inlined(whole, parts)
+    return {**schema, "title": f"pcmrs.{kind.__name__}"}
+
+
+def json_bytes(message: Message) -> bytes:
+    """A message as JSON."""
+    return msgspec.json.encode(message)
+
+
+def _inlined(schema: Any, parts: dict[str, Any]) -> Any:
+    if isinstance(schema, list):
+        return [_inlined(each, parts) for each in schema]
+    if not isinstance(schema, dict):
+        return schema
+    if "$ref" in schema:
+        return _inlined(parts[schema["$ref"].rpartition("/")[2]], parts)
+    return {key: _inlined(value, parts) for key, value in schema.items()}
+
+
+def _vector(transform: Transform) -> Vector3:
+    x, y, z = transform.translation.tolist()
+    return Vector3(x=x, y=y, z=z)
+
+
+def _quaternion(transform: Transform) -> Quaternion:
+    w, x, y, z = transform.quat_wxyz.tolist()
+    return Quaternion(x=x, y=y, z=z, w=w)

@@ -1,0 +1,117 @@
+"""Hearing a cell without understanding it: payloads as they are, with the time at which they came."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+from pcmrs.bus import BusSettings
+from pcmrs.bus.codec import pack
+from pcmrs.bus.declare import declare_publisher, declare_subscriber
+from pcmrs.bus.keys import cell_prefix
+from pcmrs.bus.qos import class_of
+from pcmrs.bus.serving import payload_of
+from pcmrs.bus.settings import open_session
+from pcmrs.clock import Clock
+from pcmrs.messages import DeviceEvent
+
+if TYPE_CHECKING:
+    import zenoh
+
+CAPACITY: Final = 20_000
+"""Messages that may wait to be written: many seconds of a cell at work."""
+
+EVENTS: Final = "dev/recorder/event"
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """One message.
+
+    Attributes:
+        key: Relative to the cell.
+        payload: As it was on the bus.
+        at: When it came, s of the machine's monotonic clock.
+    """
+
+    key: str
+    payload: bytes
+    at: float
+
+
+class Tap:
+    """Keeps what comes on some keys of a cell until it is taken; what is too much is dropped and counted.
+
+    Use `Tap.open`.
+
+    Attributes:
+        prefix: Of the cell.
+        dropped: So many messages came while the queue was full.
+    """
+
+    def __init__(self, session: zenoh.Session, prefix: str, clock: Clock) -> None:
+        self.prefix = prefix
+        self.dropped = 0
+        self._session = session
+        self._clock = clock
+        self._waiting: deque[Heard] = deque()
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="pcmrs-tap")
+        self._declared: list[Any] = []
+
+    @classmethod
+    async def open(cls, settings: BusSettings, topics: Sequence[str], clock: Clock) -> Tap:
+        """Joins the bus and hears from now on.
+
+        Args:
+            settings: Of the bus.
+            topics: Key expressions, relative to the cell, that do not overlap.
+            clock: Of the machine.
+
+        Raises:
+            BusError: No daemon answers at the endpoint.
+            PayloadError: The site's or cell's name cannot be a part of a key.
+        """
+        prefix = cell_prefix(settings.site, settings.cell)
+        session = await asyncio.get_running_loop().run_in_executor(None, open_session, settings)
+        tap = cls(session, prefix, clock)
+        for topic in topics:
+            subscriber = declare_subscriber(session, f"{prefix}/{topic}", class_of(topic), tap._take)
+            tap._declared.append(subscriber)
+        return tap
+
+    def heard(self) -> list[Heard]:
+        """What has come since the last call, in order."""
+        return [self._waiting.popleft() for _ in range(len(self._waiting))]
+
+    async def report(self, event: DeviceEvent) -> None:
+        """Tells the daemon, which journals it."""
+        publisher = declare_publisher(self._session, f"{self.prefix}/{EVENTS}", class_of(EVENTS))
+        self._declared.append(publisher)
+        await self._in_pool(partial(publisher.put, pack(event)))
+
+    async def close(self) -> None:
+        """Leaves the bus."""
+        await self._in_pool(self._undeclare)
+        await self._in_pool(self._session.close)
+        self._pool.shutdown()
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        """Runs in Zenoh's threads."""
+        at = self._clock.monotonic()
+        if len(self._waiting) >= CAPACITY:
+            self.dropped += 1
+            return
+        key = str(sample.key_expr).removeprefix(f"{self.prefix}/")
+        self._waiting.append(Heard(key, payload_of(sample), at))
+
+    def _undeclare(self) -> None:
+        for entity in self._declared:
+            entity.undeclare()
+
+    async def _in_pool(self, work: Any) -> None:
+        await asyncio.get_running_loop().run_in_executor(self._pool, work)

@@ -1,0 +1,140 @@
+"""From messages of the bus to what people see in a recording: one topic for each thing they look at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
+
+from foxglove.messages import LogLevel
+
+from pcmrs.bus.codec import convert, unpack
+from pcmrs.errors import PcmrsError
+from pcmrs.kinematics.arms import ArmFacts
+from pcmrs.messages import BodyPose, DeviceEvent, DeviceHealth, JointState, Snapshot, Target, Verdict
+from pcmrs.recording import shapes
+from pcmrs.recording.chain import Chain, Link, Mounting
+from pcmrs.recording.shapes import View
+from pcmrs.recording.tap import Heard
+from pcmrs.spatial import Frame, Transform
+
+T = TypeVar("T")
+Shown = tuple[str, View]
+"""Topic and message."""
+
+LOG, STATE, HEALTH, JOINTS, TARGET = "/log", "/state", "/health", "/joints", "/target"
+TF_CALIBRATION, TF_ARM, TF_BASE, TF_BODIES = "/tf/calibration", "/tf/arm", "/tf/robot_base", "/tf/bodies"
+
+_SECOND = 1_000_000_000
+_LEVELS = {"accepted": LogLevel.Info, "rejected": LogLevel.Warning}
+
+
+class Views:
+    """Translates what is heard, and keeps what a later file must begin with.
+
+    Args:
+        arm: The arm's facts.
+        mounting: What was calibrated.
+        rate: Seconds of the cell, in which senders stamp, per second of the machine.
+    """
+
+    def __init__(self, arm: ArmFacts, mounting: Mounting, rate: float) -> None:
+        self._names = [joint.name for joint in arm.joints]
+        self._chain = Chain(arm, mounting)
+        self._fixed = mounting.links()
+        self._rate = rate
+        self._latest: dict[str, tuple[str, Any]] = {}
+        self._translators: list[tuple[str, Callable[[Heard, int], Iterator[Shown]]]] = [
+            ("state/pose/", self._pose),
+            ("state/joints", self._joints),
+            ("state/fsm", self._snapshot),
+            ("state/target", self._target),
+            ("state/event", self._event),
+            ("dev/", self._health),
+        ]
+
+    def of(self, heard: Heard, at_ns: int) -> list[Shown]:
+        """What there is to see of a message.
+
+        Args:
+            heard: The message.
+            at_ns: When it came, ns since 1970.
+
+        Returns:
+            Nothing for a key that has no view; a line of the log for a message that cannot be read.
+        """
+        translate = next((each for start, each in self._translators if heard.key.startswith(start)), None)
+        if translate is None:
+            return []
+        try:
+            return list(translate(heard, at_ns))
+        except PcmrsError as error:
+            return [(LOG, shapes.line(LogLevel.Warning, "recorder", f"{heard.key}: {error.text}", at_ns))]
+
+    def opening(self, at_ns: int) -> list[Shown]:
+        """What a file begins with, so that it can be understood without those before it."""
+        fixed = [(TF_CALIBRATION, self._linked(link, at_ns)) for link in self._fixed]
+        return [*fixed, *((topic, view(at_ns)) for topic, view in self._latest.values())]
+
+    def _pose(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
+        pose = unpack(heard.payload, BodyPose)
+        if not pose.valid:
+            return
+        captured_ns = at_ns - self._age_ns(pose.sent - pose.captured)
+        tracker_from_body = Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
+        yield TF_BODIES, shapes.link(Frame.TRACKER, pose.body, tracker_from_body, captured_ns)
+        base = self._chain.coil(tracker_from_body) if pose.body == Frame.COIL else None
+        if base is not None:
+            yield self._kept("base", TF_BASE, lambda at: self._linked(base, at), captured_ns)
+
+    def _joints(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
+        state = unpack(heard.payload, JointState)
+        captured_ns = at_ns - self._age_ns(state.sent - state.captured)
+        flange = self._chain.joints(state)
+        if len(state.velocities) == len(self._names):
+            yield JOINTS, shapes.joints(self._names, state.positions, state.velocities, captured_ns)
+        yield TF_ARM, self._linked(flange, captured_ns)
+
+    def _snapshot(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
+        snapshot = unpack(heard.payload, Snapshot)
+        yield self._kept("state", STATE, lambda _: snapshot, at_ns)
+
+    def _health(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
+        if heard.key.endswith("/state"):
+            health = unpack(heard.payload, DeviceHealth)
+            yield self._kept(heard.key, HEALTH, lambda _: health, at_ns)
+
+    def _target(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
+        pose = unpack(heard.payload, Target).pose
+        if pose is None:
+            self._latest.pop("target", None)
+            return
+        image_from_coil = Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
+        yield self._kept("target", TARGET, lambda at: shapes.pose_in(Frame.IMAGE, image_from_coil, at), at_ns)
+
+    def _event(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
+        fields = unpack(heard.payload, dict)
+        if "decision" in fields:
+            verdict = convert(fields, Verdict)
+            level = _LEVELS.get(verdict.decision, LogLevel.Error)
+            yield LOG, shapes.line(level, f"{verdict.branch}.{verdict.operation}", _said(verdict), at_ns)
+        else:
+            event = convert(fields, DeviceEvent)
+            level = LogLevel.Error if event.danger else LogLevel.Warning
+            yield LOG, shapes.line(level, event.device, f"{event.code}: {event.text}", at_ns)
+
+    def _kept(self, key: str, topic: str, view: Callable[[int], View], at_ns: int) -> Shown:
+        self._latest[key] = topic, view
+        return topic, view(at_ns)
+
+    def _linked(self, link: Link, at_ns: int) -> View:
+        return shapes.link(*link, at_ns)
+
+    def _age_ns(self, age: float) -> int:
+        """A sender's age of what it measured; senders without sense have none."""
+        seconds = age / self._rate
+        return int(seconds * _SECOND) if 0.0 <= seconds < 60.0 else 0
+
+
+def _said(verdict: Verdict) -> str:
+    reason = "" if verdict.reason is None else f": {verdict.reason.code}: {verdict.reason.text}"
+    return f"{verdict.decision}, {verdict.branch} is in {verdict.state}{reason}"

@@ -1,0 +1,97 @@
+"""Reading a journal for its replay: the file itself or its export, cut into runs of the daemon."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from pcmrs.errors import ReplayError
+from pcmrs.journal import JournalReader, StoredRow
+from pcmrs.messages import BlueprintTag
+from pcmrs.replay.keys import COMPARED
+from pcmrs.service.ledger import ENDED
+
+_SQLITE = b"SQLite format 3\0"
+
+
+@dataclass(frozen=True)
+class DaemonRun:
+    """The rows that one run of the daemon wrote.
+
+    Attributes:
+        tag: The blueprint under which all of them were decided.
+        rows: In order.
+    """
+
+    tag: BlueprintTag
+    rows: list[StoredRow]
+
+    @property
+    def settings(self) -> dict[str, Any] | None:
+        """The configuration as plain data; None where the run did not write it."""
+        return self._started().get("settings")
+
+    @property
+    def calibration(self) -> str | None:
+        """Identity of the calibrations in use; None where the run did not write it."""
+        return self._started().get("calibration")
+
+    def decided(self) -> list[StoredRow]:
+        """What the dispatcher wrote: neither the daemon's own rows, nor what it closed for the run before it."""
+        return [each for each in self.rows if each.row.kind in COMPARED and not closes_earlier_run(each)]
+
+    def _started(self) -> dict[str, Any]:
+        """What the daemon wrote down first; empty of daemons that did not."""
+        rows = (each.row for each in self.rows if each.row.kind == "config" and each.row.operation == "started")
+        return next((row.result for row in rows if row.result is not None), {})
+
+
+def closes_earlier_run(stored: StoredRow) -> bool:
+    """Whether the row ends what an earlier run of the daemon had begun."""
+    verdict = stored.row.verdict
+    reason = verdict.reason if verdict is not None else None
+    return reason is not None and reason.code == ENDED.code and stored.row.states is None
+
+
+def read_runs(path: Path) -> list[DaemonRun]:
+    """The runs of the daemon in a journal, in order.
+
+    Args:
+        path: A journal, or its export: one row a line as JSON.
+
+    Raises:
+        ReplayError: There is no such file, it is neither, or rows are missing.
+        JournalError: The journal cannot be read.
+    """
+    rows = list(_read(path))
+    if not rows:
+        raise ReplayError(f"{path} has no rows: there is nothing to replay.", file=str(path))
+    for expected, stored in enumerate(rows, start=1):
+        if stored.sequence != expected:
+            text = f"{path}: row {expected} is missing; a replay needs all rows from the first on."
+            raise ReplayError(text, file=str(path), sequence=expected)
+    runs = (list(group) for _, group in groupby(rows, key=lambda each: each.row.session_id))
+    return [DaemonRun(run[0].row.blueprint, run) for run in runs]
+
+
+def _read(path: Path) -> Iterator[StoredRow]:
+    try:
+        with path.open("rb") as file:
+            is_journal = file.read(len(_SQLITE)) == _SQLITE
+    except OSError as error:
+        raise ReplayError(f"{path} cannot be read: {error.strerror}.", file=str(path)) from None
+    if is_journal:
+        with JournalReader(path) as reader:
+            yield from reader.read()
+        return
+    for number, line in enumerate(path.read_bytes().splitlines(), start=1):
+        try:
+            yield msgspec.json.decode(line, type=StoredRow)
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            text = f"{path}, line {number}: neither a journal nor the export of one: {error}."
+            raise ReplayError(text, file=str(path), line=number) from None

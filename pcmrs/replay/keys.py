@@ -1,0 +1,90 @@
+"""What makes a row of the journal and a row that is decided anew the same one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
+
+from pcmrs.journal import JournalRow
+from pcmrs.messages import Command
+
+RowKind = Literal["intent", "outcome", "device"]
+COMPARED: tuple[RowKind, ...] = ("intent", "outcome", "device")
+"""Kinds of rows that the dispatcher writes; the others are the daemon's own."""
+
+_DRAWN = re.compile(r"-[0-9a-f]{32}$")
+_DRAWS_IDS = ("device:", "activity:")
+
+
+class Key(NamedTuple):
+    """Names a row among those of one run of the daemon; where several have one key, their order decides.
+
+    Attributes:
+        source: Who asked, or what reported.
+        what: Branch and operation, or the event's code and whether it is danger.
+        id: Of the command, without what was drawn at random; empty for events.
+    """
+
+    kind: RowKind
+    source: str
+    what: str
+    id: str = ""
+
+
+def command_key(kind: RowKind, command: Command) -> Key:
+    """The key of a command's intent or outcome."""
+    return Key(kind, command.source, f"{command.branch}.{command.operation}", _lasting(command.source, command.id))
+
+
+def event_key(source: str, code: str, *, danger: bool) -> Key:
+    """The key of an event."""
+    return Key("device", source, f"{code}, danger" if danger else code)
+
+
+def key_of(row: JournalRow) -> Key | None:
+    """The key of a row; None for what no dispatcher writes."""
+    if row.kind == "device":
+        return event_key(row.source or "", row.operation or "", danger=is_danger(row))
+    if row.kind not in COMPARED:
+        return None
+    return command_key(row.kind, command_of(row))
+
+
+def command_of(row: JournalRow) -> Command:
+    """The command that an intent or outcome is of; when it was sent is not on record."""
+    return Command(
+        id=row.command_id or "",
+        branch=row.branch or "",
+        operation=row.operation or "",
+        source=row.source or "",
+        arguments=row.arguments or {},
+        parent=row.parent,
+    )
+
+
+def is_followed_by_report(row: JournalRow) -> bool:
+    """Whether the dispatcher itself asked for it, because a device had reported an event of that name."""
+    drawn = _DRAWN.search(row.command_id or "") is not None
+    return drawn and (row.source or "").startswith("device:")
+
+
+def same_reason(row: JournalRow, code: str | None, text: str) -> bool:
+    """Whether the row gives this reason."""
+    reason = row.verdict.reason if row.verdict is not None else None
+    return reason is not None and (reason.code, reason.text) == (code, text)
+
+
+def is_rejection(row: JournalRow) -> bool:
+    """Whether the row is the outcome of a command that was rejected."""
+    return row.kind == "outcome" and row.verdict is not None and row.verdict.decision == "rejected"
+
+
+def is_danger(row: JournalRow) -> bool:
+    """Whether the row is an event that took the lane of Stop, or tells that Stop is not confirmed."""
+    result: Mapping[str, object] = row.result or {}
+    return row.kind == "device" and bool(result.get("danger"))
+
+
+def _lasting(source: str, command_id: str) -> str:
+    return _DRAWN.sub("-", command_id) if source.startswith(_DRAWS_IDS) else command_id

@@ -1,0 +1,66 @@
+"""A session that nobody attends to any more is made safe: held, latched, and nothing armed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pcmrs.clock import Clock
+from pcmrs.dispatcher import Dispatcher
+from pcmrs.messages import DeviceEvent, Snapshot, Verdict
+
+AT_REST = {"placement": ("unknown", "retracted", "held"), "stimulation": ("disarmed",)}
+"""Branch to the states in which nothing can happen to a patient whom nobody watches; other branches never matter."""
+
+
+class AbandonedWatch:
+    """Reports a danger when no person has asked for anything for too long while the tool is at the body, or armed.
+
+    What devices report and activities post is no sign of a person; an operation that still runs is one of whoever asked
+    for it. The danger goes the way of Stop.
+
+    Args:
+        dispatcher: Of the cell.
+        after: So long, s.
+        clock: The machine's: people are as quick as ever in a simulation that runs faster.
+    """
+
+    def __init__(self, dispatcher: Dispatcher[Any, Any], after: float, clock: Clock) -> None:
+        self._dispatcher = dispatcher
+        self._after = after
+        self._clock = clock
+        self._asked = clock.monotonic()
+        dispatcher.on_publish(self._hear)
+
+    async def run(self) -> None:
+        """Watches until it is cancelled."""
+        while True:
+            left = self._asked + self._after - self._clock.monotonic()
+            await self._clock.sleep(left if left > 0.0 else self._after)
+            if self._clock.monotonic() - self._asked >= self._after and self._exposed():
+                await self._dispatcher.report(self._event())
+
+    def _exposed(self) -> bool:
+        snapshot = self._dispatcher.snapshot()
+        if snapshot.latched or snapshot.running:
+            return False
+        states = snapshot.branches
+        return any(states.get(branch, rest[0]) not in rest for branch, rest in AT_REST.items())
+
+    def _event(self) -> DeviceEvent:
+        text = f"Nobody has asked for anything for {self._after:g} s (procedure.abandoned_after): the session is held."
+        return DeviceEvent(
+            device="operator",
+            code="session_abandoned",
+            text=text + " Confirm with robot.acknowledge to go on.",
+            danger=True,
+            fields={"after": self._after},
+        )
+
+    def _hear(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+        if isinstance(message, Verdict) and not self._is_event(message):
+            self._asked = self._clock.monotonic()
+
+    def _is_event(self, verdict: Verdict) -> bool:
+        branch = self._dispatcher.procedure.blueprint.branches.get(verdict.branch)
+        operation = branch.operations.get(verdict.operation) if branch is not None else None
+        return operation is not None and operation.event

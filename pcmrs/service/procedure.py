@@ -1,0 +1,193 @@
+"""What runs the procedure of a cell: dispatcher, devices and watches, over any `Link` and in any time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import structlog
+
+from pcmrs.clock import Clock
+from pcmrs.devices.dwell import DwellPointer
+from pcmrs.devices.jumps import PoseLimits
+from pcmrs.devices.link import Link
+from pcmrs.devices.poses import PoseFeed
+from pcmrs.devices.remote import RemoteEmg, RemotePointer, RemoteRobot, RemoteStimulator
+from pcmrs.dispatcher import Dispatcher, Recorder, Workflow
+from pcmrs.errors import DeviceError
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.kinematics.urdf_arms import find_arm
+from pcmrs.messages import Beat, BodyPose, DeviceEvent, DeviceHealth, JointState, Snapshot, Verdict
+from pcmrs.service.abandoned import AbandonedWatch
+from pcmrs.service.core import GatewayCore
+from pcmrs.service.health import HealthWatch
+from pcmrs.service.hearing import Hearing, awaited
+from pcmrs.service.publishing import Publishing
+from pcmrs.service.reference import ReferenceWatch
+from pcmrs.service.supervisor import Supervisor
+from pcmrs.service.watch import RobotWatch
+from pcmrs.settings import DWELL, Settings
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.settings import TrackingSettings
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Clocks:
+    """The two times of a cell.
+
+    Attributes:
+        cell: In which robot, tracker and people live.
+        machine: In which processes wait for each other: answers, heartbeats.
+    """
+
+    cell: Clock
+    machine: Clock
+
+
+class RunningProcedure:
+    """The procedure of one cell, without sockets, child processes or a bus of its own.
+
+    Args:
+        link: Where the device nodes and those who watch are.
+        settings: The whole configuration.
+        workflow: The procedure, its initial data with what earlier runs have left.
+        recorder: The journal.
+        clocks: Of the cell and of the machine.
+        supervisor: Its tasks run there, and it reports to the dispatcher from now on.
+
+    Attributes:
+        cell: Devices and poses.
+        dispatcher: Takes commands.
+        core: The same as the gateway sees it.
+        hearing: Of which devices has been heard.
+        health: What the nodes say of their devices.
+        heard: Device to when its node sent its last heartbeat, s of the machine's monotonic clock.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        settings: Settings,
+        workflow: Workflow[Cell, PlacementData],
+        recorder: Recorder,
+        clocks: Clocks,
+        supervisor: Supervisor,
+    ) -> None:
+        self._link = link
+        self._supervisor = supervisor
+        self.cell = open_cell(settings, link, clocks)
+        self._publishing = Publishing(link)
+        self.dispatcher = Dispatcher(workflow, self.cell, clocks.cell, recorder, self.cell.make_safe, self._publish)
+        self.core = GatewayCore(self.dispatcher, self.cell)
+        self.hearing = Hearing(awaited(settings, workflow.blueprint.branches), clocks.machine)
+        dispatcher = self.dispatcher
+        self.watch = RobotWatch(
+            link.publish,
+            self.connected,
+            lambda: dispatcher.in_doubt,
+            dispatcher.report,
+            clocks.machine,
+            settings.robot.deadman,
+        )
+        self.health = HealthWatch(self.hearing, self.cell.poses)
+        self.heard: dict[str, float] = {}
+        self._machine = clocks.machine
+        self._reference = ReferenceWatch(self.cell, dispatcher)
+        self._abandoned = AbandonedWatch(dispatcher, settings.procedure.abandoned_after, clocks.machine)
+        supervisor.report = dispatcher.report
+
+    def start(self) -> None:
+        """Listens to the devices and starts the watches."""
+        link, dispatcher = self._link, self.dispatcher
+        link.subscribe("state/pose/*", BodyPose, self._take_pose)
+        link.subscribe("state/joints", JointState, self._take_joints)
+        link.subscribe("dev/*/state", DeviceHealth, self.health.take)
+        link.subscribe("dev/*/beat", Beat, self._take_beat)
+        link.subscribe("dev/*/event", DeviceEvent, lambda _, event: dispatcher.report_later(event))
+        self._supervisor.start("beats and robot watch", self.watch.run, quiet=QUIET)
+        self._supervisor.start("reference watch", self._reference.run, quiet=QUIET)
+        self._supervisor.start("abandoned watch", self._abandoned.run)
+
+    def connected(self) -> bool:
+        """Whether the workflow holds the robot for connected."""
+        return self.dispatcher.procedure.joint().get("robot") == "1"
+
+    def moving(self) -> bool:
+        """Whether the robot was moving when it was last heard."""
+        return self.cell.joints is not None and self.cell.joints.moving
+
+    def stop(self, source: str) -> None:
+        """Begins to stop everything; see `Dispatcher.stop`."""
+        self._supervisor.spawn(f"stop by {source}", self.dispatcher.stop(source))
+
+    def lose(self, devices: list[str]) -> bool:
+        """The node of these devices has ended by itself; whether it is worth another start."""
+        if not self.hearing.complete:
+            text = f"The node of {', '.join(devices)} ended while it started; the log says why."
+            self.hearing.fail(DeviceError(text, devices=devices))
+            return False
+        if "robot" in devices:
+            self._supervisor.spawn("loss of the robot", self.watch.lose("The robot's node has ended."))
+        if "stimulator" in devices:
+            text = "The stimulator's node has ended, and with it what was armed: arm it again."
+            self.dispatcher.report_later(DeviceEvent(device="stimulator", code="disarmed", text=text))
+        return True
+
+    def counters(self) -> dict[str, int]:
+        """What came too late at the device nodes to be followed."""
+        found = self.health.last.items()
+        return {f"{device}.late.{kind}": many for device, said in found for kind, many in said.dropped.items()}
+
+    def _take_pose(self, _key: str, pose: BodyPose) -> None:
+        self.cell.poses.update(pose)
+        self.hearing.hear("tracker")
+
+    def _take_joints(self, _key: str, state: JointState) -> None:
+        self.cell.update_joints(state)
+        self.watch.hear()
+        self.hearing.hear("robot")
+
+    def _take_beat(self, key: str, _beat: Beat) -> None:
+        device = key.split("/")[1]
+        self.heard[device] = self._machine.monotonic()
+        if device == "robot":
+            self.watch.hear_beat()
+
+    def _publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+        self._publishing.publish(message)
+        self._publishing.publish_target(self.dispatcher.procedure.data)
+
+
+QUIET = 10.0
+"""A watch that has not come round for so long is stuck, s of the machine; reports that it waits for take their time."""
+
+
+def open_cell(settings: Settings, link: Link, clocks: Clocks) -> Cell:
+    """The cell as operations see it, its devices behind `link`.
+
+    Raises:
+        ConfigurationError: A calibration cannot be used.
+    """
+    procedure, machine = settings.procedure, clocks.machine
+    cell = Cell(
+        name=f"{settings.cell.site}/{settings.cell.name}",
+        # Answers are waited for by the machine's clock: a fast simulation may fall behind its own.
+        robot=RemoteRobot(link, machine),
+        pointer=RemotePointer(link, machine, procedure.registration.touch_timeout_s),
+        stimulator=RemoteStimulator(link, machine) if settings.stimulator.driver != "none" else None,
+        emg=RemoteEmg(link, machine) if settings.emg.driver != "none" else None,
+        poses=PoseFeed(clocks.cell, procedure.max_pose_age, _pose_limits(procedure.tracking)),
+        arm=ArmModel(find_arm(settings.robot.model)),
+        clock=clocks.cell,
+        settings=procedure,
+    )
+    if settings.pointer.driver == DWELL:
+        cell.pointer = DwellPointer(cell.poses, clocks.cell, cell.pointer_from_tip, settings.pointer.dwell)
+    log.info("calibration", **cell.calibrations(), id=cell.calibration_id)
+    return cell
+
+
+def _pose_limits(tracking: TrackingSettings) -> PoseLimits:
+    return PoseLimits(tracking.error_mm / 1000.0, tracking.speed, tracking.turn, tracking.steady)

@@ -1,0 +1,113 @@
+"""What a daemon makes of the journal of earlier runs, and of a journal that fails while it runs."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, replace
+from typing import Any
+
+import msgspec
+import structlog
+
+from pcmrs.clock import Clock
+from pcmrs.dispatcher import Dispatcher, Workflow
+from pcmrs.errors import JournalError, PcmrsError
+from pcmrs.journal import Journal
+from pcmrs.messages import UnknownOutcome
+from pcmrs.service.recorder import JournalRecorder
+from pcmrs.service.resume import migration_for
+from pcmrs.settings import Settings
+from pcmrs.workflows import find_workflow
+from pcmrs.workflows.cell import Cell, calibration_id_of
+from pcmrs.workflows.data import PlacementData
+
+log = structlog.get_logger(__name__)
+
+RETRY_AFTER = 1.0
+"""Between attempts to reopen a journal that has failed, s of the machine."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """What a run begins with; states, connection and motion are never restored.
+
+    Attributes:
+        workflow: Its initial data hold what explicit operations may take back.
+        latched: A Stop or danger was not acknowledged, or a motion or pulse was under way when the last run ended.
+        unknown: What nobody knows the outcome of, until an operator has settled it.
+    """
+
+    workflow: Workflow[Cell, PlacementData]
+    latched: bool
+    unknown: tuple[UnknownOutcome, ...]
+
+    def give_to(self, dispatcher: Dispatcher[Cell, PlacementData]) -> None:
+        """Has the dispatcher begin with it; before anything is submitted."""
+        dispatcher.take_up(latched=self.latched, unknown=self.unknown)
+
+
+async def recover(
+    journal: Journal, recorder: JournalRecorder, workflow: Workflow[Cell, PlacementData], settings: Settings
+) -> Recovered:
+    """Begins a run of the daemon on its journal: everything is checked before the first row of it is written.
+
+    Raises:
+        ConfigurationError: The journal is of another version of the workflow, or a calibration cannot be used.
+        JournalError: It cannot be read or written, or holds what this version does not know.
+    """
+    blueprint = workflow.blueprint
+    migration = migration_for(journal.reader, blueprint, find_workflow(settings.workflow).blueprint)
+    calibration = calibration_id_of(settings.procedure)
+    before = recorder.read_back(blueprint)
+    initial = recorder.previous(before, workflow.initial)
+    await recorder.started(msgspec.to_builtins(settings), calibration)
+    if migration is not None:
+        await recorder.taken_up(migration)
+    await recorder.close_unfinished(before.begun)
+    kept = recorder.kept
+    for outcome in kept.unknown:
+        log.warning("unknown_outcome", command=outcome.command, operation=f"{outcome.branch}.{outcome.operation}")
+    log.info("recovered", latched=kept.latched, can_be_taken_back=sorted(kept.taken_back))
+    return Recovered(replace(workflow, initial=initial), kept.latched, kept.unknown)
+
+
+async def conclude(recorder: JournalRecorder) -> None:
+    """The daemon ends in order. A journal that cannot be written then is only logged: nothing more is decided."""
+    try:
+        await recorder.conclude()
+    except JournalError as error:
+        log.warning("no_last_snapshot", reason=error.text)
+
+
+async def keep_journal(
+    journal: Journal, recorder: JournalRecorder, dispatcher: Dispatcher[Any, Any], machine: Clock
+) -> None:
+    """Waits for the journal to fail, and takes it up again as soon as the disk lets it; goes on until cancelled.
+
+    Meanwhile nothing is accepted but Stop. Afterwards the robot is held and latched until an operator acknowledges it.
+    """
+    failed = asyncio.Event()
+    dispatcher.on_break(failed.set)
+    if dispatcher.broken is not None:
+        failed.set()
+    while True:
+        await failed.wait()
+        failed.clear()
+        while dispatcher.broken is not None and dispatcher.broken.code == JournalError.code:
+            try:
+                await _take_up_again(journal, recorder, dispatcher)
+            except PcmrsError as error:
+                log.warning("journal_still_failing", reason=error.text)
+                await machine.sleep(RETRY_AFTER)
+
+
+async def _take_up_again(journal: Journal, recorder: JournalRecorder, dispatcher: Dispatcher[Any, Any]) -> None:
+    """Reopens, reads again, and has the dispatcher go on.
+
+    Raises:
+        JournalError: It cannot be written yet, or acknowledged rows are lost.
+        PcmrsError: The dispatcher cannot go on yet.
+    """
+    await journal.reopen()
+    kept = recorder.read_back(dispatcher.procedure.blueprint)
+    await dispatcher.resume({(each.source, each.command) for each in kept.begun})

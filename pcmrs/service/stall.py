@@ -1,0 +1,103 @@
+"""How late the event loop answers, measured from a thread of its own, and the alarm when it is too late."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+import structlog
+
+from pcmrs.clock import Clock
+from pcmrs.messages import DeviceEvent
+
+log = structlog.get_logger(__name__)
+
+PERIOD = 0.05
+"""Between two questions to the loop, s of the machine."""
+
+STALL = 0.2
+"""A loop that has not answered for so long is stalled, s of the machine."""
+
+PATIENCE = 5.0
+"""After a stall of so long it is told again that the loop does not answer, s of the machine."""
+
+FRAMES = 6
+"""So many calls of what the loop is at are logged."""
+
+
+class StallWatch:
+    """Asks the loop again and again whether it is there; the stall is told at once, its length when it has ended.
+
+    What must not go on without the daemon does not rest on this: heartbeats come from the same loop, and the nodes hold
+    by themselves.
+
+    Args:
+        report: Takes the event, in the loop, once the stall has ended.
+        moving: Whether anything moves; asked in the loop. Then the event is danger.
+        clock: The machine's.
+
+    Attributes:
+        stalls: Counted since the start.
+        longest: Of them, s.
+        lag: How late the loop answered last, s.
+    """
+
+    def __init__(self, report: Callable[[DeviceEvent], None], moving: Callable[[], bool], clock: Clock) -> None:
+        self.stalls = 0
+        self.longest = self.lag = 0.0
+        self._report, self._moving, self._clock = report, moving, clock
+        self._moved = False
+        self._loop = asyncio.get_running_loop()
+        self._loop_thread = threading.get_ident()
+        self._end = threading.Event()
+        self._answered = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="pcmrs-stall", daemon=True)
+
+    def start(self) -> None:
+        """Begins to ask."""
+        self._thread.start()
+
+    async def close(self) -> None:
+        """Ends the thread."""
+        self._end.set()
+        self._answered.set()
+        await self._loop.run_in_executor(None, self._thread.join)
+
+    def counters(self) -> dict[str, int]:
+        """Stalls since the start."""
+        return {"loop.stalls": self.stalls}
+
+    def _watch(self) -> None:
+        while not self._end.wait(PERIOD):
+            asked = self._clock.monotonic()
+            self._answered.clear()
+            self._loop.call_soon_threadsafe(self._answer, asked)
+            if not self._answered.wait(STALL):
+                log.error("loop_stalled", longer_than=STALL, where=self._where())
+                while not self._end.is_set() and not self._answered.wait(PATIENCE):
+                    log.error("loop_stalled", longer_than=round(self._clock.monotonic() - asked, 1))
+
+    def _where(self) -> str:
+        """What the loop's thread is doing now, innermost first."""
+        frame = sys._current_frames().get(self._loop_thread)
+        lines = traceback.extract_stack(frame)[::-1][:FRAMES] if frame is not None else []
+        return " < ".join(f"{line.name} ({Path(line.filename).name}:{line.lineno})" for line in lines)
+
+    def _answer(self, asked: float) -> None:
+        """Runs in the loop."""
+        self.lag = self._clock.monotonic() - asked
+        self._answered.set()
+        moved, self._moved = self._moved, self._moving()
+        if self.lag <= STALL:
+            return
+        self.stalls += 1
+        self.longest = max(self.longest, self.lag)
+        danger = moved or self._moved  # before the stall, or still
+        text = f"The daemon answered nobody for {self.lag:.2f} s, limit {STALL:g} s: the machine is overloaded, "
+        text += "or the daemon was stopped, or something in it takes too long."
+        fields = {"stall": self.lag, "limit": STALL}
+        self._report(DeviceEvent(device="daemon", code="loop_stalled", text=text, danger=danger, fields=fields))

@@ -1,0 +1,227 @@
+"""The daemon's tasks: each has a name and a limit of restarts; beyond that the daemon stops safely and ends."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Awaitable, Callable, Coroutine
+from contextvars import ContextVar
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, NoReturn
+
+import structlog
+
+from pcmrs.clock import Clock
+from pcmrs.errors import SupervisionError
+from pcmrs.messages import DeviceEvent
+
+log = structlog.get_logger(__name__)
+
+RESTARTS = 3
+"""A task is begun anew so many times within `WITHIN`."""
+WITHIN = 60.0
+"""s of the machine."""
+REPORT_TIME = 5.0
+"""A report is taken within this, the stop that follows from danger confirmed, or nobody waits for it any more, s."""
+
+Report = Callable[[DeviceEvent], Awaitable[None]]
+Work = Callable[[], Coroutine[Any, Any, None]]
+
+
+class RestartLimit:
+    """Counts deaths, and says whether there may be a restart.
+
+    Args:
+        restarts: So many may be made within `within`.
+        within: s of `clock`.
+        clock: The machine's.
+    """
+
+    def __init__(self, restarts: int, within: float, clock: Clock) -> None:
+        self.restarts, self.within = restarts, within
+        self._clock = clock
+        self._deaths: deque[float] = deque()
+
+    def reached(self) -> bool:
+        """Takes one more death: whether it is one too many."""
+        now = self._clock.monotonic()
+        self._deaths.append(now)
+        while now - self._deaths[0] > self.within:
+            self._deaths.popleft()
+        return len(self._deaths) > self.restarts
+
+
+@dataclass(slots=True)
+class TaskStatus:
+    """What is known of one supervised task.
+
+    Attributes:
+        name: Of the task.
+        quiet: It works as long as it marks at least this often, s of the machine; None for one that only waits.
+        marked: When it last said that it works, s of the machine's monotonic clock.
+        restarts: How often it was begun anew in all.
+    """
+
+    name: str
+    quiet: float | None
+    marked: float
+    restarts: int = 0
+
+    def answers(self, now: float) -> bool:
+        """Whether it has marked within its time."""
+        return self.quiet is None or now - self.marked <= self.quiet
+
+
+class Supervisor:
+    """One `asyncio.TaskGroup` of named tasks; a context, whose end cancels them and waits for their end.
+
+    A task that dies, by an error or by ending at all, is logged with its name, counted, reported and begun anew. One
+    that dies more often than its limit ends the context with `SupervisionError`, after a report of danger: then the
+    robot is held and latched.
+
+    Args:
+        clock: The machine's.
+
+    Attributes:
+        report: Takes the events, such as `Dispatcher.report`; to be set before anything can die that matters.
+        died: Tasks that died since the start.
+        strays: Failures in the loop that belong to no task of the supervisor, such as a handler of the bus.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self.report: Report = _to_nobody
+        self.died = self.strays = 0
+        self._clock = clock
+        self._group = asyncio.TaskGroup()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._statuses: dict[str, TaskStatus] = {}
+        self._failure: SupervisionError | None = None
+
+    async def __aenter__(self) -> Supervisor:
+        await self._group.__aenter__()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for task in tuple(self._tasks):
+            task.cancel()
+        try:
+            await self._group.__aexit__(kind, error, trace)
+        except BaseExceptionGroup:
+            if self._failure is not None:
+                raise self._failure from self._failure.__cause__
+            if error is None:
+                raise
+
+    def start(
+        self, name: str, work: Work, *, restarts: int = RESTARTS, within: float = WITHIN, quiet: float | None = None
+    ) -> None:
+        """Does `work`, which has no end of its own, until the context ends.
+
+        Args:
+            name: Of the task, one of a kind.
+            work: Makes the coroutine, anew for every restart.
+            restarts: So many within `within` s of the machine are made.
+            within: See `restarts`.
+            quiet: `work` calls `mark` more often than this, s of the machine; None for one that only waits.
+        """
+        status = self._statuses[name] = TaskStatus(name, quiet, self._clock.monotonic())
+        self._create(name, self._keep(status, work, RestartLimit(restarts, within, self._clock)))
+
+    def spawn(self, name: str, work: Coroutine[Any, Any, object]) -> None:
+        """Does `work` once; an error in it ends the daemon safely, for nobody else would hear of it."""
+        self._create(name, self._once(name, work))
+
+    def statuses(self) -> list[TaskStatus]:
+        """Of all tasks that were started, in that order."""
+        return list(self._statuses.values())
+
+    def counters(self) -> dict[str, int]:
+        """Tasks that died, failures outside of them, and restarts of those that have any."""
+        restarted = {f"restarts.{each.name}": each.restarts for each in self.statuses() if each.restarts}
+        return {"tasks.died": self.died, "tasks.strays": self.strays, **restarted}
+
+    def take_stray(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """The loop's exception handler: logs and counts what no task can be begun anew for."""
+        self.strays += 1
+        log.error("stray_failure", what=context.get("message"), exc_info=context.get("exception"))
+
+    def _create(self, name: str, work: Coroutine[Any, Any, None]) -> None:
+        task = self._group.create_task(work, name=name)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _once(self, name: str, work: Coroutine[Any, Any, object]) -> None:
+        try:
+            await work
+        except Exception as error:
+            self._note(name, error)
+            await self._give_up(name, error, "")
+
+    async def _keep(self, status: TaskStatus, work: Work, limit: RestartLimit) -> None:
+        _marked.set(lambda: setattr(status, "marked", self._clock.monotonic()))
+        while True:
+            error = await self._death(work)
+            self._note(status.name, error)
+            if limit.reached():
+                await self._give_up(status.name, error, f" more than {limit.restarts} times within {limit.within:g} s")
+            status.restarts, status.marked = status.restarts + 1, self._clock.monotonic()
+            text = f"The daemon's task '{status.name}' died ({_named(error)}) and was begun anew."
+            await self._tell(DeviceEvent(device="daemon", code="task_restarted", text=text))
+
+    async def _death(self, work: Work) -> BaseException | None:
+        """Does the work until it dies; None when it has ended without an error."""
+        try:
+            await work()
+        except asyncio.CancelledError as error:
+            task = asyncio.current_task()
+            if task is not None and task.cancelling():
+                raise
+            return error  # of something that it waited for: nobody has cancelled the task itself
+        except Exception as error:
+            return error
+        return None
+
+    def _note(self, name: str, error: BaseException | None) -> None:
+        self.died += 1
+        log.error("task_died", task=name, reason=_named(error), exc_info=error)
+
+    async def _give_up(self, name: str, error: BaseException | None, how_often: str) -> NoReturn:
+        text = (
+            f"The daemon's task '{name}' died{how_often} ({_named(error)}): motion is held and the daemon ends. "
+            "The log says why it died; start the daemon again when that is mended."
+        )
+        self._failure = SupervisionError(text, task=name)
+        event = DeviceEvent(device="daemon", code="task_failed", text=text, danger=True, fields={"task": name})
+        await self._tell(event)
+        raise self._failure from error
+
+    async def _tell(self, event: DeviceEvent) -> None:
+        """Reports, and waits for what follows from it: a stop that hangs or fails keeps nothing up."""
+        try:
+            async with self._clock.timeout(REPORT_TIME):
+                await self.report(event)
+        except Exception:
+            log.exception("report_failed", code=event.code)
+
+
+def mark() -> None:
+    """The supervised task that calls this works; elsewhere it means nothing."""
+    _marked.get()()
+
+
+def _nothing() -> None:
+    """Nobody supervises."""
+
+
+_marked: ContextVar[Callable[[], object]] = ContextVar("marked", default=_nothing)
+
+
+async def _to_nobody(_event: DeviceEvent) -> None:
+    """Before anything can be held there is nobody to tell; it has been logged."""
+
+
+def _named(error: BaseException | None) -> str:
+    return f"{type(error).__name__}: {error}" if error is not None else "it ended by itself"

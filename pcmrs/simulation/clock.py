@@ -1,0 +1,45 @@
+"""Clocks of the processes of a simulated cell."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import AbstractAsyncContextManager
+from typing import Any
+
+EPOCH = 1_700_000_000.0
+"""Unix seconds at the beginning of every simulation."""
+
+
+class SimulatedClock:
+    """Implements `pcmrs.clock.Clock` on the time of a simulated loop.
+
+    All clocks of one loop share the same monotonic time, as the processes of one machine do; each has a wall clock of
+    its own, which can be set, as that of a host can.
+
+    Args:
+        loop: Whose time it is.
+
+    Attributes:
+        ahead: The wall clock is so much ahead of the true time, s.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self.ahead = 0.0
+        self._frozen: float | None = None
+
+    def monotonic(self) -> float:
+        return self._loop.time()
+
+    def wall(self) -> float:
+        return EPOCH + self._loop.time() + self.ahead if self._frozen is None else self._frozen
+
+    async def sleep(self, seconds: float) -> None:
+        await asyncio.sleep(max(0.0, seconds))
+
+    def timeout(self, seconds: float) -> AbstractAsyncContextManager[Any]:
+        return asyncio.timeout(seconds)
+
+    def freeze(self, frozen: bool) -> None:
+        """The wall clock stands still from now on, or goes on as if it had not."""
+        self._frozen = self.wall() if frozen else None

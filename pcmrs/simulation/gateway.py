@@ -1,0 +1,51 @@
+"""The gateway's string commands without sockets: datagrams go straight to its intake."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from uuid import uuid4
+
+from pcmrs.clock import Clock
+from pcmrs.gateway.actions import Services
+from pcmrs.gateway.intake import Intake
+from pcmrs.gateway.records import Records
+from pcmrs.gateway.session import Answer
+from pcmrs.gateway.settings import GatewayConfig
+from pcmrs.gateway.streams import Streams
+from pcmrs.gateway.tasks import Tasks
+from pcmrs.service.core import GatewayCore
+
+LINK = "planner"
+HOST = "127.0.0.1"
+
+
+class SimulatedGateway:
+    """Takes the datagrams of the planner link.
+
+    Args:
+        core: The daemon.
+        config: Of the links.
+        clock: The machine's.
+        folder: For records.
+    """
+
+    def __init__(self, core: GatewayCore, config: GatewayConfig, clock: Clock, folder: Path) -> None:
+        self._tasks, self._jobs = Tasks(), Tasks()
+        streams = Streams(core, clock, config, _to_nobody, self._tasks)
+        records = Records(core, clock, folder, self._tasks)
+        self._intake = Intake(Services(uuid4().hex, core, clock, streams, records), self._jobs, (HOST,))
+        core.on_stop(self._intake.halt)
+
+    def receive(self, port: int, data: bytes, answer: Callable[[str], None]) -> None:
+        """A datagram of the planner at `port`; its verdict goes to `answer`."""
+        self._intake.receive(LINK, (HOST, port), False, data, Answer(verdict=answer, acknowledge=None))
+
+    async def close(self) -> None:
+        """Ends what runs."""
+        await self._jobs.close()
+        await self._tasks.close()
+
+
+def _to_nobody(_text: str, _host: str, _port: int) -> None:
+    """Nobody looks at streams."""

@@ -1,0 +1,119 @@
+"""An event loop in which waiting costs nothing: when nobody has anything to do, time jumps to the next timer.
+
+The order of everything is decided by the timers and by the order in which callbacks were scheduled; tasks are
+numbered, so that a set of them is walked through in the same order in every run. Sockets, threads and processes have
+no place in it: what asks for them fails.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import heapq
+import itertools
+from collections import deque
+from collections.abc import Callable
+from contextvars import Context, ContextVar
+from typing import Any, TypeVarTuple, Unpack, cast
+
+from pcmrs.errors import PcmrsError
+
+
+class SimulationError(PcmrsError):
+    """The simulation itself cannot go on."""
+
+    code = "simulation"
+
+
+class _NumberedTask(asyncio.Task[Any]):
+    """A task with a place of its own in a set; the address of an object is another one in every run."""
+
+    def __init__(self, work: Any, *, loop: SimulatedLoop, **options: Any) -> None:
+        self._number = loop.next_number()  # first, for the base class puts the task into a set
+        super().__init__(work, loop=loop, **options)
+
+    def __hash__(self) -> int:
+        return self._number
+
+
+_Arguments = TypeVarTuple("_Arguments")
+
+OWNER: ContextVar[dict[asyncio.Task[Any], None] | None] = ContextVar("owner", default=None)
+"""The tasks of the process in whose context something is done; what it starts belongs to it, too."""
+
+
+class SimulatedLoop(asyncio.BaseEventLoop):
+    """An event loop on simulated time, which begins at 0 s."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._now = 0.0
+        self._numbers = itertools.count(1)
+        self._timers: list[tuple[float, int, asyncio.TimerHandle]] = []
+        self._due: deque[asyncio.Handle] = deque()
+        self.set_task_factory(self._numbered_task)
+
+    def time(self) -> float:
+        """Simulated seconds since the loop was made."""
+        return self._now
+
+    def call_soon(
+        self,
+        callback: Callable[[Unpack[_Arguments]], object],
+        *args: *_Arguments,
+        context: Context | None = None,
+    ) -> asyncio.Handle:
+        handle = asyncio.Handle(callback, args, self, context)
+        self._due.append(handle)
+        return handle
+
+    def call_later(
+        self,
+        delay: float,
+        callback: Callable[[Unpack[_Arguments]], object],
+        *args: *_Arguments,
+        context: Context | None = None,
+    ) -> asyncio.TimerHandle:
+        return self.call_at(self._now + delay, callback, *args, context=context)
+
+    def call_at(
+        self,
+        when: float,
+        callback: Callable[[Unpack[_Arguments]], object],
+        *args: *_Arguments,
+        context: Context | None = None,
+    ) -> asyncio.TimerHandle:
+        timer = asyncio.TimerHandle(when, callback, args, self, context)
+        heapq.heappush(self._timers, (when, next(self._numbers), timer))
+        return timer
+
+    def _run_once(self) -> None:
+        """Goes to the next timer if nobody has anything to do, and then does what is due."""
+        timers, due = self._timers, self._due
+        while timers and (timers[0][0] <= self._now or not due or timers[0][2].cancelled()):
+            when, _, timer = heapq.heappop(timers)
+            if not timer.cancelled():
+                self._now = max(self._now, when)
+                due.append(timer)
+        if not (due or self._stopping):  # type: ignore[attr-defined]
+            raise SimulationError("Everybody waits and nothing will ever happen: no timer is set.")
+        for _ in range(len(due)):
+            handle = due.popleft()
+            if not handle.cancelled():
+                handle._run()
+
+    def _timer_handle_cancelled(self, handle: asyncio.TimerHandle) -> None:
+        """It is dropped when its time comes."""
+
+    def next_number(self) -> int:
+        """Of the next task."""
+        return next(self._numbers)
+
+    @staticmethod
+    def _numbered_task(loop: asyncio.AbstractEventLoop, work: Any, **options: Any) -> asyncio.Task[Any]:
+        task = _NumberedTask(work, loop=cast(SimulatedLoop, loop), **options)
+        context: Context | None = options.get("context")
+        owned = OWNER.get() if context is None else context.get(OWNER)
+        if owned is not None:
+            owned[task] = None
+            task.add_done_callback(owned.pop)
+        return task

@@ -1,0 +1,132 @@
+"""A session that nobody attends to is held; one that somebody attends to never is."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+from clock import ManualClock, settle
+
+import pcmrs
+from pcmrs.dispatcher import Dispatcher
+from pcmrs.fsm import load_blueprint
+from pcmrs.messages import BlueprintTag, DeviceEvent, Running, Snapshot, Verdict
+from pcmrs.service.abandoned import AbandonedWatch
+
+BLUEPRINT = load_blueprint(Path(pcmrs.__file__).parent / "workflows" / "ratms_threshold.toml")
+AFTER = 10.0
+
+
+class Session:
+    """A dispatcher of which only the states matter."""
+
+    def __init__(self, **branches: str) -> None:
+        self.clock = ManualClock()
+        self.branches = {"placement": "retracted", "stimulation": "disarmed", **branches}
+        self.latched = False
+        self.running: list[Running] = []
+        self.reported: list[DeviceEvent] = []
+        self.procedure = SimpleNamespace(blueprint=BLUEPRINT)
+        self._listeners: list[Callable[[Any], None]] = []
+        watch = AbandonedWatch(cast(Dispatcher[Any, Any], self), AFTER, self.clock)
+        self.watch = asyncio.create_task(watch.run())
+
+    def on_publish(self, callback: Callable[[Any], None]) -> None:
+        self._listeners.append(callback)
+
+    def snapshot(self) -> Snapshot:
+        tag = BlueprintTag(id="", version="", hash="")
+        return Snapshot(
+            sequence=1, branches=self.branches, flags={}, running=self.running, latched=self.latched, blueprint=tag
+        )
+
+    async def report(self, event: DeviceEvent) -> None:
+        self.reported.append(event)
+        self.latched = True
+
+    async def let(self, seconds: float) -> None:
+        await settle()
+        await self.clock.advance(seconds)
+        await settle()
+
+    def ask(self, branch: str, operation: str) -> None:
+        verdict = Verdict(id="1", branch=branch, operation=operation, decision="rejected", state="", sequence=1)
+        for listener in self._listeners:
+            listener(verdict)
+
+    async def close(self) -> None:
+        self.watch.cancel()
+        with suppress(asyncio.CancelledError):
+            await self.watch
+
+
+@pytest.mark.parametrize(
+    "branches",
+    [{"placement": state} for state in ("standoff", "placed", "following")] + [{"stimulation": "armed"}],
+)
+async def test_a_tool_at_the_body_or_an_armed_stimulator_is_not_left_alone(branches: dict[str, str]) -> None:
+    session = Session(**branches)
+    await session.let(AFTER - 1.0)
+    assert session.reported == []
+    await session.let(1.5)
+    (event,) = session.reported
+    assert (event.code, event.danger) == ("session_abandoned", True)
+    await session.let(10.0 * AFTER)
+    assert len(session.reported) == 1, "it is latched: nothing is left to hold"
+    await session.close()
+
+
+@pytest.mark.parametrize("state", ["unknown", "retracted", "held"])
+async def test_a_tool_that_is_away_or_held_may_be_left(state: str) -> None:
+    session = Session(placement=state)
+    await session.let(10.0 * AFTER)
+    assert session.reported == []
+    await session.close()
+
+
+async def test_whoever_asks_for_anything_is_there_even_in_vain() -> None:
+    session = Session(placement="placed")
+    for _ in range(5):
+        await session.let(AFTER - 1.0)
+        session.ask("registration", "no_such_operation")
+    assert session.reported == []
+    await session.let(AFTER + 0.5)
+    assert session.reported
+    await session.close()
+
+
+async def test_an_operation_that_takes_long_is_not_abandoned() -> None:
+    session = Session(placement="placed")
+    session.running = [Running(branch="placement", operation="confirm", id="1")]
+    await session.let(3.0 * AFTER)
+    assert session.reported == []
+    session.running = []
+    session.ask("placement", "confirm")
+    await session.let(AFTER + 0.5)
+    assert session.reported
+    await session.close()
+
+
+async def test_devices_are_nobody() -> None:
+    session = Session(placement="following")
+    for _ in range(3):
+        await session.let(AFTER / 3.0)
+        session.ask("alignment", "within")
+    await session.let(0.5)
+    assert session.reported
+    await session.close()
+
+
+async def test_it_watches_on_after_an_operator_has_confirmed() -> None:
+    session = Session(placement="placed")
+    await session.let(AFTER + 0.5)
+    session.latched = False
+    session.ask("robot", "acknowledge")
+    await session.let(2.5 * AFTER)
+    assert len(session.reported) == 2
+    await session.close()

@@ -1,0 +1,73 @@
+"""Faults in real cells: those of a fault pass, and the same checks fail where nothing was injected."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from pcmrs.campaign.catalogue import choose
+from pcmrs.campaign.checks import held, refused
+from pcmrs.campaign.driving import accept, injected, landmarks
+from pcmrs.campaign.fault import Unmet, injections
+from pcmrs.campaign.lab import Lab, Pool
+from pcmrs.campaign.report import Part
+from pcmrs.campaign.run import run_campaign, run_injection
+from pcmrs.clock import SystemClock
+from pcmrs.errors import DeviceError
+
+pytest.importorskip("mujoco")
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+
+
+@pytest.fixture
+async def pool(tmp_path: Path) -> AsyncIterator[Pool]:
+    made = Pool(tmp_path)
+    yield made
+    await made.close()
+
+
+async def inject(fault_id: str, name: str, folder: Path, pool: Pool) -> Part:
+    (way,) = (way for way in injections()[fault_id] if way.name == name)
+    return await run_injection(way, 1, folder, pool, SystemClock())
+
+
+async def test_faults_of_a_cell_are_found_and_its_checks_fail_without_them(tmp_path: Path, pool: Pool) -> None:
+    for fault_id, name in (("O10", "repeated"), ("O5", "collinear"), ("O2", "index_out_of_range")):
+        part = await inject(fault_id, name, tmp_path, pool)
+        assert part.outcome == "passed", part
+        assert "control" in part.details
+    lab = Lab(1, tmp_path, pool)
+    async with lab.cell() as cell:
+        with pytest.raises(Unmet, match=r"registration\.plan_landmarks was accepted"):
+            await refused(cell, "registration.plan_landmarks", landmarks(), codes=("degenerate_points",))
+        await accept(cell, "registration.plan_landmarks", **landmarks())
+        nowhere = {"body": "pointer", "millimetres": 0.0}
+        with pytest.raises(Unmet, match=r"digitization\.digitize_one was accepted"):
+            async with injected(cell, "pose_jump", nowhere, nowhere):
+                await refused(cell, "digitization.digitize_one", {"index": 0}, codes=("pose_stale",))
+    assert len(pool.logs()) == 1, "one daemon served all of them"
+    with pytest.raises(Unmet, match=r"within 0\.2 s"):
+        async with lab.cell(anew=False) as cell:
+            await held(cell, within=0.2)
+    assert cell.process.returncode is not None, "a daemon that an error has left in doubt is not used again"
+
+
+async def test_a_daemon_that_refuses_to_start_says_why(tmp_path: Path) -> None:
+    lab = Lab(1, tmp_path)
+    status, errors = await lab.ending("robot.wheels=4")
+    assert status == 4
+    assert "wheels" in errors
+    with pytest.raises(DeviceError, match="wheels"):
+        async with lab.daemon("robot.wheels=4"):
+            pytest.fail("must not start")
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3000)
+@pytest.mark.parametrize("fault_class", ["operator", "sensor", "robot"])
+async def test_every_fault_of_a_class_is_answered_as_required(fault_class: str) -> None:
+    report = await run_campaign(choose([fault_class]), [1, 2, 3])
+    assert not [(result.id, result.seed, result.response) for result in report.failed]

@@ -1,0 +1,99 @@
+"""The checks of a campaign can fail: what a cell does wrong is found, whatever it says of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import msgspec
+import pytest
+
+from pcmrs.campaign.checks import refused
+from pcmrs.campaign.fault import Unmet
+from pcmrs.campaign.lab import LabCell
+from pcmrs.journal import JournalRow
+from pcmrs.messages import BlueprintTag, Reason, Running, Snapshot, Verdict
+
+SNAPSHOT = Snapshot(
+    sequence=7,
+    branches={"placement": "standoff"},
+    flags={},
+    running=[],
+    latched=False,
+    blueprint=BlueprintTag(id="ratms", version="1", hash="0"),
+)
+REJECTED = Verdict(
+    id="1",
+    branch="placement",
+    operation="confirm",
+    decision="rejected",
+    state="standoff",
+    sequence=7,
+    reason=Reason(code="pose_stale", text="The pose is old."),
+)
+
+
+@dataclass
+class ScriptedCell:
+    """A cell that answers as told: it stands for client and cell at once."""
+
+    verdict: Verdict = REJECTED
+    after: Snapshot = SNAPSHOT
+    recorded: list[Verdict] = field(default_factory=lambda: [REJECTED])
+    asked: int = 0
+
+    @property
+    def client(self) -> ScriptedCell:
+        return self
+
+    async def state(self) -> Snapshot:
+        self.asked += 1
+        return SNAPSHOT if self.asked == 1 else self.after
+
+    async def call(self, name: str, arguments: object) -> Verdict:
+        return self.verdict
+
+    def last_row(self) -> int:
+        return 3
+
+    def rows(self, after: int) -> list[JournalRow]:
+        assert after == 3
+        return cast(list[JournalRow], [Recorded(verdict) for verdict in self.recorded])
+
+
+@dataclass
+class Recorded:
+    verdict: Verdict
+
+
+async def judge(**changed: Any) -> Verdict:
+    return await refused(cast(LabCell, ScriptedCell(**changed)), "placement.confirm", codes=("pose_stale",))
+
+
+def altered(**fields: Any) -> Verdict:
+    return msgspec.structs.replace(REJECTED, **fields)
+
+
+async def test_a_refusal_that_changes_nothing_and_is_journalled_passes() -> None:
+    assert await judge() == REJECTED
+    running = [Running(branch="toolplan", operation="plan", id="2")]
+    await judge(after=msgspec.structs.replace(SNAPSHOT, running=running))
+
+
+@pytest.mark.parametrize(
+    ("changed", "word"),
+    [
+        ({"verdict": altered(decision="accepted", reason=None)}, "must be rejected"),
+        ({"verdict": altered(decision="failed")}, "must be rejected"),
+        ({"verdict": altered(reason=Reason(code="busy", text="Busy."))}, "pose_stale"),
+        ({"after": msgspec.structs.replace(SNAPSHOT, sequence=8)}, "changed"),
+        ({"after": msgspec.structs.replace(SNAPSHOT, latched=True)}, "changed"),
+        ({"after": msgspec.structs.replace(SNAPSHOT, branches={"placement": "placed"})}, "changed"),
+        ({"after": msgspec.structs.replace(SNAPSHOT, plan="another")}, "changed"),
+        ({"recorded": []}, "journal"),
+        ({"recorded": [altered(id="2")]}, "journal"),
+    ],
+)
+async def test_anything_else_does_not(changed: dict[str, Any], word: str) -> None:
+    with pytest.raises(Unmet, match=word):
+        await judge(**changed)

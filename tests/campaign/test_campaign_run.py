@@ -1,0 +1,172 @@
+"""How a campaign runs: one fault's failure, hang or crash is its own, and the report says what was seen."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+
+import msgspec
+import pytest
+from click.testing import CliRunner, Result
+
+from pcmrs.campaign import fault as registry
+from pcmrs.campaign.catalogue import NO_ACCESS_CONTROL, choose
+from pcmrs.campaign.fault import Evidence, NotRun, Unmet, fault
+from pcmrs.campaign.lab import Lab
+from pcmrs.campaign.page import JSON_NAME, PAGE_NAME
+from pcmrs.campaign.report import CampaignReport, FaultResult
+from pcmrs.campaign.run import NO_INJECTION, run_campaign
+from pcmrs.cli import main
+from pcmrs.errors import DeviceError
+
+NASTY = "<script>alert('B4')</script> & \"more\""
+
+
+@pytest.fixture(autouse=True)
+def _scripted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Injections of which the outcome is known, in place of the real ones."""
+    monkeypatch.setattr(registry, "_injections", {})
+    monkeypatch.setattr(registry, "injections", lambda: registry._injections)
+    monkeypatch.setattr("pcmrs.campaign.run.injections", lambda: registry._injections)
+
+    @fault("S1", how="well")
+    async def well(lab: Lab) -> Evidence:
+        lab.folder.joinpath("left over").write_text("x")
+        return Evidence("as required", {"seed": lab.seed, "drawn": lab.random.random()})
+
+    @fault("S2", how="unmet")
+    async def unmet(lab: Lab) -> Evidence:
+        raise Unmet(f"It moved. {NASTY}")
+
+    @fault("S3", how="no tool here")
+    async def no_tool(lab: Lab) -> Evidence:
+        raise NotRun("this machine has no moon")
+
+    @fault("S4", how="a tool that nobody has", tools=("sh", "no-such-tool-anywhere"))
+    async def missing(lab: Lab) -> Evidence:
+        raise AssertionError("must not be run")
+
+    @fault("S5", how="hangs", deadline=0.05)
+    async def hangs(lab: Lab) -> Evidence:
+        await asyncio.Event().wait()
+        raise AssertionError
+
+    @fault("S6", how="crashes")
+    async def crashes(lab: Lab) -> Evidence:
+        raise DeviceError("The daemon is gone.")
+
+    @fault("S7", how="first way")
+    async def first(lab: Lab) -> Evidence:
+        return Evidence("seen")
+
+    @fault("S7", how="second way")
+    async def second(lab: Lab) -> Evidence:
+        raise Unmet("not seen")
+
+    @fault("S8", how="can be")
+    async def can_be(lab: Lab) -> Evidence:
+        return Evidence("seen")
+
+    @fault("S8", how="cannot be")
+    async def cannot_be(lab: Lab) -> Evidence:
+        raise NotRun("no disk")
+
+
+IDS = [f"S{number}" for number in range(1, 9)]
+OUTCOMES = ["passed", "failed", "not_run", "not_run", "failed", "failed", "failed", "not_run"]
+
+
+async def campaign(ids: list[str], seeds: list[int], jobs: int = 1) -> CampaignReport:
+    return await run_campaign(choose(ids=ids), seeds, jobs)
+
+
+def of(report: CampaignReport, fault_id: str) -> FaultResult:
+    return next(result for result in report.faults if result.id == fault_id)
+
+
+@pytest.mark.parametrize("jobs", [1, 3, 20])
+async def test_each_fault_has_its_own_outcome_in_the_order_of_the_catalogue(jobs: int) -> None:
+    report = await campaign(IDS, [1], jobs)
+    assert [result.id for result in report.faults] == IDS
+    assert [result.outcome for result in report.faults] == OUTCOMES
+    assert report.summary == {"sensor": {"passed": 1, "failed": 4, "not_run": 3}}
+    assert [result.id for result in report.failed] == ["S2", "S5", "S6", "S7"]
+
+
+async def test_what_was_seen_is_said() -> None:
+    report = await campaign(IDS, [1])
+    said = {result.id: result.response for result in report.faults}
+    assert said["S2"] == f"It moved. {NASTY}"
+    assert said["S3"] == "this machine has no moon"
+    assert said["S4"] == "not installed: no-such-tool-anywhere"
+    assert said["S5"] == "not ended within 0.05 s"
+    assert said["S6"] == "DeviceError: The daemon is gone."
+    assert of(report, "S6").parts[0].details["where"].startswith("test_campaign_run.py:")
+
+
+async def test_all_ways_of_a_fault_are_tried_and_one_failure_fails_it() -> None:
+    report = await campaign(["S7", "S8"], [1])
+    assert [[part.outcome for part in result.parts] for result in report.faults] == [
+        ["passed", "failed"],
+        ["passed", "not_run"],
+    ]
+    assert (of(report, "S7").response, of(report, "S7").how) == ("not seen", "first way; second way")
+
+
+async def test_what_nothing_injects_is_not_run_and_never_passed() -> None:
+    report = await campaign(["O9", "S14"], [1])
+    assert [(result.outcome, result.response) for result in report.faults] == [
+        ("not_run", NO_ACCESS_CONTROL),
+        ("not_run", NO_INJECTION),
+    ]
+
+
+async def test_every_fault_gets_every_seed_and_the_same_one_draws_the_same() -> None:
+    report = await campaign(["S1"], [4, 2])
+    again = await campaign(["S1"], [2])
+    assert [result.seed for result in report.faults] == [4, 2]
+    drawn = [result.parts[0].details["drawn"] for result in report.faults]
+    assert drawn[1] == again.faults[0].parts[0].details["drawn"] != drawn[0]
+
+
+def run_faults(*words: str) -> Result:
+    return CliRunner().invoke(main, ["faults", "run", *words])
+
+
+def test_the_report_is_written_as_json_and_as_a_page_that_loads_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "report"
+    ended = run_faults("--id", "S1", "--id", "S2", "--json", "-o", str(folder))
+    assert ended.exit_code == 1
+    written = json.loads((folder / JSON_NAME).read_text())
+    assert json.loads(ended.stdout) == written
+    keys = {"id", "class", "outcome", "how", "response", "seed", "seconds", "reference"}
+    assert all(keys <= entry.keys() for entry in written["faults"])
+    assert [entry["outcome"] for entry in written["faults"]] == ["passed", "failed"]
+    page = (folder / PAGE_NAME).read_text()
+    assert "<script" not in page
+    assert "&lt;script&gt;" in page
+    assert not {word for word in ("http:", "https:", "src=", "@import", "url(") if word in page}
+    assert msgspec.json.decode((folder / JSON_NAME).read_bytes(), type=CampaignReport).summary
+
+
+@pytest.mark.parametrize(
+    ("words", "status"),
+    [
+        (("--id", "S1"), 0),
+        (("--id", "S3"), 0),
+        (("--id", "S2"), 1),
+        (("--id", "Z1"), 2),
+        (("--class", "weather"), 2),
+        (("--seed", "-1"), 2),
+        (("--jobs", "0"), 2),
+    ],
+)
+def test_the_exit_status_says_whether_a_response_was_missed(words: tuple[str, ...], status: int) -> None:
+    assert run_faults(*words).exit_code == status
+
+
+def test_the_table_names_outcome_and_reason() -> None:
+    ended = run_faults("--id", "S1", "--id", "S3")
+    assert "passed" in ended.stdout
+    assert "this machine has no moon" in ended.stdout

@@ -1,0 +1,153 @@
+"""What faults are injected with does what it says, and to nobody else."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+from pcmrs.campaign.cgroups import processor_quota
+from pcmrs.campaign.fault import NotRun
+from pcmrs.campaign.loopdisk import loop_disk
+from pcmrs.campaign.syscalls import injected
+from pcmrs.campaign.tools import tool
+from pcmrs.campaign.walltime import WallClock
+
+WRITER = """
+import os, sys
+files = [os.open(name, os.O_WRONLY | os.O_CREAT) for name in sys.argv[1:]]
+for line in sys.stdin:
+    for file in files:
+        try:
+            os.write(file, b"x")
+            os.fdatasync(file)
+            print("written", flush=True)
+        except OSError as error:
+            print(error.strerror, flush=True)
+"""
+
+
+@asynccontextmanager
+async def _writer(*files: Path) -> AsyncIterator[asyncio.subprocess.Process]:
+    pipe = asyncio.subprocess.PIPE
+    words = (sys.executable, "-c", WRITER, *map(str, files))
+    process = await asyncio.create_subprocess_exec(*words, stdin=pipe, stdout=pipe)
+    try:
+        assert await _write(process, len(files)) == ["written"] * len(files)
+        yield process
+    finally:
+        with suppress(ProcessLookupError):
+            process.kill()
+        await process.wait()
+
+
+async def _write(process: asyncio.subprocess.Process, answers: int) -> list[str]:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write(b"\n")
+    return [(await process.stdout.readline()).decode().strip() for _ in range(answers)]
+
+
+async def test_only_the_calls_on_the_file_named_fail_and_only_meanwhile(tmp_path: Path) -> None:
+    with _runs_here():
+        async with _writer(tmp_path / "meant", tmp_path / "other") as process:
+            async with injected(process.pid, ("write",), "error=EIO", files=[tmp_path / "meant"]) as tampered:
+                assert await _write(process, 2) == ["Input/output error", "written"]
+            assert tampered.calls == 1
+            assert await _write(process, 2) == ["written", "written"]
+
+
+async def test_a_disk_keeps_through_a_power_cut_what_was_synchronised_and_no_more(tmp_path: Path) -> None:
+    with _runs_here():
+        async with loop_disk(tmp_path) as disk:
+            await asyncio.to_thread(_half_synchronised, disk.path / "file")
+            disk.cut_power()
+            with pytest.raises(OSError, match="Input/output error"):
+                (disk.path / "another").write_bytes(b"x")
+            await disk.power_on()
+            assert (disk.path / "file").read_bytes() == b"kept"
+        assert not list((tmp_path / "disk").iterdir())
+
+
+def _half_synchronised(path: Path) -> None:
+    with path.open("wb", buffering=0) as file:
+        file.write(b"kept")
+        os.fsync(file.fileno())
+        file.write(b"lost")
+
+
+async def test_a_disk_is_full_until_it_is_released_and_read_only_until_mounted(tmp_path: Path) -> None:
+    with _runs_here():
+        async with loop_disk(tmp_path) as disk:
+            disk.fill()
+            with pytest.raises(OSError, match="No space left"):
+                (disk.path / "file").write_bytes(b"x" * 10_000)
+            disk.release()
+            (disk.path / "file").write_bytes(b"x" * 10_000)
+            await disk.make_read_only()
+            with pytest.raises(OSError, match="Read-only"):
+                (disk.path / "another").write_bytes(b"x")
+            await disk.power_on()
+            (disk.path / "another").write_bytes(b"x")
+
+
+def test_a_wall_clock_is_set_and_the_monotonic_one_is_not(tmp_path: Path) -> None:
+    with _runs_here():
+        clock = WallClock.right(tmp_path)
+        environment = {**os.environ, **clock.environment()}
+        program = "import time; print(time.time(), time.monotonic())"
+
+        def read() -> tuple[float, float]:
+            output = subprocess.run(
+                [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+            ).stdout
+            wall, monotonic = map(float, output.split())
+            return wall, monotonic
+
+        wall, monotonic = read()
+        clock.shift(-3600.0)
+        earlier, later = read()
+        assert -3600.0 <= earlier - wall < -3540.0
+        assert 0.0 < later - monotonic < 60.0
+        clock.stand()
+        assert read()[0] == read()[0]
+
+
+def test_a_process_gets_no_more_than_its_share() -> None:
+    with _runs_here():
+        burner = "import os\nwhile True: pass"
+        with subprocess.Popen([sys.executable, "-c", burner]) as process:
+            with processor_quota([process.pid], 0.1):
+                first = os.times().elapsed, _processor_time(process.pid)
+                with pytest.raises(subprocess.TimeoutExpired):
+                    process.wait(1.0)
+                second = os.times().elapsed, _processor_time(process.pid)
+            process.kill()
+        assert second[1] - first[1] < 0.25 * (second[0] - first[0])
+
+
+def _processor_time(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+async def test_a_tool_that_is_missing_or_fails_is_not_run() -> None:
+    with pytest.raises(NotRun, match="cannot be run"):
+        await tool(["no-such-program"])
+    with pytest.raises(NotRun, match="failed here"):
+        await tool(["false"])
+
+
+@contextmanager
+def _runs_here() -> Iterator[None]:
+    """Skips a test where this machine does not let it use its tool."""
+    try:
+        yield
+    except NotRun as error:
+        pytest.skip(error.text)

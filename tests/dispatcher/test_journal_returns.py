@@ -1,0 +1,192 @@
+"""A journal that failed and is written again: the procedure goes on held, latched, and with what the disk says."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from clock import settle
+from dispatcher_fakes import HELD, PLACED, RETRACTED, STANDOFF, Bench
+
+from pcmrs.errors import PcmrsError
+from pcmrs.messages import DeviceEvent, UnknownOutcome, Verdict
+
+
+def reasons(verdict: Verdict) -> tuple[str, str]:
+    return verdict.decision, "" if verdict.reason is None else verdict.reason.code
+
+
+async def test_it_goes_on_latched_and_moves_only_after_an_acknowledgement(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    bench.recorder.failing.add("decision")
+    await bench.do("placement.home")
+    bench.recorder.failing.clear()
+    holds = bench.holds
+    await bench.dispatcher.resume(begun=())
+    assert bench.dispatcher.broken is None
+    assert bench.holds > holds, "the arm is held again before anything else may be asked for"
+    assert bench.dispatcher.snapshot().latched
+    assert ("event", "journal_reopened") in [(kind, name) for kind, name, _, _ in bench.recorder.rows]
+    assert reasons(await bench.do("placement.home")) == ("rejected", "latched")
+    assert (await bench.do("robot.acknowledge")).decision == "accepted"
+    assert (await bench.do("placement.home")).decision == "accepted"
+
+
+async def test_a_decision_that_the_disk_has_after_all_is_committed(bench: Bench) -> None:
+    """The failed write had reached the disk: its states and data are in force, and a repeat gets its verdict."""
+    await bench.go(RETRACTED)
+    bench.recorder.failing.add("decision")
+    answered = await bench.do("toolplan.clear", id="clear-1")
+    assert answered.decision == "unknown"
+    assert bench.joint == RETRACTED
+    bench.recorder.failing.clear()
+    durable = Verdict(id="clear-1", branch="toolplan", operation="clear", decision="accepted", state="0", sequence=99)
+    bench.recorder.earlier["test:user", "clear-1"] = durable
+    await bench.dispatcher.resume(begun=())
+    assert bench.joint[2] == "0"
+    assert await bench.do("toolplan.clear", id="clear-1") == durable
+    assert durable in bench.published
+    assert bench.dispatcher.snapshot().unknown == []
+
+
+async def test_a_decision_that_the_disk_has_not_is_as_if_never_asked(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    bench.recorder.failing.add("decision")
+    await bench.do("toolplan.clear", id="clear-1")
+    assert [each.operation for each in bench.dispatcher.snapshot().unknown] == ["clear"]
+    bench.recorder.failing.clear()
+    await bench.dispatcher.resume(begun=())
+    assert bench.joint == RETRACTED
+    assert bench.dispatcher.snapshot().unknown == []
+    assert (await bench.do("toolplan.clear", id="clear-1")).decision == "accepted", "a repeat is decided anew"
+
+
+async def test_a_motion_whose_outcome_was_not_written_leaves_the_placement_unknown(bench: Bench) -> None:
+    """Never its source: the arm has moved. `locate` settles it."""
+    await bench.go(RETRACTED)
+    bench.recorder.failing.add("decision")
+    await bench.do("placement.approach", id="a1")
+    bench.recorder.failing.clear()
+    await bench.dispatcher.resume(begun={("test:user", "a1")})
+    assert bench.joint[4] == "unknown"
+    (shown,) = bench.dispatcher.snapshot().unknown
+    assert (shown.command, shown.source, shown.branch, shown.operation) == ("a1", "test:user", "placement", "approach")
+    assert bench.recorder.kinds("a1") == ["intent", "decision"]
+    assert (await bench.do("placement.approach", id="a1")).decision == "unknown"
+    await bench.do("robot.acknowledge")
+    assert bench.dispatcher.snapshot().unknown == [shown], "acknowledging does not say where the arm is"
+    await bench.do("placement.locate")
+    assert bench.dispatcher.snapshot().unknown == []
+
+
+async def test_a_journal_that_fails_again_leaves_everything_refused_and_doubtful(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    bench.recorder.failing.add("decision")
+    await bench.do("placement.approach", id="a1")
+    bench.recorder.failing.add("event")
+    with pytest.raises(PcmrsError):
+        await bench.dispatcher.resume(begun={("test:user", "a1")})
+    assert bench.dispatcher.broken is not None
+    assert (await bench.do("toolplan.clear")).decision == "rejected"
+    bench.recorder.failing.clear()
+    await bench.dispatcher.resume(begun={("test:user", "a1")})
+    assert bench.joint[4] == "unknown"
+    assert (await bench.do("toolplan.clear")).decision == "accepted"
+
+
+async def test_a_state_whose_activity_has_ended_is_left(bench: Bench) -> None:
+    """Nobody watched the alignment meanwhile: the coil does not count as placed."""
+    await bench.go(PLACED)
+    bench.recorder.failing.add("decision")
+    await bench.do("toolplan.no_such_operation")
+    await settle()
+    bench.recorder.failing.clear()
+    await bench.dispatcher.resume(begun=())
+    assert bench.joint == HELD
+    assert "watch_alignment ends" in bench.script.log
+
+
+async def test_what_a_device_said_meanwhile_is_taken_in(bench: Bench) -> None:
+    await bench.go(STANDOFF)
+    bench.recorder.failing.add("decision")
+    await bench.do("robot.no_such_operation")
+    await bench.dispatcher.report(DeviceEvent(device="robot", code="link_lost", text="Silent.", danger=True))
+    assert bench.joint[3] == "1"
+    bench.recorder.failing.clear()
+    await bench.dispatcher.resume(begun=())
+    assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
+
+
+async def test_what_still_runs_is_waited_for_and_the_resume_gives_up_in_time(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    release = asyncio.Event()
+
+    async def insist(_run: object) -> None:
+        while not release.is_set():
+            try:
+                await release.wait()
+            except asyncio.CancelledError:
+                continue
+
+    bench.script.steps["placement.approach"] = insist
+    motion = await bench.begin("placement.approach")
+    bench.recorder.failing.add("decision")
+    await bench.do("toolplan.clear")
+    bench.recorder.failing.clear()
+    resumed = asyncio.create_task(bench.dispatcher.resume(begun=()))
+    await settle()
+    await bench.clock.advance(60.0)
+    release.set()
+    with pytest.raises(PcmrsError, match=r"placement\.approach has not ended"):
+        await resumed
+    assert bench.dispatcher.broken is not None
+    await motion
+
+
+async def test_an_error_of_the_program_is_not_resumed(bench: Bench) -> None:
+    async def keep_nonsense(run: object) -> None:
+        run.keep(no_such_field=1)  # type: ignore[attr-defined]
+
+    bench.script.steps["toolplan.plan"] = keep_nonsense
+    await bench.do("toolplan.plan")
+    with pytest.raises(PcmrsError, match="Only a restart"):
+        await bench.dispatcher.resume(begun=())
+    assert (await bench.do("toolplan.clear")).decision == "rejected"
+
+
+async def test_a_working_dispatcher_is_not_disturbed(bench: Bench) -> None:
+    await bench.go(PLACED)
+    await bench.dispatcher.resume(begun=())
+    assert (bench.joint, bench.dispatcher.snapshot().latched) == (PLACED, False)
+
+
+async def test_an_ending_daemon_is_not_brought_back(bench: Bench) -> None:
+    bench.recorder.failing.add("decision")
+    await bench.do("toolplan.clear")
+    bench.recorder.failing.clear()
+    await bench.dispatcher.close()
+    with pytest.raises(PcmrsError):
+        await bench.dispatcher.resume(begun=())
+    assert reasons(await bench.do("toolplan.clear")) == ("rejected", "ending")
+
+
+async def test_what_an_earlier_run_left_is_shown_and_keeps_the_latch(bench: Bench) -> None:
+    lost = UnknownOutcome(command="c", source="bus:local", branch="robot", operation="connect", since=5.0)
+    moved = UnknownOutcome(command="d", source="bus:local", branch="placement", operation="home", since=6.0)
+    bench.dispatcher.take_up(latched=True, unknown=[lost, moved])
+    shown = bench.dispatcher.snapshot()
+    assert (shown.latched, shown.unknown) == (True, [lost, moved])
+    await bench.do("robot.connect")
+    assert bench.dispatcher.snapshot().unknown == [moved]
+    await bench.do("placement.locate")
+    shown = bench.dispatcher.snapshot()
+    assert (shown.latched, shown.unknown) == (True, [])
+    await bench.do("robot.acknowledge")
+    assert not bench.dispatcher.snapshot().latched
+
+
+async def test_of_an_operation_that_stays_unknown_the_newest_is_shown(bench: Bench) -> None:
+    bench.script.end("robot.connect", "unknown")
+    for name in ("c1", "c2", "c3"):
+        await bench.do("robot.connect", id=name)
+    assert [each.command for each in bench.dispatcher.snapshot().unknown] == ["c3"]

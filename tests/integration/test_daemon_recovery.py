@@ -1,0 +1,62 @@
+"""A daemon killed in a motion, and what its successor restores, shows and refuses until an operator has looked."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+from daemon_process import SLOW, own_settings, running_daemon
+from driving import accepted, approaching, until
+
+from pcmrs.errors import UnknownOutcomeError
+from pcmrs.journal import JournalReader
+
+
+async def test_after_a_kill_in_a_motion_nothing_moves_until_the_operator_has_looked_and_confirmed(
+    tmp_path: Path,
+) -> None:
+    settings = [*own_settings(tmp_path), *SLOW]
+    with running_daemon(settings, tmp_path) as daemon:
+        async with daemon.client() as client, approaching(daemon, client) as approach:
+            daemon.end(signal.SIGKILL)
+            with pytest.raises(UnknownOutcomeError):
+                await approach
+    with running_daemon(settings, tmp_path) as successor:
+        async with successor.client() as client:
+            state = await client.state()
+            assert (state.branches["robot"], state.branches["placement"]) == ("0", "unknown")
+            assert (state.registration, state.plan, state.latched) == (None, None, True)
+            (lost,) = state.unknown
+            assert (lost.branch, lost.operation) == ("placement", "approach")
+            shown = successor.pcmrs("state").stdout
+            assert "unknown: placement.approach" in shown
+            assert lost.command in shown
+            assert json.loads(successor.pcmrs("state", "--json").stdout)["unknown"][0]["command"] == lost.command
+            assert "unknown_outcome" in successor.log
+            # Only what an operator asks for is taken back.
+            await accepted(client, "registration.use_previous")
+            await accepted(client, "toolplan.use_previous")
+            await accepted(client, "robot.connect")
+            await until(client, placement="retracted")
+            assert (await client.state()).unknown == [], "locating the arm has settled it"
+            refused = await client.call("placement.approach")
+            assert refused.reason is not None
+            assert refused.reason.code == "latched"
+            await accepted(client, "robot.acknowledge")
+            assert not (await client.state()).latched
+        assert successor.end() == 0
+    with JournalReader(tmp_path / "ratms.sqlite") as journal:
+        rows = [stored.row for stored in journal.read()]
+    assert [row.operation for row in rows if row.kind == "config"] == ["started", "started"]
+    assert rows[-1].kind == "snapshot"
+    assert rows[-1].result is not None
+    assert (rows[-1].result["latched"], rows[-1].result["unknown"]) == (False, [])
+    with running_daemon([*settings, "procedure.patient=somebody else", "procedure.body.surface="], tmp_path) as other:
+        async with other.client() as client:
+            assert not (await client.state()).latched, "the Stop of an orderly end leaves nothing to acknowledge"
+            for name in ("registration.use_previous", "toolplan.use_previous"):
+                verdict = await client.call(name)
+                assert verdict.reason is not None
+                assert verdict.reason.code == "other_patient"

@@ -1,0 +1,97 @@
+"""A daemon that is stopped or blocked, nodes that die: what moves is held, and nothing goes on by itself."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from daemon_process import PATIENCE, SLOW, ServeProcess, is_running, own_settings, running_daemon, wait_until
+from driving import accepted, approaching, register, stands_still, until, until_shown
+
+from pcmrs.client import Client
+from pcmrs.journal import JournalReader, JournalRow
+
+BLOCKER = """
+import signal, time
+signal.signal(signal.SIGUSR1, lambda *_: time.sleep(0.4))
+"""
+"""A process with this blocks its event loop for 0.4 s when it is told to."""
+
+
+@pytest.fixture
+def slow_daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ServeProcess]:
+    (tmp_path / "sitecustomize.py").write_text(BLOCKER)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with running_daemon([*own_settings(tmp_path), *SLOW], tmp_path) as daemon:
+        yield daemon
+        assert "Traceback" not in daemon.log
+
+
+def events(daemon: ServeProcess) -> list[JournalRow]:
+    with JournalReader(Path(daemon.ready.journal)) as journal:
+        return [stored.row for stored in journal.read(kind="device")]
+
+
+def told(daemon: ServeProcess, code: str) -> bool:
+    return any(row.operation == code for row in events(daemon))
+
+
+async def held_until_acknowledged(client: Client) -> None:
+    """The arm stands, nothing goes on by itself, and no motion begins before somebody has looked."""
+    await until_shown(client, lambda snapshot: snapshot.latched and not snapshot.running)
+    assert await stands_still(client)
+    branches = (await client.state()).branches
+    refused = await client.call("placement.approach")
+    assert refused.decision == "rejected"
+    assert (await client.state()).branches == branches
+    assert branches["placement"] in ("held", "unknown")
+
+
+async def test_an_arm_whose_daemon_is_stopped_is_held_and_stays_so_when_it_goes_on(slow_daemon: ServeProcess) -> None:
+    daemon = slow_daemon
+    async with daemon.client() as client:
+        async with approaching(daemon, client) as approach:
+            daemon.process.send_signal(signal.SIGSTOP)
+            held = await asyncio.to_thread(wait_until, lambda: "held_by_node" in daemon.log)
+            daemon.process.send_signal(signal.SIGCONT)
+            assert held
+            assert (await approach).decision in ("failed", "unknown")
+        await held_until_acknowledged(client)
+
+
+async def test_a_daemon_that_is_blocked_while_the_arm_moves_says_so_and_holds_it(slow_daemon: ServeProcess) -> None:
+    daemon = slow_daemon
+    async with daemon.client() as client:
+        async with approaching(daemon, client) as approach:
+            daemon.process.send_signal(signal.SIGUSR1)
+            assert (await approach).decision in ("failed", "unknown")
+        await held_until_acknowledged(client)
+    assert await asyncio.to_thread(wait_until, lambda: told(daemon, "loop_stalled"))
+    stall = next(row for row in events(daemon) if row.operation == "loop_stalled" and row.result["danger"])
+    assert stall.result["fields"]["stall"] > stall.result["fields"]["limit"]
+
+
+async def test_a_node_that_dies_is_begun_anew_and_the_operator_begins_anew_too(tmp_path: Path) -> None:
+    with running_daemon(own_settings(tmp_path), tmp_path) as daemon:
+        async with daemon.client() as client:
+            await register(client)
+            (node,) = daemon.children()
+            os.kill(node, signal.SIGKILL)
+            await until(client, robot="0", placement="unknown")
+            lost = await client.call("robot.connect")
+            assert (lost.decision, lost.state) == ("unknown", "0"), "its node is only being begun anew"
+            assert await asyncio.to_thread(wait_until, lambda: told(daemon, "node_restarted"))
+            assert (await client.state()).latched
+            async with asyncio.timeout(PATIENCE):
+                while (await client.call("robot.connect")).decision != "accepted":  # noqa: ASYNC110
+                    await asyncio.sleep(0.2)
+            await accepted(client, "robot.acknowledge")
+            (successor,) = daemon.children()
+            assert successor != node
+        assert daemon.end() == 0
+        assert not is_running(successor)
+        assert "Traceback" not in daemon.log

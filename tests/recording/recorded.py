@@ -1,0 +1,129 @@
+"""Recordings made by tests: a bus of their own, what is said on it, and what another reader finds in the file."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import mcap.decoder
+import msgspec
+from mcap.reader import make_reader
+from mcap.records import Schema
+from mcap_protobuf.decoder import DecoderFactory
+
+from pcmrs.bus import Bus, BusSettings, Empty
+from pcmrs.clock import SystemClock
+from pcmrs.experiment.process import free_port
+from pcmrs.kinematics.arms import ARMS
+from pcmrs.messages import BodyPose, JointState
+from pcmrs.recording.chain import Mounting
+from pcmrs.recording.recorder import PERIOD, Plan, Recorder, Report
+from pcmrs.recording.series import Limits, files_of
+from pcmrs.recording.tap import Tap
+from pcmrs.recording.topics import TOPICS
+from pcmrs.recording.views import Views
+from pcmrs.workflows.settings import CalibrationSettings
+
+TIMEOUT = 20.0
+PROBE = "state/robot"
+"""A key that nobody else uses: what is said there shows that the recorder hears."""
+ARM = ARMS["iiwa14"]
+MOUNTING = Mounting.read(CalibrationSettings())
+
+
+class Recording:
+    """A recorder at work on a bus.
+
+    Attributes:
+        bus: Where to say something.
+    """
+
+    def __init__(self, bus: Bus, tap: Tap, recorder: Recorder) -> None:
+        self.bus = bus
+        self._recorder = recorder
+        self._ended = asyncio.Event()
+        self._task = asyncio.create_task(recorder.run(tap, self._ended))
+
+    async def end(self) -> Report:
+        """Ends the recording as Ctrl-C does."""
+        self._ended.set()
+        return await self.report()
+
+    async def report(self) -> Report:
+        """What the recording came to, when it ends."""
+        async with asyncio.timeout(TIMEOUT):
+            return await self._task
+
+    async def written(self, count: int) -> None:
+        """Waits until so many messages have been recorded."""
+        await until(lambda: self._recorder.messages >= count)
+
+    async def hears(self) -> int:
+        """Says something until the recorder has heard it, and returns how many messages there are then."""
+        async with asyncio.timeout(TIMEOUT):
+            while not self._recorder.messages:
+                self.bus.publish(PROBE, Empty())
+                await asyncio.sleep(0.05)
+        await asyncio.sleep(2 * PERIOD)  # what else has been said by now
+        return self._recorder.messages
+
+
+@asynccontextmanager
+async def recording(
+    first: Path, limits: Limits | None = None, topics: Sequence[str] = TOPICS
+) -> AsyncIterator[Recording]:
+    """Records a bus of the test's own into `first`."""
+    router = BusSettings(mode="router", endpoint=f"tcp/127.0.0.1:{free_port()}", site="test", cell="recorded")
+    clock = SystemClock()
+    plan = Plan(first, limits or Limits(), {"cell": router.cell, "site": router.site}, lambda: files_of(first))
+    bus = await Bus.open(router)
+    try:
+        tap = await Tap.open(msgspec.structs.replace(router, mode="client"), topics, clock)
+        work = Recording(bus, tap, Recorder(plan, Views(ARM, MOUNTING, 1.0), clock))
+        try:
+            yield work
+        finally:
+            await work.end()
+            await tap.close()
+    finally:
+        await bus.close()
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    """Waits until a condition holds that nobody tells of."""
+    async with asyncio.timeout(TIMEOUT):
+        while True:
+            if condition():
+                return
+            await asyncio.sleep(0.01)
+
+
+def joints(positions: Sequence[float] = ARM.home, **fields: Any) -> JointState:
+    """A measured posture, at rest."""
+    zeros = [0.0] * len(positions)
+    values: dict[str, Any] = {"captured": 1.0, "sent": 1.0, "velocities": zeros, "torques": zeros} | fields
+    return JointState(positions=list(positions), **values)
+
+
+def pose(body: str, number: int = 1, **fields: Any) -> BodyPose:
+    """A body that the tracker sees, captured 30 ms before it is sent."""
+    values: dict[str, Any] = {"captured": 1.0, "sent": 1.03, "valid": True, "position": (0.1, 0.2, 1.5)} | fields
+    return BodyPose(body=body, frame_number=number, **values)
+
+
+def decoded(path: Path) -> list[tuple[str, str, int, Any]]:
+    """Topic, schema, time in ns and decoded message of all messages, by the `mcap` package and protobuf."""
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory(), _Json()])
+        return [
+            (channel.topic, schema.name if schema else "", message.log_time, content)
+            for schema, channel, message, content in reader.iter_decoded_messages()
+        ]
+
+
+class _Json(mcap.decoder.DecoderFactory):
+    def decoder_for(self, message_encoding: str, schema: Schema | None) -> Callable[[bytes], Any] | None:
+        return msgspec.json.decode if message_encoding == "json" else None

@@ -1,0 +1,8 @@
+"""The golden journals: recorded by `record_golden.py`, replayed in every run of the tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+GOLDEN = Path(__file__).parent / "golden"
+WORKFLOWS = ("ratms", "femoroplasty", "grid_mapping", "ratms_threshold")

@@ -1,0 +1,96 @@
+"""Device nodes as child processes: begun anew within limits, then given up."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import stat
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pcmrs.clock import SystemClock
+from pcmrs.messages import DeviceEvent
+from pcmrs.service.nodes import NodeProcesses
+from pcmrs.service.supervisor import RESTARTS, Supervisor
+from pcmrs.settings import Settings
+
+PATIENCE = 20.0
+
+
+class Bench:
+    """Nodes whose program is a script."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> None:
+        program = folder / "program"
+        program.write_text(f"#!/bin/sh\necho $$ >> {folder / 'begun'}\n{script}\n")
+        program.chmod(program.stat().st_mode | stat.S_IXUSR)
+        monkeypatch.setattr(sys, "executable", str(program))
+        self.begun_file = folder / "begun"
+        self.ended: list[list[str]] = []
+        self.events: list[DeviceEvent] = []
+        self.worth_a_restart = True
+        clock = SystemClock()
+        self.supervisor = Supervisor(clock)
+        self.nodes = NodeProcesses(Settings(), self._end, self._report, clock)
+
+    def _end(self, devices: list[str]) -> bool:
+        self.ended.append(devices)
+        return self.worth_a_restart
+
+    def _report(self, event: DeviceEvent) -> None:
+        self.events.append(event)
+
+    @property
+    def begun(self) -> list[int]:
+        return [int(pid) for pid in self.begun_file.read_text().split()] if self.begun_file.exists() else []
+
+
+async def until(condition: Callable[[], object]) -> None:
+    async with asyncio.timeout(PATIENCE):
+        while not condition():  # noqa: ASYNC110  only the operating system knows
+            await asyncio.sleep(0.01)
+
+
+async def test_a_node_that_keeps_ending_is_given_up_as_danger_and_the_daemon_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path, monkeypatch, "exit 7")
+    async with bench.supervisor:
+        bench.nodes.start(bench.supervisor)
+        await until(lambda: bench.events and bench.events[-1].code == "node_failed")
+        await asyncio.sleep(0.1)
+    assert [event.code for event in bench.events] == ["node_restarted"] * RESTARTS + ["node_failed"]
+    assert [event.danger for event in bench.events] == [False] * RESTARTS + [True]
+    assert bench.events[0].fields["status"] == 7
+    assert len(bench.begun) == RESTARTS + 1
+    assert bench.ended == [Settings().drivers()["sim"]] * (RESTARTS + 1)
+    assert bench.nodes.restarts == {"sim": RESTARTS}
+    assert bench.supervisor.died == 0
+
+
+async def test_a_node_that_ends_while_the_daemon_starts_is_not_begun_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path, monkeypatch, "exit 1")
+    bench.worth_a_restart = False
+    async with bench.supervisor:
+        bench.nodes.start(bench.supervisor)
+        await until(lambda: bench.ended)
+        await asyncio.sleep(0.1)
+    assert len(bench.begun) == 1
+    assert bench.events == []
+
+
+async def test_nodes_that_are_stopped_are_not_begun_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(tmp_path, monkeypatch, "exec sleep 60")
+    async with bench.supervisor:
+        bench.nodes.start(bench.supervisor)
+        await until(lambda: bench.begun)
+    await bench.nodes.stop()
+    (pid,) = bench.begun
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+    assert bench.ended == []

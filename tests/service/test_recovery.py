@@ -1,0 +1,318 @@
+"""What a run of the daemon takes over from the rows of earlier ones, and a journal that fails while it runs."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from clock import ManualClock, settle
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+from pcmrs.dispatcher import Dispatcher
+from pcmrs.dispatcher.dispatcher import SHUTDOWN
+from pcmrs.errors import ConfigurationError, JournalError
+from pcmrs.journal import Journal, JournalRow
+from pcmrs.messages import BlueprintTag, Command, Decision, DeviceEvent, PoseMessage, Reason, Verdict
+from pcmrs.service import recorder as recorder_module
+from pcmrs.service.ledger import Kept, Ledger
+from pcmrs.service.recorder import JournalRecorder
+from pcmrs.service.recovery import keep_journal, recover
+from pcmrs.settings import Settings, read_settings
+from pcmrs.workflows import open_workflow
+from pcmrs.workflows.data import PlacementData, Planned
+
+WORKFLOW = open_workflow("ratms")
+RATMS = WORKFLOW.blueprint
+TAG = BlueprintTag(id=RATMS.id, version=RATMS.version, hash=RATMS.hash)
+PLANNED = Planned(
+    id="plan-1",
+    image_from_coil=PoseMessage(position=(0.0, 0.1, 0.2), quat_wxyz=(1.0, 0.0, 0.0, 0.0)),
+    patient="phantom",
+    calibration="c",
+)
+
+
+@pytest.fixture
+async def journal(tmp_path: Path) -> AsyncIterator[Journal]:
+    opened = Journal.open(tmp_path / "ratms.sqlite", durable=False)
+    yield opened
+    await opened.close()
+
+
+@pytest.fixture(scope="module")
+def configured() -> Settings:
+    return read_settings()
+
+
+def recorder_of(journal: Journal, session: str = "s1") -> JournalRecorder:
+    return JournalRecorder(journal, ManualClock(), session, TAG)
+
+
+def command(name: str, number: int = 1) -> Command:
+    branch, operation = name.split(".")
+    return Command(id=f"c{number}", branch=branch, operation=operation, source="bus:local")
+
+
+def verdict(of: Command, decision: Decision = "accepted") -> Verdict:
+    return Verdict(id=of.id, branch=of.branch, operation=of.operation, decision=decision, state="", sequence=1)
+
+
+async def write(recorder: JournalRecorder, name: str, decision: Decision = "accepted", **changes: Any) -> None:
+    of = command(name, next(NUMBERS))
+    await recorder.decision(of, verdict(of, decision), {}, changes, with_intent=True)
+
+
+NUMBERS = iter(range(1000, 10**9))
+
+
+# -- the ledger ----------------------------------------------------------------------------------------------------
+
+NAMES = [
+    "placement.approach",
+    "placement.locate",
+    "placement.reinit",
+    "robot.connect",
+    "robot.acknowledge",
+    "toolplan.plan",
+]
+ROWS = st.lists(
+    st.one_of(
+        st.tuples(st.just("intent"), st.sampled_from(NAMES), st.integers(0, 5), st.none()),
+        st.tuples(
+            st.just("outcome"),
+            st.sampled_from(NAMES),
+            st.integers(0, 5),
+            st.sampled_from(["accepted", "rejected", "failed", "unknown", "ended"]),
+        ),
+        st.tuples(st.just("device"), st.sampled_from(["tracker.lost", "shutdown.stopped"]), st.booleans(), st.none()),
+    ),
+    max_size=30,
+)
+
+
+def as_row(kind: str, name: str, number: Any, decision: str | None) -> JournalRow:
+    branch, operation = name.split(".")
+    common: dict[str, Any] = {"wall": 5.0, "monotonic": 1.0, "boot_id": "b", "session_id": "s", "blueprint": TAG}
+    if kind == "device":
+        return JournalRow(kind="device", source=branch, operation=operation, result={"danger": number}, **common)
+    common |= {"source": "x", "command_id": f"c{number}", "branch": branch, "operation": operation}
+    if kind == "intent":
+        return JournalRow(kind="intent", states={branch: "s"}, **common)
+    reason = Reason(code="daemon_ended", text="") if decision == "ended" else None
+    made: Any = "unknown" if decision == "ended" else decision
+    found = Verdict(
+        id=f"c{number}", branch=branch, operation=operation, decision=made, state="", sequence=1, reason=reason
+    )
+    changes = {"previous_plan": msgspec.json.decode(msgspec.json.encode(PLANNED))} if name == "toolplan.plan" else None
+    return JournalRow(kind="outcome", verdict=found, result=changes, **common)
+
+
+@hypothesis_settings(max_examples=60, deadline=None)
+@given(rows=ROWS, data=st.data())
+def test_reading_on_from_any_snapshot_says_what_reading_everything_says(rows: list[Any], data: st.DataObject) -> None:
+    made = [as_row(*row) for row in rows]
+    cut = data.draw(st.integers(0, len(made)))
+    whole, before = Ledger(RATMS, Kept()), Ledger(RATMS, Kept())
+    for row in made:
+        whole.take(row)
+    for row in made[:cut]:
+        before.take(row)
+    stored = msgspec.convert(msgspec.msgpack.decode(msgspec.msgpack.encode(before.kept)), Kept)
+    after = Ledger(RATMS, stored)
+    for row in made[cut:]:
+        after.take(row)
+    assert after.kept == whole.kept
+
+
+@pytest.mark.parametrize(
+    ("rows", "latched"),
+    [
+        ([("device", "operator.stopped", True, None)], True),
+        ([("device", "tracker.slow", False, None)], False),
+        ([("device", f"{SHUTDOWN}.stopped", True, None)], False),
+        ([("device", "operator.stopped", True, None), ("device", f"{SHUTDOWN}.stopped", True, None)], True),
+        ([("device", "operator.stopped", True, None), ("outcome", "robot.acknowledge", 1, "accepted")], False),
+        ([("device", "operator.stopped", True, None), ("outcome", "robot.acknowledge", 1, "rejected")], True),
+        ([("device", "operator.stopped", True, None), ("outcome", "robot.connect", 1, "accepted")], True),
+        ([("intent", "placement.approach", 1, None), ("outcome", "placement.approach", 1, "ended")], True),
+        ([("intent", "robot.connect", 1, None), ("outcome", "robot.connect", 1, "ended")], False),
+    ],
+)
+def test_the_latch_outlives_a_run_until_somebody_acknowledges(rows: list[Any], latched: bool) -> None:
+    ledger = Ledger(RATMS, Kept())
+    for row in rows:
+        ledger.take(as_row(*row))
+    assert ledger.kept.latched == latched
+
+
+# -- the start of a run --------------------------------------------------------------------------------------------
+
+
+async def test_a_run_begins_with_what_it_runs_under(journal: Journal, configured: Settings) -> None:
+    await recover(journal, recorder_of(journal), WORKFLOW, configured)
+    (stored,) = journal.reader.read()
+    row = stored.row
+    assert (row.kind, row.operation) == ("config", "started")
+    assert row.result is not None
+    assert msgspec.convert(row.result["settings"], Settings) == configured
+    assert set(row.result["versions"]) == {"pcmrs", "python"}
+    assert len(row.result["calibration"]) == 16
+
+
+async def test_the_plan_of_an_earlier_run_is_there_to_be_taken_back_and_not_in_force(
+    journal: Journal, configured: Settings
+) -> None:
+    earlier = recorder_of(journal)
+    await recover(journal, earlier, WORKFLOW, configured)
+    await write(earlier, "toolplan.plan", plan=PLANNED.image_from_coil, plan_id="plan-1", previous_plan=PLANNED)
+    recovered = await recover(journal, recorder_of(journal, "s2"), WORKFLOW, configured)
+    assert recovered.workflow.initial == PlacementData(previous_plan=PLANNED)
+
+
+async def test_what_had_begun_is_unknown_until_it_is_settled_over_any_number_of_starts(
+    journal: Journal, configured: Settings
+) -> None:
+    earlier = recorder_of(journal)
+    await recover(journal, earlier, WORKFLOW, configured)
+    await earlier.intent(command("placement.approach"), {"placement": "retracted"})
+    for session in ("s2", "s3"):
+        recovered = await recover(journal, recorder_of(journal, session), WORKFLOW, configured)
+        (shown,) = recovered.unknown
+        assert (shown.command, shown.source, shown.operation) == ("c1", "bus:local", "approach")
+        assert shown.since == ManualClock().wall()
+        assert recovered.latched
+    last = recorder_of(journal, "s4")
+    await recover(journal, last, WORKFLOW, configured)
+    await write(last, "placement.locate")
+    await write(last, "robot.acknowledge")
+    recovered = await recover(journal, recorder_of(journal, "s5"), WORKFLOW, configured)
+    assert (recovered.latched, recovered.unknown) == (False, ())
+    outcomes = [stored.row for stored in journal.reader.read(kind="outcome", command_id="c1")]
+    assert [row.verdict.decision for row in outcomes if row.verdict] == ["unknown"], "it is closed once"
+
+
+async def test_a_snapshot_shares_the_commit_of_the_thousandth_row_and_is_read_on_from(
+    journal: Journal, configured: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "SNAPSHOT_EVERY", 10)
+    recorder = recorder_of(journal)
+    await recover(journal, recorder, WORKFLOW, configured)
+    await write(recorder, "toolplan.plan", previous_plan=PLANNED)
+    await recorder.intent(command("robot.connect", 77), {"robot": "0"})
+    for _ in range(20):
+        await write(recorder, "registration.clear_landmarks", "rejected")
+    assert [stored.sequence for stored in journal.reader.read(kind="snapshot")] == [11, 22, 33, 44]
+    kept = recorder_of(journal, "s2").read_back(RATMS)
+    assert [each.command for each in kept.begun] == ["c77"]
+    assert list(kept.taken_back) == ["previous_plan"]
+
+
+async def test_an_orderly_end_leaves_a_snapshot_as_the_last_row(journal: Journal, configured: Settings) -> None:
+    recorder = recorder_of(journal)
+    await recover(journal, recorder, WORKFLOW, configured)
+    await recorder.conclude()
+    (last,) = journal.reader.read(last=1)
+    assert (last.row.kind, last.row.operation) == ("snapshot", "snapshot")
+    assert last.row.result is not None
+    assert {"data", "taken_back", "latched", "sequence"} <= set(last.row.result)
+
+
+async def test_a_journal_of_another_blueprint_is_refused_before_a_row_is_written(
+    journal: Journal, configured: Settings
+) -> None:
+    other = JournalRecorder(journal, ManualClock(), "s0", BlueprintTag(id="ratms", version="0.1", hash="ab"))
+    await other.event(DeviceEvent(device="x", code="y", text=""), {})
+    with pytest.raises(ConfigurationError, match="migrations"):
+        await recover(journal, recorder_of(journal), WORKFLOW, configured)
+    assert len(list(journal.reader.read())) == 1
+
+
+async def test_a_snapshot_of_an_unknown_kind_is_told_with_the_file(journal: Journal) -> None:
+    row = as_row("intent", "robot.connect", 1, None)
+    await journal.append([msgspec.structs.replace(row, kind="snapshot", result={"latched": "perhaps"})])
+    with pytest.raises(JournalError, match=r"ratms\.sqlite.*cell\.folder"):
+        recorder_of(journal).read_back(RATMS)
+
+
+# -- a journal that fails in operation -----------------------------------------------------------------------------
+
+
+class Flaky:
+    """A journal whose disk fails when told to; what was handed to it then is lost, or reaches the disk after all."""
+
+    def __init__(self, journal: Journal) -> None:
+        self.reader = journal.reader
+        self.failing: str | None = None
+        self.reopened = 0
+        self._journal = journal
+
+    def append(self, rows: list[JournalRow]) -> asyncio.Future[int]:
+        durable: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+        if self.failing != "lost":
+            self._journal.append(rows)
+        if self.failing is None:
+            durable.set_result(1)
+        else:
+            durable.set_exception(JournalError("The journal cannot be written: disk full."))
+        return durable
+
+    async def reopen(self) -> int:
+        self.reopened += 1
+        if self.failing is not None:
+            raise JournalError("Still full.")
+        return 1
+
+
+async def until(clock: ManualClock, condition: Callable[[], bool]) -> None:
+    for _ in range(20):
+        await clock.advance(1.0)
+        if condition():
+            return
+    raise AssertionError("it did not come true in 20 s")
+
+
+@pytest.mark.parametrize(("way", "state"), [("lost", "0"), ("written", "1")])
+async def test_after_a_failure_the_procedure_is_what_the_disk_says(
+    journal: Journal, configured: Settings, way: str, state: str
+) -> None:
+    """`toolplan.plan` was accepted while the disk failed; what is in force then is what a restart would read."""
+    flaky: Any = Flaky(journal)
+    recorder = JournalRecorder(flaky, ManualClock(), "s1", TAG)
+    clock = ManualClock()
+    published: list[Any] = []
+
+    async def hold() -> None:
+        return None
+
+    workflow = open_workflow("ratms")
+    workflow.registry.checks["plan_reachable"] = lambda run: None
+    workflow.registry.steps["keep_plan"] = lambda run: run.keep(plan_id="p", previous_plan=PLANNED)
+    recovered = await recover(flaky, recorder, workflow, configured)
+    cell: Any = None
+    dispatcher = Dispatcher(recovered.workflow, cell, clock, recorder, hold, published.append)
+    recovered.give_to(dispatcher)
+    recorder.attach(dispatcher.procedure)
+    keeping = asyncio.create_task(keep_journal(flaky, recorder, dispatcher, clock))
+    await settle()
+    flaky.failing = way
+    pose = {"position": [0.0, 0.1, 0.1], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
+    asked = msgspec.structs.replace(command("toolplan.plan"), arguments=pose)
+    assert (await dispatcher.submit(asked)).decision == "unknown"
+    assert dispatcher.broken is not None
+    await until(clock, lambda: flaky.reopened > 2)
+    assert dispatcher.broken is not None
+    flaky.failing = None
+    await until(clock, lambda: dispatcher.broken is None)
+    assert dispatcher.snapshot().branches["toolplan"] == state
+    assert dispatcher.snapshot().latched
+    again = recorder_of(journal, "s2").read_back(RATMS)
+    assert bool(again.taken_back) == (state == "1")
+    assert again.latched
+    keeping.cancel()
+    await dispatcher.close()

@@ -1,0 +1,102 @@
+"""Sessions that are explored: they hold, they reproduce, they reach what they should, and mutants are found."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+from exploring_mutants import MUTANTS
+
+from pcmrs.campaign.explore.exploring import explore, run_seeds
+from pcmrs.campaign.explore.faults import FAULTS, SCENE
+from pcmrs.campaign.explore.generate import draw_script
+from pcmrs.campaign.explore.script import Act, Script, read_script, write_script
+from pcmrs.campaign.explore.session import run_session
+from pcmrs.campaign.explore.settings import workflow_of
+from pcmrs.campaign.explore.shrinking import shrink
+from pcmrs.errors import ConfigurationError
+from sim.faults import FAULTS as SIMULATED
+
+TO_THE_HEAD = [Act(1.0, "go_on", "anna", {"turn": turn}) for turn in (1, 0, 1, 0, 1, 0, 1, 0, 0, 0)]
+"""From nothing to the coil at its place."""
+
+FINDING: dict[str, list[Act]] = {
+    "latch_not_checked": [*TO_THE_HEAD[:8], Act(1.0, "stop", "ben"), Act(2.0, "placement.back_off", "anna")],
+    "stop_does_not_latch": [*TO_THE_HEAD[:3], Act(1.0, "stop", "ben")],
+    "acknowledged_before_written": TO_THE_HEAD[:3],
+    "repeats_are_performed": [*TO_THE_HEAD[:4], Act(1.0, "toolplan.clear", "ben"), Act(1.0, "repeat", "ben")],
+}
+"""Mutant to what shows it."""
+
+
+def test_a_session_holds_and_its_seed_fixes_every_byte_of_its_journal() -> None:
+    """Also in another process, where sets and dictionaries of text are walked through in another order."""
+    found = run_seeds("ratms", "kinematic", [3])[0]
+    assert (found.invariant, found.text) == ("", "")
+    code = (
+        "from pcmrs.campaign.explore.exploring import run_seeds; print(run_seeds('ratms', 'kinematic', [3])[0].digest)"
+    )
+    environment = {**os.environ, "PYTHONHASHSEED": "4711"}
+    other = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert other.stdout.strip() == found.digest
+
+
+def test_the_head_is_reached_when_nothing_is_wrong() -> None:
+    found = run_session(Script(seed=1, acts=TO_THE_HEAD))
+    assert (found.invariant, found.text) == ("", "")
+    assert found.seen["accepted placement.confirm"] == 1
+
+
+def test_every_fault_of_the_simulated_cell_can_be_drawn() -> None:
+    """A fault that is added to the simulation is explored, or this fails."""
+    assert SCENE.keys() == SIMULATED.keys()
+    blueprint = workflow_of("ratms").blueprint
+    drawn = {act.what for seed in range(400) for act in draw_script(blueprint, "ratms", seed).acts}
+    assert {f"fault:{name}" for name in FAULTS} <= drawn
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_a_guard_that_was_taken_out_is_missed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script(seed=5, acts=FINDING[name])
+    assert not run_session(script).invariant
+    MUTANTS[name](monkeypatch)
+    assert run_session(script).invariant
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", MUTANTS)
+def test_exploring_finds_and_shrinks_every_mutant(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    MUTANTS[name](monkeypatch)
+    blueprint = workflow_of("ratms").blueprint
+    scripts = (draw_script(blueprint, "ratms", seed) for seed in range(100))
+    broken, invariant = next((each, found.invariant) for each in scripts if (found := run_session(each)).invariant)
+    shorter = shrink(broken, lambda each: run_session(each).invariant == invariant)
+    assert len(shorter.acts) <= min(12, len(broken.acts))
+    assert run_session(shorter).invariant == invariant
+
+
+@pytest.mark.nightly
+def test_500_sessions_hold_and_reach_every_fault() -> None:
+    report = explore("ratms", 1, 500, jobs=2)
+    assert report.broken == []
+    assert report.not_reached == []
+
+
+def test_shrinking_leaves_what_is_needed_only() -> None:
+    script = Script(seed=1, acts=[Act(1.0, f"act{number}") for number in range(40)])
+    needed = {"act3", "act17", "act38"}
+    shorter = shrink(script, lambda each: needed <= {act.what for act in each.acts})
+    assert {act.what for act in shorter.acts} == needed
+
+
+def test_scripts_survive_a_file_and_others_are_refused(tmp_path: Path) -> None:
+    script = draw_script(workflow_of("ratms").blueprint, "ratms", 9)
+    write_script(script, tmp_path / "script.json")
+    assert msgspec.to_builtins(read_script(tmp_path / "script.json")) == msgspec.to_builtins(script)
+    (tmp_path / "other.json").write_text('{"seed": 1, "nonsense": 2}')
+    with pytest.raises(ConfigurationError, match="no script"):
+        read_script(tmp_path / "other.json")

@@ -1,0 +1,139 @@
+"""The simulated network: who hears what, in which order, and what becomes of requests when somebody is gone."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+import msgspec
+import pytest
+
+from pcmrs.errors import DeviceError, UnknownOutcomeError
+from pcmrs.simulation.loop import SimulatedLoop
+from pcmrs.simulation.network import Endpoint, Network
+
+
+class Note(msgspec.Struct, frozen=True):
+    """A message."""
+
+    number: int = 0
+
+
+def on_network(play: Callable[[Network], Awaitable[None]], *, coded: bool = False) -> None:
+    """Plays on a network of its own."""
+    loop = SimulatedLoop()
+    try:
+        loop.run_until_complete(play(Network(loop, 1, coded=coded)))
+    finally:
+        loop.close()
+
+
+def heard_by(endpoint: Endpoint, key: str) -> list[int]:
+    """What the endpoint will have heard."""
+    heard: list[int] = []
+    endpoint.subscribe(key, Note, lambda _, note: heard.append(note.number))
+    return heard
+
+
+@pytest.mark.parametrize("coded", [False, True])
+def test_others_hear_in_order_and_nobody_hears_himself(coded: bool) -> None:
+    async def play(network: Network) -> None:
+        one, other = network.endpoint("one"), network.endpoint("other")
+        own, heard = heard_by(one, "state/*"), heard_by(other, "state/*")
+        deaf = heard_by(other, "dev/*/beat")
+        for number in range(100):
+            one.publish("state/pose", Note(number))
+            await asyncio.sleep(0.0001)
+        await asyncio.sleep(1.0)
+        assert (heard, own, deaf) == (list(range(100)), [], [])
+
+    on_network(play, coded=coded)
+
+
+def test_losses_duplicates_and_reordering_happen_and_end() -> None:
+    async def play(network: Network) -> None:
+        one, other = network.endpoint("one"), network.endpoint("other")
+        heard = heard_by(other, "key")
+        conditions = network.conditions
+        conditions.loss, conditions.duplicates, conditions.reordering = 0.2, 0.2, 0.2
+        for number in range(1000):
+            one.publish("key", Note(number))
+            await asyncio.sleep(0.001)
+        await asyncio.sleep(1.0)
+        assert 0 < 1000 - len(set(heard)) < 500
+        assert len(heard) > len(set(heard))
+        assert heard != sorted(heard)
+        conditions.heal()
+        heard.clear()
+        one.publish("key", Note(1))
+        await asyncio.sleep(1.0)
+        assert heard == [1]
+
+    on_network(play)
+
+
+def test_a_partition_may_be_of_one_direction() -> None:
+    async def play(network: Network) -> None:
+        one, other = network.endpoint("one"), network.endpoint("other")
+        there, back = heard_by(other, "key"), heard_by(one, "key")
+        network.conditions.partition("one", "other", both=False)
+        one.publish("key", Note(1))
+        other.publish("key", Note(2))
+        await asyncio.sleep(1.0)
+        assert (there, back) == ([], [2])
+
+    on_network(play)
+
+
+def test_requests_are_answered_refused_or_unknown() -> None:
+    async def play(network: Network) -> None:
+        client, server = network.endpoint("client"), network.endpoint("server")
+
+        async def answer(_key: str, note: Note) -> Note:
+            if note.number < 0:
+                raise DeviceError("no")
+            await asyncio.sleep(float(note.number))
+            return Note(note.number + 1)
+
+        server.serve("ask", Note, answer)
+        assert await client.request("ask", Note(1), Note, 5.0) == Note(2)
+        with pytest.raises(DeviceError):
+            await client.request("ask", Note(-1), Note, 5.0)
+        with pytest.raises(UnknownOutcomeError, match="within 5 s"):
+            await client.request("ask", Note(9), Note, 5.0)
+        with pytest.raises(UnknownOutcomeError):
+            await client.request("nobody", Note(), Note, 5.0)
+        server.leave()
+        await server.ended()
+
+    on_network(play)
+
+
+def test_who_asked_a_process_that_ends_learns_it_at_once_and_its_tasks_end() -> None:
+    async def play(network: Network) -> None:
+        client, server = network.endpoint("client"), network.endpoint("server")
+        ended: list[str] = []
+
+        async def answer(_key: str, _note: Note) -> Note:
+            async def beside() -> None:
+                try:
+                    await asyncio.sleep(1000.0)
+                finally:
+                    ended.append("beside")
+
+            task = asyncio.get_running_loop().create_task(beside())
+            await asyncio.sleep(1000.0)
+            await task
+            return Note()
+
+        server.serve("ask", Note, answer)
+        asking = asyncio.get_running_loop().create_task(client.request("ask", Note(), Note, 500.0))
+        await asyncio.sleep(1.0)
+        server.leave()
+        with pytest.raises(UnknownOutcomeError, match="has ended"):
+            await asking
+        await server.ended()
+        assert ended == ["beside"]
+        assert asyncio.get_running_loop().time() < 2.0
+
+    on_network(play)
