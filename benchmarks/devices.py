@@ -244,7 +244,11 @@ async def tracker_ages(driver: str, seconds: float) -> tuple[Floats, Floats]:
     from pcmrs.bus import Bus
     from pcmrs.devices.poses import PoseFeed
     from pcmrs.service.nodes import NodeProcesses
+    from pcmrs.service.supervisor import Supervisor
     from pcmrs.settings import read_settings
+
+    def ended(_devices: list[str]) -> bool:
+        return False  # a node that has ended measures nothing: it is not begun anew
 
     ports = free_port(), free_port()
     with tempfile.TemporaryDirectory() as folder:
@@ -262,9 +266,11 @@ async def tracker_ages(driver: str, seconds: float) -> tuple[Floats, Floats]:
             bus = await Bus.open(settings.bus("router"))
             stack.push_async_callback(bus.close)
             bus.subscribe("state/pose/**", BodyPose, take)
-            nodes = NodeProcesses(settings, lambda devices: print(f"the node of {devices} has ended"))
+            supervisor = Supervisor(clock)
+            nodes = NodeProcesses(settings, ended, lambda event: print(event.text), clock)
             stack.push_async_callback(nodes.stop)
-            await nodes.start()
+            await stack.enter_async_context(supervisor)
+            nodes.start(supervisor)
             await feed.collect(("coil",), 60, 60.0)
             arrived.clear()
             return await looked_at(feed, clock, seconds), np.array(arrived)

@@ -78,8 +78,8 @@ async def _write_some(folder: Path, commits: int, generator: random.Random, *, d
     with (folder / "told").open("wb", buffering=0) as told:
         for number in range(commits):
             groups = [[row("some", writer, number)] * generator.randrange(1, 3) for writer in range(PARALLEL)]
-            for durable in [journal.append(group) for group in groups]:
-                await durable
+            for written in [journal.append(group) for group in groups]:
+                await written
             told.write(b"." * sum(map(len, groups)))
 
 

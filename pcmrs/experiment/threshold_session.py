@@ -17,9 +17,9 @@ from pcmrs.experiment.private import Bench, private_bench
 from pcmrs.experiment.session.course import Course
 from pcmrs.experiment.session.folder import (
     JOURNAL,
-    copy_journal,
     make_folder,
     write_configuration,
+    write_journal,
     write_results,
     write_sums,
 )
@@ -92,7 +92,7 @@ async def run_threshold_session(setup: SessionSetup, folder: Path, progress: Sho
     async with private_bench(setup.settings()) as bench:
         truth = await bench.scene.truth()
         ended = await _carried_out(bench, setup, progress)
-        copy_journal(bench.journal.path, folder)
+        write_journal(bench.journal.path, folder)
     progress("writing the report", 1, 1)
     record = read_record(folder / JOURNAL, setup, truth, ended)
     write_results(record, setup.mesh, folder)

@@ -37,7 +37,14 @@ class PoseMessage(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class Target(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """``image_from_coil`` of the accepted tool plan; both None when there is none."""
+    """Where the tool shall be, and what joins the image to the patient.
+
+    Attributes:
+        plan: Id of the accepted tool plan; None when there is none.
+        pose: Its ``image_from_coil``; None when there is none.
+        body_ref_from_image: The registration in force; None when there is none.
+    """
 
     plan: str | None = None
     pose: PoseMessage | None = None
+    body_ref_from_image: PoseMessage | None = None

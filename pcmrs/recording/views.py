@@ -10,7 +10,7 @@ from foxglove.messages import LogLevel
 from pcmrs.bus.codec import convert, unpack
 from pcmrs.errors import PcmrsError
 from pcmrs.kinematics.arms import ArmFacts
-from pcmrs.messages import BodyPose, DeviceEvent, DeviceHealth, JointState, Snapshot, Target, Verdict
+from pcmrs.messages import BodyPose, DeviceEvent, DeviceHealth, JointState, PoseMessage, Snapshot, Target, Verdict
 from pcmrs.recording import shapes
 from pcmrs.recording.chain import Chain, Link, Mounting
 from pcmrs.recording.shapes import View
@@ -22,7 +22,8 @@ Shown = tuple[str, View]
 """Topic and message."""
 
 LOG, STATE, HEALTH, JOINTS, TARGET = "/log", "/state", "/health", "/joints", "/target"
-TF_CALIBRATION, TF_ARM, TF_BASE, TF_BODIES = "/tf/calibration", "/tf/arm", "/tf/robot_base", "/tf/bodies"
+TF_CALIBRATION, TF_ARM, TF_BASE = "/tf/calibration", "/tf/arm", "/tf/robot_base"
+TF_BODIES, TF_IMAGE = "/tf/bodies", "/tf/image"
 
 _SECOND = 1_000_000_000
 _LEVELS = {"accepted": LogLevel.Info, "rejected": LogLevel.Warning}
@@ -80,7 +81,7 @@ class Views:
         if not pose.valid:
             return
         captured_ns = at_ns - self._age_ns(pose.sent - pose.captured)
-        tracker_from_body = Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
+        tracker_from_body = _transform(pose)
         yield TF_BODIES, shapes.link(Frame.TRACKER, pose.body, tracker_from_body, captured_ns)
         base = self._chain.coil(tracker_from_body) if pose.body == Frame.COIL else None
         if base is not None:
@@ -104,12 +105,16 @@ class Views:
             yield self._kept(heard.key, HEALTH, lambda _: health, at_ns)
 
     def _target(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
-        pose = unpack(heard.payload, Target).pose
-        if pose is None:
-            self._latest.pop("target", None)
-            return
-        image_from_coil = Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
-        yield self._kept("target", TARGET, lambda at: shapes.pose_in(Frame.IMAGE, image_from_coil, at), at_ns)
+        target = unpack(heard.payload, Target)
+        self._latest.pop("image", None)
+        self._latest.pop("target", None)
+        if target.body_ref_from_image is not None:
+            body_ref_from_image = _transform(target.body_ref_from_image)
+            link = Frame.BODY_REF, Frame.IMAGE, body_ref_from_image
+            yield self._kept("image", TF_IMAGE, lambda at: shapes.link(*link, at), at_ns)
+        if target.pose is not None:
+            image_from_coil = _transform(target.pose)
+            yield self._kept("target", TARGET, lambda at: shapes.pose_in(Frame.IMAGE, image_from_coil, at), at_ns)
 
     def _event(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
         fields = unpack(heard.payload, dict)
@@ -133,6 +138,10 @@ class Views:
         """A sender's age of what it measured; senders without sense have none."""
         seconds = age / self._rate
         return int(seconds * _SECOND) if 0.0 <= seconds < 60.0 else 0
+
+
+def _transform(pose: PoseMessage | BodyPose) -> Transform:
+    return Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
 
 
 def _said(verdict: Verdict) -> str:

@@ -18,8 +18,12 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.links import open_gateway
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag
+from pcmrs.service.audit import audit
 from pcmrs.service.counters import Source, counted
+from pcmrs.service.inspection import Inspection
+from pcmrs.service.metrics import MetricsServer
 from pcmrs.service.nodes import NodeProcesses
+from pcmrs.service.notify import ServiceManager, keep_informed
 from pcmrs.service.procedure import Clocks, RunningProcedure
 from pcmrs.service.publishing import answer_queries
 from pcmrs.service.recorder import JournalRecorder
@@ -41,6 +45,7 @@ class Ready(msgspec.Struct, frozen=True):
         links: Host and port of every gateway link.
         folder: Journal and records.
         journal: The journal of its workflow.
+        metrics: Address of its metrics; empty where none are served.
     """
 
     prefix: str
@@ -50,6 +55,7 @@ class Ready(msgspec.Struct, frozen=True):
     journal: str
     workflow: str
     rate: float
+    metrics: str = ""
 
 
 class Daemon:
@@ -74,6 +80,7 @@ class Daemon:
         settings = self._settings
         workflow = open_workflow(settings.workflow)
         clock, machine = SystemClock(settings.cell.rate), SystemClock()
+        manager, metrics = ServiceManager(), MetricsServer(settings.metrics.port)
         folder, session = settings.cell.path(), uuid.uuid4().hex
         async with AsyncExitStack() as stack:
             stack.enter_context(_only_daemon_of(folder))
@@ -82,6 +89,7 @@ class Daemon:
             blueprint = workflow.blueprint
             journal = Journal.open(settings.cell.journal(blueprint.id), durable=settings.journal.durable)
             stack.push_async_callback(journal.close)
+            earlier = journal.reader.last_sequence()
             tag = BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash)
             recorder = JournalRecorder(journal, clock, session, tag)
             recovered = await recover(journal, recorder, workflow, settings)
@@ -105,19 +113,41 @@ class Daemon:
             stalls = StallWatch(dispatcher.report_later, procedure.moving, machine)
             stack.push_async_callback(stalls.close)
             stalls.start()
-            edge = await CommandEdge.open(bus, dispatcher.submit, procedure.stop)
+            edge = await CommandEdge.open(bus, procedure.tally.submit, procedure.stop)
             stack.push_async_callback(edge.close)
             gateway = await stack.enter_async_context(
                 open_gateway(procedure.core, settings.gateway, machine, folder / "records")
             )
             sources = (bus.counters, supervisor.counters, stalls.counters, procedure.counters, gateway.counters.table)
             stack.callback(_tell_counters, sources)
-            answer_queries(bus, dispatcher, journal.reader)
+            inspection = Inspection(
+                blueprint=tag,
+                drivers=settings.drivers(),
+                machine=machine,
+                bus=bus,
+                journal=journal,
+                supervisor=supervisor,
+                procedure=procedure,
+                nodes=nodes,
+                recording=recording,
+                stalls=stalls,
+                gateway=gateway,
+                metrics_trouble=lambda: metrics.trouble,
+            )
+            answer_queries(bus, dispatcher, journal.reader, inspection.health)
+            stack.push_async_callback(metrics.close)
+            metrics.start(inspection.health)
             bus.alive("daemon")
             bus.publish("state/fsm", dispatcher.snapshot())
             recording.start(supervisor)
+            if earlier:
+                supervisor.spawn("audit", audit(journal.reader.path, dispatcher.report_later))
+            if manager:
+                supervisor.start("service manager", lambda: keep_informed(manager, inspection.health, machine))
             # Entered last, so left first: the arm stands, and latched, before anything else ends.
             stack.push_async_callback(dispatcher.close)
+            manager.tell("READY=1")
+            stack.callback(manager.tell, "STOPPING=1")
             yield Ready(
                 prefix=bus.prefix,
                 endpoint=settings.cell.endpoint,
@@ -126,6 +156,7 @@ class Daemon:
                 journal=str(journal.reader.path),
                 workflow=f"{blueprint.id} {blueprint.version}",
                 rate=settings.cell.rate,
+                metrics=metrics.address,
             )
 
 

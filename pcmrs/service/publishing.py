@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -21,6 +22,7 @@ from pcmrs.messages import (
     Target,
     Verdict,
 )
+from pcmrs.messages.health import Health
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 
@@ -44,14 +46,17 @@ class Publishing:
             self._bus.publish("state/event", message)
 
     def publish_target(self, data: PlacementData) -> None:
-        """Shows the planned pose when it has changed."""
-        target = Target(plan=data.plan_id, pose=data.plan)
+        """Shows the planned pose and the registration when one of them has changed."""
+        registration = data.registered.body_ref_from_image if data.registered is not None else None
+        target = Target(plan=data.plan_id, pose=data.plan, body_ref_from_image=registration)
         if target != self._target:
             self._target = target
             self._bus.publish("state/target", target)
 
 
-def answer_queries(bus: Bus, dispatcher: Dispatcher[Cell, PlacementData], journal: JournalReader) -> None:
+def answer_queries(
+    bus: Bus, dispatcher: Dispatcher[Cell, PlacementData], journal: JournalReader, health: Callable[[], Health]
+) -> None:
     """Serves the read-only queries below ``svc/``."""
 
     async def snapshot(_key: str, _request: Empty) -> Snapshot:
@@ -60,11 +65,15 @@ def answer_queries(bus: Bus, dispatcher: Dispatcher[Cell, PlacementData], journa
     async def keys(_key: str, _request: Empty) -> KeyTable:
         return KeyTable(prefix=bus.prefix, keys=KEYS)
 
+    async def well(_key: str, _request: Empty) -> Health:
+        return health()
+
     async def page(_key: str, query: JournalQuery) -> JournalPage:
         return await asyncio.to_thread(_journal_page, journal.path, query)
 
     bus.serve("svc/snapshot", Empty, snapshot)
     bus.serve("svc/keys", Empty, keys)
+    bus.serve("svc/health", Empty, well)
     bus.serve("svc/journal", JournalQuery, page)
 
 

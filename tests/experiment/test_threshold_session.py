@@ -22,7 +22,7 @@ from pcmrs.client import Client
 from pcmrs.errors import CommandRefusedError, ConfigurationError, JournalError
 from pcmrs.experiment.plan import example_plan, read_plan
 from pcmrs.experiment.session import operator as operating
-from pcmrs.experiment.session.folder import JOURNAL, ROWS, SUMS, copy_journal, make_folder, write_configuration
+from pcmrs.experiment.session.folder import JOURNAL, ROWS, SUMS, make_folder, write_configuration, write_journal
 from pcmrs.experiment.session.operator import Operator
 from pcmrs.experiment.session.reading import Journalled
 from pcmrs.experiment.session.setup import SessionSetup
@@ -320,16 +320,18 @@ def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_journal_is_copied_while_it_is_written(tmp_path: Path) -> None:
+    folder = tmp_path / "session"
+    folder.mkdir()
     writer = JournalWriter(tmp_path / "live.sqlite", durable=False)
     rows = [row("robot.connect"), row("hotspot.pulse", "rejected", "not_aligned", 1.0)]
     writer.write([(each, msgspec.msgpack.encode(each, order="sorted")) for each in rows])
-    copy_journal(tmp_path / "live.sqlite", tmp_path)
+    write_journal(tmp_path / "live.sqlite", folder)
     writer.close()
-    with JournalReader(tmp_path / JOURNAL) as reader:
+    with JournalReader(folder / JOURNAL) as reader:
         assert [stored.row for stored in reader.read()] == rows
-    lines = (tmp_path / ROWS).read_text().splitlines()
+    lines = (folder / ROWS).read_text().splitlines()
     assert [json.loads(line)["row"]["operation"] for line in lines] == ["connect", "pulse"]
-    assert not list(tmp_path.glob(f"{JOURNAL}-*"))  # what is beside a journal that is being written
+    assert not list(folder.glob(f"{JOURNAL}-*"))  # what is beside a journal that is being written
 
 
 def test_the_configuration_can_be_used_again(tmp_path: Path) -> None:

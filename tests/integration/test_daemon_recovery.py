@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import signal
 from pathlib import Path
 
 import pytest
-from daemon_process import SLOW, own_settings, running_daemon
+from daemon_process import SLOW, own_settings, running_daemon, wait_until
 from driving import accepted, approaching, until
 
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.journal import JournalReader
+
+
+def damage(journal: Path) -> None:
+    content = bytearray(journal.read_bytes())
+    content[content.index(b"phantom")] ^= 1  # in the configuration that the first row tells
+    journal.write_bytes(content)
+
+
+def damage_told(journal: Path) -> bool:
+    with JournalReader(journal) as reader:
+        return any(stored.row.operation == "journal_damaged" for stored in reader.read(kind="device"))
 
 
 async def test_after_a_kill_in_a_motion_nothing_moves_until_the_operator_has_looked_and_confirmed(
@@ -60,3 +72,16 @@ async def test_after_a_kill_in_a_motion_nothing_moves_until_the_operator_has_loo
                 verdict = await client.call(name)
                 assert verdict.reason is not None
                 assert verdict.reason.code == "other_patient"
+
+
+async def test_damage_of_long_ago_is_told_after_the_start_and_holds_nothing(tmp_path: Path) -> None:
+    settings = own_settings(tmp_path)
+    with running_daemon(settings, tmp_path) as daemon:
+        journal = Path(daemon.ready.journal)
+        assert daemon.end() == 0
+    damage(journal)
+    with running_daemon(settings, tmp_path) as successor:
+        async with successor.client() as client:
+            assert await asyncio.to_thread(wait_until, lambda: damage_told(journal))
+            assert not (await client.state()).latched
+            await accepted(client, "robot.connect")

@@ -45,7 +45,12 @@ SNAPSHOT = Snapshot(
     latched=False,
     blueprint=BlueprintTag(id="w", version="1", hash="0"),
 )
-TARGET = Target(plan="p", pose=PoseMessage(position=(0.0, 0.01, 0.1), quat_wxyz=(0.0, 1.0, 0.0, 0.0)))
+REGISTRATION = PoseMessage(position=(0.01, -0.02, 0.2), quat_wxyz=(0.0, 0.0, 1.0, 0.0))
+TARGET = Target(
+    plan="p",
+    pose=PoseMessage(position=(0.0, 0.01, 0.1), quat_wxyz=(0.0, 1.0, 0.0, 0.0)),
+    body_ref_from_image=REGISTRATION,
+)
 VERDICT = Verdict(
     id="1",
     branch="robot",
@@ -89,6 +94,7 @@ async def test_everything_said_is_in_the_file_as_foxglove_shows_it_and_byte_for_
         "/tf/arm": "foxglove.FrameTransforms",
         "/tf/bodies": "foxglove.FrameTransforms",
         "/tf/robot_base": "foxglove.FrameTransforms",
+        "/tf/image": "foxglove.FrameTransforms",
         "/joints": "foxglove.JointStates",
         "/state": "pcmrs.Snapshot",
         "/health": "pcmrs.DeviceHealth",
@@ -100,6 +106,9 @@ async def test_everything_said_is_in_the_file_as_foxglove_shows_it_and_byte_for_
     assert [joint.velocity for joint in shown["/joints"].joints] == [0.1] * 7
     assert shown["/state"]["branches"] == {"robot": "1"}
     assert shown["/target"].frame_id == "image"
+    (joined,) = shown["/tf/image"].transforms
+    assert (joined.parent_frame_id, joined.child_frame_id) == ("body_ref", "image")
+    assert (joined.translation.x, joined.translation.y, joined.translation.z) == REGISTRATION.position
     assert [(content.level, content.message) for topic, _, _, content in found if topic == "/log"] == [
         (3, "rejected, robot is in 0: latched: Stop is latched."),
         (4, "force_limit: Too much force."),
@@ -170,6 +179,7 @@ async def test_files_follow_each_other_the_oldest_go_and_each_can_be_understood_
     async with recording(first, limits) as work, asyncio.timeout(60):
         await work.hears()
         work.bus.publish("state/fsm", SNAPSHOT)
+        work.bus.publish("state/target", TARGET)
         while len(files_of(first)) < 3 or path_of(first, 1).exists():
             text = noise.randbytes(2000).hex()  # does not compress well
             work.bus.publish("state/event", DeviceEvent(device="x", code="filler", text=text))
@@ -181,7 +191,8 @@ async def test_files_follow_each_other_the_oldest_go_and_each_can_be_understood_
     kept = [path for path in files_of(first) if path != path_of(first, 1)]
     assert sum(path.stat().st_size for path in kept[:-1]) <= 300_000
     for path in kept:
-        assert {"/tf/calibration", "/state"} <= {topic for topic, _, _, _ in decoded(path)}  # said before this file
+        topics = {topic for topic, _, _, _ in decoded(path)}
+        assert {"/tf/calibration", "/tf/image", "/target", "/state"} <= topics  # said before this file
     log = [content.message for path in kept for topic, _, _, content in decoded(path) if topic == "/log"]
     assert any(text.startswith("run.0001.mcap") and "was removed" in text for text in log)
 

@@ -57,7 +57,8 @@ class FakeLink:
     def serve(self, key: str, kind: type[Any], handler: Callable[[str, Any], Awaitable[msgspec.Struct]]) -> None:
         raise AssertionError
 
-    async def request(self, key: str, message: DeviceRequest, reply: type[Any], timeout: float) -> Any:
+    async def request(self, key: str, message: msgspec.Struct, reply: type[Any], timeout: float) -> Any:
+        assert isinstance(message, DeviceRequest)
         self.asked.append(f"{key.split('/')[1]}.{message.method}")
         return DeviceReply(result=msgspec.to_builtins(RESTING if "robot" in key else DISARMED))
 

@@ -33,13 +33,14 @@ async def test_nothing_is_taken_back_for_another_patient_calibration_or_referenc
         await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
         before = bench.cell.settings
         other = msgspec.structs.replace
-        for code, changes in {
+        changed: dict[str, dict[str, Any]] = {
             "other_patient": {"patient": "somebody else"},
             "other_calibration": {
                 "calibration": other(before.calibration, pointer_from_tip=PoseSetting((0, 0, -0.16)))
             },
             "other_reference": {"calibration": other(before.calibration, reference_serial="R-2")},
-        }.items():
+        }
+        for code, changes in changed.items():
             change(bench, **changes)
             for name in ("registration.use_previous", "digitization.reuse_previous", "toolplan.use_previous"):
                 await bench.refuse(name, code)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import sqlite3
 from collections.abc import Mapping
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +14,10 @@ from pcmrs.analysis.mep_table import write_meps
 from pcmrs.analysis.nibs_tables import write_nibs
 from pcmrs.analysis.report import draw_figures, render_report
 from pcmrs.analysis.session import SessionRecord
-from pcmrs.errors import ConfigurationError, JournalError
+from pcmrs.errors import ConfigurationError
 from pcmrs.formats.mesh import Mesh
-from pcmrs.journal import JournalReader
+from pcmrs.journal import JournalReader, copy_journal
+from pcmrs.journal.export import json_lines
 from pcmrs.settings import Settings
 
 JOURNAL, ROWS, CONFIGURATION, REPORT, SUMS = (
@@ -49,21 +48,16 @@ def make_folder(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
 
 
-def copy_journal(source: Path, folder: Path) -> None:
-    """Copies a journal, also one that is being written: SQLite's own way, and as one row of JSON per line.
+def write_journal(source: Path, folder: Path) -> None:
+    """Copies a journal, also one that is being written, with its head, and writes it as one row of JSON per line.
 
     Raises:
         JournalError: It cannot be read or copied.
+        OSError: The folder cannot be written.
     """
-    try:
-        with closing(sqlite3.connect(source)) as written, closing(sqlite3.connect(folder / JOURNAL)) as copy:
-            written.backup(copy)
-            copy.execute("PRAGMA journal_mode = DELETE")  # one file, which nobody writes any more
-    except sqlite3.Error as error:
-        raise JournalError(f"{source} cannot be copied to {folder}: {error}.", path=str(source)) from error
-    with JournalReader(folder / JOURNAL) as reader, (folder / ROWS).open("wb") as rows:
-        for stored in reader.read():
-            rows.write(msgspec.json.encode(stored) + b"\n")
+    copy_journal(source, folder / JOURNAL)
+    with JournalReader(folder / JOURNAL) as reader, (folder / ROWS).open("w", encoding="utf-8") as rows:
+        rows.writelines(json_lines(reader.read()))
 
 
 def write_configuration(settings: Settings | Mapping[str, Any], folder: Path) -> None:

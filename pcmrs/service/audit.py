@@ -1,0 +1,70 @@
+"""The whole journal of earlier runs is read once after the start: the start itself reads only its last part."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import msgspec
+import structlog
+
+from pcmrs.journal import Verification
+from pcmrs.messages import DeviceEvent
+
+log = structlog.get_logger(__name__)
+
+NICENESS = 19
+"""Everything else on the machine goes first."""
+
+
+async def audit(journal: Path, report: Callable[[DeviceEvent], None]) -> None:
+    """Verifies a journal in a process of its own, and reports what is not as it was written.
+
+    Damage in rows of long ago changes nothing that is done now, so nothing is held for it; it is never silent either.
+
+    Args:
+        journal: Its path; it may be written meanwhile.
+        report: Takes an event ``journal_damaged``.
+    """
+    try:
+        found = await _verified(journal)
+    except (OSError, msgspec.DecodeError) as error:
+        log.warning("journal_not_verified", reason=str(error))
+        return
+    if found.sound:
+        log.info("journal_verified", rows=found.rows)
+        return
+    text = (
+        f"The journal is damaged: {' '.join(found.problems)} "
+        "Nothing repairs it: `pcmrs journal export --good-part` saves what is good."
+    )
+    fields = {"rows": found.rows, "first_bad": found.first_bad, "missing": found.missing}
+    report(DeviceEvent(device="daemon", code="journal_damaged", text=text, fields=fields))
+
+
+async def _verified(journal: Path) -> Verification:
+    process = await asyncio.create_subprocess_exec(
+        sys.executable,
+        "-m",
+        "pcmrs.cli",
+        "journal",
+        "verify",
+        str(journal),
+        "--json",
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.DEVNULL,
+        start_new_session=True,  # a Ctrl-C at the terminal is the daemon's to handle
+    )
+    try:
+        with suppress(ProcessLookupError):
+            os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS)
+        output, _ = await process.communicate()
+    finally:
+        if process.returncode is None:
+            process.kill()
+    return msgspec.json.decode(output, type=Verification)
