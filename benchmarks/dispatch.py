@@ -92,7 +92,7 @@ async def serve(endpoint: str, folder: Path, durable: bool) -> None:
         mixed_reality=LinkConfig(),
         tcp_port=None,
     )
-    async with open_gateway(GatewayCore(dispatcher, cell), config, clock, folder) as gateway:
+    async with open_gateway(GatewayCore(dispatcher, cell, dispatcher.submit), config, clock, folder) as gateway:
         ports = {"echo": echo.get_extra_info("sockname")[1], "planner": gateway.addresses["planner"][1]}
         print(json.dumps(ports), flush=True)
         await ended.wait()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import uuid
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from typing import Any, TypeVar
 
@@ -20,18 +20,26 @@ from pcmrs.bus.stop import Stopping
 from pcmrs.clock import SystemClock
 from pcmrs.errors import BusError, DeviceError, PayloadError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, DeviceReply, DeviceRequest, Snapshot, Verdict
+from pcmrs.messages.health import Health
 
 Event = Snapshot | Verdict | DeviceEvent
 T = TypeVar("T")
 
 _TTL = 5.0
 """Seconds after which a command that was held up on its way is refused, not run late."""
+_BACKLOG = 1024
+"""Events that may wait for who watches."""
 
 
 class Client:
-    """A connection to the daemon of one cell. Use `Client.connect`."""
+    """A connection to the daemon of one cell. Use `Client.connect`.
+
+    Attributes:
+        missed: Events that `watch` has dropped, the oldest first, since whoever watches took them too slowly.
+    """
 
     def __init__(self, bus: Bus, user: str) -> None:
+        self.missed = 0
         self._bus = bus
         self._user = user
         self._clock = SystemClock()
@@ -104,6 +112,14 @@ class Client:
         """
         return await self._bus.request("svc/keys", Empty(), KeyTable, timeout)
 
+    async def health(self, timeout: float = 1.5) -> Health:
+        """How the daemon is, and why it is not well.
+
+        Raises:
+            UnknownOutcomeError: The daemon did not answer within `timeout` (s).
+        """
+        return await self._bus.request("svc/health", Empty(), Health, timeout)
+
     async def stop(self, timeout: float = 1.5) -> None:
         """Stops every motion: told to all listeners at once, and returns when the daemon has begun.
 
@@ -116,10 +132,17 @@ class Client:
 
     async def watch(self) -> AsyncGenerator[Event, None]:
         """Yields the last snapshot, then snapshots, verdicts and device events as they come; never ends."""
-        events: asyncio.Queue[Event] = asyncio.Queue()
+        events: asyncio.Queue[Event] = asyncio.Queue(_BACKLOG)
+
+        def take(event: Event) -> None:
+            if events.full():
+                events.get_nowait()
+                self.missed += 1
+            events.put_nowait(event)
+
         ends = (
-            self._bus.subscribe("state/fsm", Snapshot, lambda _, snapshot: events.put_nowait(snapshot)),
-            self._bus.subscribe("state/event", dict, lambda _, fields: events.put_nowait(_event(fields))),
+            self._bus.subscribe("state/fsm", Snapshot, lambda _, snapshot: take(snapshot)),
+            self._bus.subscribe("state/event", dict, lambda _, fields: take(_event(fields))),
         )
         try:
             while True:
@@ -128,15 +151,19 @@ class Client:
             for end in ends:
                 await end()
 
-    def listen(self, key: str, kind: type[T], handler: Callable[[T], None]) -> None:
-        """Calls `handler` with what comes on a stream from now on, until the connection ends.
+    def listen(self, key: str, kind: type[T], handler: Callable[[T], None]) -> Callable[[], Awaitable[None]]:
+        """Calls `handler` with what comes on a stream from now on.
 
         Args:
             key: Of the stream or of several, such as ``state/joints`` or ``state/pose/*``.
             kind: Type of its messages.
             handler: Runs in the event loop and returns soon.
+
+        Returns:
+            Ends that; the end of the connection does, too.
         """
-        self._bus.subscribe(key, kind, lambda _, message: handler(message))
+        end: Callable[[], Awaitable[None]] = self._bus.subscribe(key, kind, lambda _, message: handler(message))
+        return end
 
     async def request_device(
         self, device: str, method: str, arguments: Mapping[str, Any] | None = None, timeout: float = 5.0

@@ -108,6 +108,16 @@ class JournalSettings(Table, frozen=True, forbid_unknown_fields=True):
     durable: bool = True
 
 
+class MetricsSettings(Table, frozen=True, forbid_unknown_fields=True):
+    """Metrics for Prometheus over HTTP, on loopback only.
+
+    Attributes:
+        port: Where they are served, 0 takes a free one; none are served without it.
+    """
+
+    port: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None
+
+
 class Settings(Table, frozen=True, forbid_unknown_fields=True):
     """The root of the configuration.
 
@@ -128,6 +138,7 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
     gateway: GatewayConfig = GatewayConfig()
     journal: JournalSettings = JournalSettings()
     recording: RecordingSettings = RecordingSettings()
+    metrics: MetricsSettings = MetricsSettings()
     sim: dict[str, Any] = {}
     kst: dict[str, Any] = {}
     ndi: dict[str, Any] = {}

@@ -14,6 +14,7 @@ COMMANDS = {
     "state": "pcmrs.cli.cell:state",
     "watch": "pcmrs.cli.cell:watch",
     "keys": "pcmrs.cli.cell:keys",
+    "health": "pcmrs.cli.health:health",
     "stop": "pcmrs.cli.cell:stop",
     "journal": "pcmrs.cli.journal:journal",
     "fsm": "pcmrs.cli.fsm:fsm",

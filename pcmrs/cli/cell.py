@@ -100,8 +100,13 @@ async def _state(address: Address) -> Snapshot:
 
 
 async def _watch(address: Address, *, as_json: bool) -> None:
+    missed = 0
     async with address.connect() as client:
         async for event in client.watch():
+            if client.missed > missed:
+                text = f"{client.missed - missed} events are left out: they came faster than they were read."
+                click.echo(text, err=True)
+                missed = client.missed
             click.echo(_json(event) if as_json else _line(event))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import signal
 import sys
 from pathlib import Path
@@ -13,6 +12,7 @@ import click
 import msgspec
 import structlog
 
+from pcmrs.cli.log import log_to_stderr
 from pcmrs.cli.options import config_options
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.errors import ConfigurationError
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.
     from pcmrs.service import Ready
     from pcmrs.settings import Settings
+
+log = structlog.get_logger(__name__)
 
 TCP_LINKS = ("tcp", "openigtlink")
 
@@ -38,7 +40,7 @@ def serve(file: Path | None, overrides: tuple[str, ...], as_json: bool, verbose:
     """
     from pcmrs.settings import read_settings
 
-    _log_to_stderr(verbose=verbose)
+    log_to_stderr(verbose=verbose)
     run(_serve(read_settings(file, overrides), as_json=as_json))
 
 
@@ -56,7 +58,7 @@ def node(driver: str, devices: tuple[str, ...], file: Path | None, overrides: tu
     from pcmrs.node import serve_devices
     from pcmrs.settings import Settings, read_settings
 
-    _log_to_stderr(verbose=False)
+    log_to_stderr()
     lifeline = file is None and not overrides
     try:
         from_daemon = msgspec.json.decode(sys.stdin.buffer.readline(), type=Settings) if lifeline else None
@@ -76,7 +78,7 @@ async def _serve(settings: Settings, *, as_json: bool) -> None:
         click.echo(msgspec.json.encode(ready).decode() if as_json else _text(ready))
         sys.stdout.flush()
         await ended.wait()
-        click.echo("ending: motion is held first", err=True)
+        log.info("ending: motion is held first")
 
 
 def _text(ready: Ready) -> str:
@@ -88,22 +90,6 @@ def _text(ready: Ready) -> str:
     for name, (host, port) in ready.links.items():
         lines.append(f"  {name:<14} {'tcp' if name in TCP_LINKS else 'udp'} {host}:{port}")
     lines.append(f"  journal        {ready.journal}")
+    if ready.metrics:
+        lines.append(f"  metrics        {ready.metrics}")
     return "\n".join([*lines, "ready"])
-
-
-def _log_to_stderr(*, verbose: bool) -> None:
-    level = logging.DEBUG if verbose else logging.INFO
-    structlog.configure(
-        wrapper_class=structlog.make_filtering_bound_logger(level),
-        processors=[
-            structlog.contextvars.merge_contextvars,
-            structlog.processors.add_log_level,
-            structlog.processors.TimeStamper(fmt="iso"),
-            # A rich traceback with its locals takes the event loop most of a second.
-            structlog.dev.ConsoleRenderer(
-                colors=sys.stderr.isatty(), exception_formatter=structlog.dev.plain_traceback
-            ),
-        ],
-        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
-    )
-    logging.basicConfig(level=level, stream=sys.stderr)

@@ -36,6 +36,8 @@ log = structlog.get_logger(__name__)
 
 SHUTDOWN = "shutdown"
 """Source of the Stop with which a daemon ends in order: it leaves nothing to be acknowledged."""
+ENDING = "ending"
+"""Code of the reason why a dispatcher that is being closed accepts nothing more: no failure."""
 ENDING_TIME = 10.0
 """What was stopped when the journal failed has so long to end before the procedure goes on, s."""
 REOPENED = DeviceEvent(
@@ -104,6 +106,11 @@ class Dispatcher(Generic[C, D]):
     def broken(self) -> Reason | None:
         """Why nothing is accepted any more; None in operation."""
         return self._broken
+
+    @property
+    def waiting(self) -> int:
+        """Commands that wait for others to end."""
+        return len(self._lanes.waiting)
 
     def take_up(self, *, latched: bool, unknown: Iterable[UnknownOutcome]) -> None:
         """Takes over what an earlier run has left for an operator to settle; before anything is submitted."""
@@ -184,7 +191,7 @@ class Dispatcher(Generic[C, D]):
 
     async def close(self) -> None:
         """Ends the procedure: the robot is held, whatever runs is stopped, and nothing more is accepted."""
-        self._broken = Reason(code="ending", text="The daemon is ending.")
+        self._broken = Reason(code=ENDING, text="The daemon is ending.")
         self._activities.close()
         await self.stop(SHUTDOWN)
         await self._tasks.wait()

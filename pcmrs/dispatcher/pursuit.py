@@ -64,10 +64,10 @@ class Pursuit(Generic[C, D]):
         return self.ending and self._stage.procedure.latched
 
     def end(self) -> None:
-        """Cancels its function; harmless once that has ended."""
-        self.ending = True
-        if self._function is not None:
+        """Cancels its function, once: a second time would break off how it ends its motion."""
+        if self._function is not None and not self.ending:
             self._function.cancel()
+        self.ending = True
 
     async def run(self, before: Iterable[Pursuit[C, D]]) -> Reason | None:
         """Runs it once those before it are quiet: why its end is dangerous, if it is."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.errors import RefusalError
@@ -13,17 +13,32 @@ from pcmrs.workflows.data import PlacementData, as_transform
 
 
 class GatewayCore:
-    """Implements `pcmrs.gateway.core.Core` on the dispatcher and the cell."""
+    """Implements `pcmrs.gateway.core.Core` on the dispatcher and the cell.
 
-    def __init__(self, dispatcher: Dispatcher[Cell, PlacementData], cell: Cell) -> None:
+    Args:
+        dispatcher: Of the cell.
+        cell: Devices and poses.
+        submit: `Dispatcher.submit`, or what counts on its way there.
+    """
+
+    def __init__(
+        self,
+        dispatcher: Dispatcher[Cell, PlacementData],
+        cell: Cell,
+        submit: Callable[[Command], Awaitable[Verdict]],
+    ) -> None:
         self._dispatcher = dispatcher
         self._cell = cell
+        self._submit = submit
 
     async def submit(self, command: Command) -> Verdict:
-        return await self._dispatcher.submit(command)
+        return await self._submit(command)
 
     async def stop(self, source: str) -> bool:
         return await self._dispatcher.stop(source)
+
+    def report(self, event: DeviceEvent) -> None:
+        self._dispatcher.report_later(event)
 
     def on_stop(self, callback: Callable[[], None]) -> None:
         self._dispatcher.on_stop(callback)
@@ -45,7 +60,7 @@ class GatewayCore:
         self._cell.initial_joints = joints
         text = "The present joints are the initial ones from now on."
         event = DeviceEvent(device="gateway", code="initial_joints", text=text, fields={"joints": joints})
-        self._dispatcher.report_later(event)
+        self.report(event)
         return joints
 
     def flange_pose(self) -> Transform | None:

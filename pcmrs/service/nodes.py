@@ -37,6 +37,7 @@ class NodeProcesses:
 
     Attributes:
         restarts: Driver to how often its node was begun anew.
+        given_up: Drivers whose nodes are not begun anew any more.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class NodeProcesses:
         self._clock = clock
         self._processes: dict[str, asyncio.subprocess.Process] = {}
         self.restarts: dict[str, int] = {}
+        self.given_up: set[str] = set()
 
     def start(self, supervisor: Supervisor) -> None:
         """Starts the nodes of all configured drivers."""
@@ -81,6 +83,7 @@ class NodeProcesses:
             wanted = self._on_end(devices)
             if not wanted or limit.reached():
                 if wanted:
+                    self.given_up.add(driver)
                     self._report(_given_up(driver, devices))
                 await asyncio.Event().wait()
             self.restarts[driver] = self.restarts.get(driver, 0) + 1

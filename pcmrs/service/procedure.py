@@ -24,6 +24,7 @@ from pcmrs.service.hearing import Hearing, awaited
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.reference import ReferenceWatch
 from pcmrs.service.supervisor import Supervisor
+from pcmrs.service.tally import Tally
 from pcmrs.service.watch import RobotWatch
 from pcmrs.settings import DWELL, Settings
 from pcmrs.workflows.cell import Cell
@@ -61,9 +62,11 @@ class RunningProcedure:
         cell: Devices and poses.
         dispatcher: Takes commands.
         core: The same as the gateway sees it.
+        tally: What it has decided, and how long that took.
         hearing: Of which devices has been heard.
         health: What the nodes say of their devices.
         heard: Device to when its node sent its last heartbeat, s of the machine's monotonic clock.
+        data_heard: Robot and tracker to when their last joints and poses came, on the same clock.
     """
 
     def __init__(
@@ -80,7 +83,8 @@ class RunningProcedure:
         self.cell = open_cell(settings, link, clocks)
         self._publishing = Publishing(link)
         self.dispatcher = Dispatcher(workflow, self.cell, clocks.cell, recorder, self.cell.make_safe, self._publish)
-        self.core = GatewayCore(self.dispatcher, self.cell)
+        self.tally = Tally(self.dispatcher.submit, clocks.machine)
+        self.core = GatewayCore(self.dispatcher, self.cell, self.tally.submit)
         self.hearing = Hearing(awaited(settings, workflow.blueprint.branches), clocks.machine)
         dispatcher = self.dispatcher
         self.watch = RobotWatch(
@@ -93,6 +97,7 @@ class RunningProcedure:
         )
         self.health = HealthWatch(self.hearing, self.cell.poses)
         self.heard: dict[str, float] = {}
+        self.data_heard: dict[str, float] = {}
         self._machine = clocks.machine
         self._reference = ReferenceWatch(self.cell, dispatcher)
         self._abandoned = AbandonedWatch(dispatcher, settings.procedure.abandoned_after, clocks.machine)
@@ -141,10 +146,12 @@ class RunningProcedure:
         return {f"{device}.late.{kind}": many for device, said in found for kind, many in said.dropped.items()}
 
     def _take_pose(self, _key: str, pose: BodyPose) -> None:
+        self.data_heard["tracker"] = self._machine.monotonic()
         self.cell.poses.update(pose)
         self.hearing.hear("tracker")
 
     def _take_joints(self, _key: str, state: JointState) -> None:
+        self.data_heard["robot"] = self._machine.monotonic()
         self.cell.update_joints(state)
         self.watch.hear()
         self.hearing.hear("robot")
@@ -156,6 +163,7 @@ class RunningProcedure:
             self.watch.hear_beat()
 
     def _publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+        self.tally.take(message)
         self._publishing.publish(message)
         self._publishing.publish_target(self.dispatcher.procedure.data)
 

@@ -35,6 +35,9 @@ class RecorderProcess:
         session: Id of the session, as the journal has it.
         report: Told when the recorder has ended by itself.
         clock: The machine's.
+
+    Attributes:
+        ended: Why the recorder ended and is not begun anew; empty while it records, or is not to.
     """
 
     def __init__(self, settings: Settings, session: str, report: Callable[[DeviceEvent], None], clock: Clock) -> None:
@@ -42,6 +45,7 @@ class RecorderProcess:
         self._session = session
         self._report = report
         self._clock = clock
+        self.ended = ""
         self._process: asyncio.subprocess.Process | None = None
 
     def start(self, supervisor: Supervisor) -> None:
@@ -78,6 +82,7 @@ class RecorderProcess:
                 given_up, why = status >= _SAID_WHY or limit.reached(), f"status {status}"
             log.error("recorder_ended", why=why, given_up=given_up)
             self._report(_ended(why, given_up=given_up))
+        self.ended = why
         await asyncio.Event().wait()
 
     async def _open(self) -> asyncio.subprocess.Process:

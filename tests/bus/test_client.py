@@ -106,6 +106,24 @@ async def test_watch_yields_the_last_snapshot_then_what_happens() -> None:
         await events.aclose()
 
 
+async def test_who_watches_too_slowly_has_the_newest_and_is_told_how_many_are_gone() -> None:
+    def event(number: int) -> DeviceEvent:
+        return DeviceEvent(device="robot", code="told", text=str(number))
+
+    async with connected() as (daemon, client):
+        async with aclosing(client.watch()) as events:
+            daemon.bus.publish("state/fsm", snapshot(0))
+            assert await anext(events) == snapshot(0)
+            heard = asyncio.Queue[str]()
+            client.listen("state/event", DeviceEvent, lambda told: heard.put_nowait(told.text))
+            await client.state()
+            for number in range(1, 1101):
+                daemon.bus.publish("state/event", event(number))
+                assert await asyncio.wait_for(heard.get(), TIMEOUT) == str(number)
+            assert await asyncio.wait_for(anext(events), TIMEOUT) == event(1100 - 1024 + 1)
+        assert client.missed == 1100 - 1024
+
+
 async def test_a_closed_watch_is_no_subscriber_any_more() -> None:
     async with connected() as (daemon, client):
         with plain_session(daemon.bus.settings) as session:

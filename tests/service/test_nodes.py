@@ -68,6 +68,7 @@ async def test_a_node_that_keeps_ending_is_given_up_as_danger_and_the_daemon_goe
     assert len(bench.begun) == RESTARTS + 1
     assert bench.ended == [Settings().drivers()["sim"]] * (RESTARTS + 1)
     assert bench.nodes.restarts == {"sim": RESTARTS}
+    assert bench.nodes.given_up == {"sim"}
     assert bench.supervisor.died == 0
 
 
