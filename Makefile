@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 WORKFLOW := ratms
 INSTALLED := $(VENV)/installed.stamp
 
-.PHONY: help install demo test tools lint lock clean
+.PHONY: help install demo test mutants tools lint lock clean
 
 help: ## List these targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  make \1\t\2/p' Makefile
@@ -21,6 +21,9 @@ demo: install ## Run a procedure on the simulated cell and print its errors; WOR
 
 test: install ## Run the whole test suite; a running daemon does not disturb it
 	$(BIN)/pytest -n auto
+
+mutants: install ## Take guards out of the product, one at a time, and count how many the tests miss; tens of minutes
+	$(BIN)/python tests/mutants/run_removed_guards.py
 
 tools: ## Install what faults are injected with (Debian packages, as root); without them such faults are not run
 	apt-get install --yes --no-install-recommends e2fsprogs faketime mount strace

@@ -22,21 +22,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from pcmrs.campaign.catalogue import choose
-from pcmrs.campaign.cuts import cut_power
-from pcmrs.campaign.daemonkills import kill_daemons
 from pcmrs.campaign.faults.adversary import FLOOD, stop_times
 from pcmrs.campaign.flood import flood
-from pcmrs.campaign.fuzz import fuzz
-from pcmrs.campaign.kills import kill_writers
 from pcmrs.campaign.lab import open_cell
 from pcmrs.campaign.lateness import percentile, timer_lateness
-from pcmrs.campaign.run import run_campaign
-from pcmrs.clock import SystemClock
 
-CLOCK = SystemClock()
 SEED = 1
 
 
@@ -63,31 +54,39 @@ def main() -> None:
 
 def _parts(given: argparse.Namespace) -> dict[str, Callable[[], dict[str, Any]]]:
     """What is to be measured, in this order."""
+    kills = ("kill", "--times", given.kills, "--daemons", given.daemons)
+    power = ("cut", "--cuts", 0, "--flips", 0, "--power", given.power)
+    sessions = ("explore", "--sessions", 1_000_000, "--minutes", given.sessions_minutes, "--jobs", given.jobs)
     parts: dict[str, tuple[float, Callable[[], dict[str, Any]]]] = {
-        "kills of a journal writer": (given.kills, lambda: _fields(kill_writers(given.kills, SEED, CLOCK))),
-        "power cuts": (given.power, lambda: _fields(cut_power(given.power, SEED, CLOCK))),
-        "kills of a daemon": (
-            given.daemons,
-            lambda: _fields(asyncio.run(kill_daemons(given.daemons, SEED, CLOCK))),
-        ),
+        "kills": (given.kills + given.daemons, lambda: _faults(*kills)),
+        "power cuts": (given.power, lambda: _faults(*power)),
         "Stop": (given.stops, lambda: asyncio.run(_stops(given.stops))),
-        "fuzzed datagrams": (given.datagrams, lambda: asyncio.run(_fuzzed(given.datagrams))),
-        "simulated sessions": (given.sessions_minutes, lambda: _explored(given.sessions_minutes, given.jobs)),
-        "catalogue": (given.seeds, lambda: asyncio.run(_catalogue(given.seeds, given.jobs))),
+        "fuzzed datagrams": (given.datagrams, lambda: _faults("fuzz", "--datagrams", given.datagrams)),
+        "simulated sessions": (given.sessions_minutes, lambda: _faults(*sessions)),
+        "catalogue": (given.seeds, lambda: _catalogue(given.seeds, given.jobs)),
     }
     return {name: measure for name, (amount, measure) in parts.items() if amount}
 
 
-def _fields(report: msgspec.Struct) -> dict[str, Any]:
-    fields: dict[str, Any] = msgspec.to_builtins(report)
-    return fields
+def _faults(*words: object, seeds: int = SEED) -> dict[str, Any]:
+    """What a command of ``pcmrs faults`` reports, and its exit status."""
+    options = [word for seed in range(SEED, seeds + 1) for word in ("--seed", str(seed))]
+    command = [sys.executable, "-m", "pcmrs.cli", "faults", *map(str, words), *options, "--json"]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    try:
+        return {"status": run.returncode, **json.loads(run.stdout)}
+    except ValueError:
+        return {"status": run.returncode, "error": run.stderr[-500:]}
 
 
-async def _catalogue(seeds: int, jobs: int) -> dict[str, Any]:
-    report = await run_campaign([row for row in choose() if not row.access_control], range(1, seeds + 1), jobs)
-    outcomes = Counter[str](result.outcome for result in report.faults)
-    rest = {f"{each.id} seed {each.seed}": each.response for each in report.faults if each.outcome != "passed"}
-    return {"faults": len(report.faults), **outcomes, "seconds": report.seconds, "not passed": rest}
+def _catalogue(seeds: int, jobs: int) -> dict[str, Any]:
+    """Every fault that needs no access control."""
+    ids = [word for row in choose() if not row.access_control for word in ("--id", row.id)]
+    report = _faults("run", *ids, "--jobs", jobs, seeds=seeds)
+    results = report.get("faults", [])
+    rest = {f"{each['id']} seed {each['seed']}": each["response"] for each in results if each["outcome"] != "passed"}
+    counts = Counter[str](each["outcome"] for each in results)
+    return {"status": report["status"], "faults": len(results), **counts, "not passed": rest}
 
 
 async def _stops(stops: int) -> dict[str, Any]:
@@ -110,24 +109,6 @@ def _in_ms(stops: list[float], timer: list[float]) -> dict[str, float]:
         for what, values in (("stop", stops), ("timer", timer))
         for name, share in shares.items()
     }
-
-
-async def _fuzzed(datagrams: int) -> dict[str, Any]:
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        return _fields(await fuzz(datagrams, SEED, Path(folder), CLOCK))
-
-
-def _explored(minutes: float, jobs: int) -> dict[str, Any]:
-    """Sessions in simulated time, by the command that explores them."""
-    words = ["--sessions", "1000000", "--minutes", str(minutes), "--jobs", str(jobs), "--seed", str(SEED), "--json"]
-    run = subprocess.run(
-        [sys.executable, "-m", "pcmrs.cli", "faults", "explore", *words], capture_output=True, text=True, check=False
-    )
-    try:
-        found: dict[str, Any] = json.loads(run.stdout)
-    except ValueError:
-        return {"status": run.returncode, "error": run.stderr[-500:]}
-    return {"status": run.returncode, **found}
 
 
 if __name__ == "__main__":

@@ -33,6 +33,10 @@ from sim.world import World
 
 BATCH = 0.010
 """Time between wake-ups of the stepping task, s of the clock."""
+LATEST_REST = 0.050
+"""That an arm without dynamics has come to rest is seen within this, s of the clock."""
+ROUNDING = 1e-6
+"""Part of a step: sums of steps are not exact, and one more step for that would be one more look at everything."""
 LONGEST_CATCH_UP = 0.1
 """Time that one wake-up simulates at most, s; what is beyond is lost, and the cell's motions take longer."""
 
@@ -92,11 +96,12 @@ class Cell:
                 log.warning("the simulated cell was slower than its clock", lag=round(self.lag, 3))
 
     def _pause(self) -> float:
-        """Until it has to be stepped again, s: what stands, and costs nothing to step, waits for what is due next."""
-        if not (self._kinematic and self.world.arm.at_rest):
+        """Until it has to be stepped again, s: what costs nothing to step waits for what is due next."""
+        if not self._kinematic:
             return BATCH
         # One step more, for time goes on in whole steps.
-        return max(0.0, min(self._robot.due, self._tracker.due) - self.clock.monotonic()) + STEP
+        pause = max(0.0, min(self._robot.due, self._tracker.due) - self.clock.monotonic()) + STEP
+        return pause if self.world.arm.at_rest else min(pause, LATEST_REST)
 
     @property
     def robot_faults(self) -> RobotFaults:
@@ -128,7 +133,7 @@ class Cell:
         world.time += lost
         while world.time + STEP <= now:
             due = min(self._robot.due, self._tracker.due, now)
-            world.step(max(1, int((due - world.time) / STEP)))
+            world.step(max(1, math.ceil((due - world.time) / STEP - ROUNDING)))
             self._robot.update(world.time)
             self._tracker.update(world.time)
         self._stimulator.update(now)

@@ -33,7 +33,7 @@ class Disturbance:
     @property
     def none(self) -> bool:
         """Whether nothing is set, and nothing of what was set is left."""
-        return not self.push and not self.offset.any() and not self._shift[0].any()
+        return not (self.push or any(self.offset.tolist()) or any(self._shift[0].tolist()))
 
     def shifted(self, sample: Floats) -> Floats:
         """What the controller takes for wanted, where `sample` is commanded, (3, n)."""

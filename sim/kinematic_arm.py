@@ -83,14 +83,16 @@ class KinematicArm(Follower):
         """Advances by `steps` steps of `STEP` seconds; a standing arm that nothing disturbs costs one look."""
         while steps > 0:
             around = (self.reference, self.contact.world_from_image, self.disturbance.push)
-            if self.reference.ended and self.disturbance.none and around == self._stood:
+            undisturbed = self.disturbance.none
+            if self.reference.ended and undisturbed and around == self._stood:
                 return
             self._stood = around
             self._feel()
             self.supervise()
             taken = min(steps, LOOK_STEPS)
             for _ in range(taken):
-                self._sample = self.disturbance.shifted(self.advance())
+                sample = self.advance()
+                self._sample = sample if undisturbed else self.disturbance.shifted(sample)
             steps -= taken
 
     def track(self, reference: SetPoint) -> None:

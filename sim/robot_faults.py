@@ -127,8 +127,10 @@ def _restart(cell: Cell, _arguments: Mapping[str, Any]) -> None:
 
 def hold_beside(arm: Arm | KinematicArm) -> None:
     """Brakes an arm that has moved beside where it was told to be, and raises the alarm, once."""
+    if arm.reference.ended or arm.stopped:
+        return
     beside = float(np.abs(arm.positions - arm.reference.position).max())
-    if beside <= MOST_BESIDE or arm.reference.ended or arm.stopped:
+    if beside <= MOST_BESIDE:
         return
     arm.hold("pose_differs")
     text = f"The robot brakes: a joint is {beside:.3f} rad from where it was told to be, limit {MOST_BESIDE:g}."

@@ -71,7 +71,7 @@ async def held(cell: LabCell, placements: Iterable[str] = ("held",), within: flo
         Unmet: It was not so.
     """
     known = tuple(placements)
-    await until(cell, lambda shown: shown.latched and shown.branches["placement"] in known, within)
+    await until(cell.client, lambda shown: shown.latched and shown.branches["placement"] in known, within)
     await stands(cell)
     if (await cell.client.state()).branches["placement"] == "held":
         await refused(cell, "placement.back_off", codes=("latched",))
@@ -101,9 +101,9 @@ async def confirmed(cell: LabCell) -> None:
     """
     if not (await cell.client.state()).latched:
         raise Unmet("The latch is gone, and nobody has confirmed.")
-    await accept(cell, "robot.acknowledge")
+    await accept(cell.client, "robot.acknowledge")
     if (await cell.client.state()).branches["placement"] == "held":
-        await accept(cell, "placement.back_off")
+        await accept(cell.client, "placement.back_off")
 
 
 def expect(truth: bool, text: str) -> None:

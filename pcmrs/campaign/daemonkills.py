@@ -42,6 +42,8 @@ async def kill_daemons(
 ) -> KillReport:
     """Kills daemons in operation, at every failpoint in turn and at random instants, each the successor of the last.
 
+    Where one does not start, or its journal cannot be opened, nothing more can be seen, and it ends.
+
     Args:
         times: So many daemons.
         seed: Of instants, failpoints and what is operated.
@@ -50,7 +52,7 @@ async def kill_daemons(
         progress: Told after each.
     """
     tally = Tally(clock, seed, times, minutes, progress)
-    while not tally.done:
+    while not tally.done and not tally.refused:
         with tempfile.TemporaryDirectory(prefix="pcmrs-kills-", ignore_cleanup_errors=True) as folder:
             await _one_folder(Path(folder) / "cell", tally)
     return tally.report("a daemon in operation")

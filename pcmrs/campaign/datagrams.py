@@ -12,6 +12,8 @@ import msgspec
 
 from pcmrs.campaign.fault import Unmet
 from pcmrs.campaign.lab import LabCell
+from pcmrs.campaign.waiting import until_true
+from pcmrs.gateway.refusals import REFUSED
 from pcmrs.messages import Snapshot
 
 ANSWERS_WITHIN = 10.0
@@ -82,14 +84,19 @@ def identical(before: Snapshot, after: Snapshot) -> None:
         raise Unmet(f"The state has changed: {first.decode()} became {second.decode()}.")
 
 
-async def refused_all(cell: LabCell, datagrams: Sequence[bytes]) -> dict[str, Any]:
-    """Sends datagrams that must be refused: no state, no data and no row of the journal may come of them.
+async def refused_all(cell: LabCell, datagrams: Sequence[bytes], *, refusals: int | None = None) -> dict[str, Any]:
+    """Sends datagrams that must be refused, response R: nothing changes, and the journal has the refusals.
+
+    Args:
+        cell: Whose planner link takes them.
+        datagrams: In this order.
+        refusals: So many of them are refused; all by default.
 
     Returns:
         Details for the report.
 
     Raises:
-        Unmet: Something has changed, was accepted, or the socket is deaf afterwards.
+        Unmet: Something has changed, was accepted, or is not in the journal, or the socket is deaf afterwards.
     """
     before, rows = await cell.client.state(), cell.last_row()
     answers: list[bytes] = []
@@ -104,4 +111,17 @@ async def refused_all(cell: LabCell, datagrams: Sequence[bytes]) -> dict[str, An
     decided = [row for row in cell.rows(after=rows) if row.verdict is not None and row.verdict.decision == "accepted"]
     if decided:
         raise Unmet(f"The journal has an accepted {decided[0].branch}.{decided[0].operation}.")
+    wanted = len(datagrams) if refusals is None else refusals
+    await until_true(lambda: _refused(cell, rows) >= wanted, f"The journal does not have {wanted} refusals")
     return {"sent": len(datagrams), "answers": [answer.decode(errors="replace") for answer in answers][:8]}
+
+
+def _refused(cell: LabCell, after: int) -> int:
+    """How many refusals later rows tell of: the dispatcher's one by one, the gateway's by their number."""
+    count = 0
+    for row in cell.rows(after=after):
+        if row.operation == REFUSED and row.result is not None:
+            count += row.result["fields"]["count"]
+        elif row.verdict is not None:
+            count += row.verdict.decision == "rejected"
+    return count

@@ -1,9 +1,9 @@
-"""Driving a cell of the lab: to a registered head, into a motion, and out of it; all of it must be accepted."""
+"""Driving a cell over the bus: to a registered head, into a motion, and out of it; all of it must be accepted."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import aclosing, asynccontextmanager, suppress
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from pcmrs.campaign.fault import NotRun, Unmet
+from pcmrs.client import Client
 from pcmrs.errors import PcmrsError
 from pcmrs.experiment.plan import Plan, example_plan, read_plan
 from pcmrs.messages import JointState, Snapshot, Verdict
@@ -51,13 +52,13 @@ def tool_pose(number: int = 0) -> dict[str, Any]:
     return pose
 
 
-async def accept(cell: LabCell, name: str, **arguments: object) -> Verdict:
+async def accept(client: Client, name: str, **arguments: object) -> Verdict:
     """Calls an operation that must be accepted.
 
     Raises:
         Unmet: It was not.
     """
-    verdict = await cell.client.call(name, arguments)
+    verdict = await client.call(name, arguments)
     if verdict.decision != "accepted":
         raise Unmet(f"{name} was {verdict.decision}: {said(verdict)}")
     return verdict
@@ -68,55 +69,55 @@ def said(verdict: Verdict) -> str:
     return f"{verdict.reason.code}: {verdict.reason.text}" if verdict.reason is not None else "no reason"
 
 
-async def state(cell: LabCell, branch: str) -> str:
+async def state(client: Client, branch: str) -> str:
     """The present state of a branch."""
-    return (await cell.client.state()).branches[branch]
+    return (await client.state()).branches[branch]
 
 
-async def start_anew(cell: LabCell) -> None:
+async def start_anew(client: Client) -> None:
     """Takes the cell to where a daemon begins, whatever an earlier fault has left.
 
     Raises:
         Unmet: That was not accepted.
     """
-    before = await cell.client.state()
+    before = await client.state()
     if before.branches.get("stimulation", "disarmed") != "disarmed":
-        await accept(cell, "stimulation.disarm")
+        await accept(client, "stimulation.disarm")
     if before.branches["robot"] == "0" and before.latched:
-        await accept(cell, "robot.connect")
-        before = await cell.client.state()
+        await accept(client, "robot.connect")
+        before = await client.state()
     if before.branches["robot"] == "1":
-        await _put_away(cell)
-    await accept(cell, "registration.reinit")
-    await accept(cell, "toolplan.reinit")
+        await _put_away(client)
+    await accept(client, "registration.reinit")
+    await accept(client, "toolplan.reinit")
 
 
-async def _put_away(cell: LabCell) -> None:
-    if (await cell.client.state()).latched:
-        await accept(cell, "robot.acknowledge")
-    if await state(cell, "placement") == "held":
-        await accept(cell, "placement.back_off")
-    if await state(cell, "placement") not in ("unknown", "retracted"):
-        await accept(cell, "placement.home")
-    await accept(cell, "robot.disconnect")
+async def _put_away(client: Client) -> None:
+    if (await client.state()).latched:
+        await accept(client, "robot.acknowledge")
+    if await state(client, "placement") == "held":
+        await accept(client, "placement.back_off")
+    if await state(client, "placement") not in ("unknown", "retracted"):
+        await accept(client, "placement.home")
+    await accept(client, "robot.disconnect")
 
 
-async def calmed(cell: LabCell) -> None:
+async def calmed(client: Client) -> None:
     """Takes the cell out of whatever an earlier fault has left, with the registration as it is.
 
     Raises:
         Unmet: That was not accepted.
     """
-    shown = await cell.client.state()
+    shown = await client.state()
     if shown.latched:
         if shown.branches["robot"] == "0":
-            await connect(cell)
-        await accept(cell, "robot.acknowledge")
-    if await state(cell, "placement") == "held":
-        await accept(cell, "placement.back_off")
+            await connect(client)
+        await accept(client, "robot.acknowledge")
+    if await state(client, "placement") == "held":
+        await accept(client, "placement.back_off")
 
 
-async def connect(cell: LabCell) -> None:
+async def connect(client: Client) -> None:
     """Connects the robot; a virtual cabinet may listen only a moment after the daemon is ready.
 
     Raises:
@@ -124,77 +125,82 @@ async def connect(cell: LabCell) -> None:
     """
     with suppress(TimeoutError):
         async with asyncio.timeout(PATIENCE):
-            while (await cell.client.call("robot.connect")).decision != "accepted":  # noqa: ASYNC110
+            while (await client.call("robot.connect")).decision != "accepted":  # noqa: ASYNC110
                 await asyncio.sleep(RETRY)
             return
     raise Unmet(f"The robot was not connected within {PATIENCE:g} s.")
 
 
-async def digitized(cell: LabCell) -> None:
+async def digitized(client: Client) -> None:
     """Plans the landmarks and digitizes them."""
-    await accept(cell, "registration.plan_landmarks", **landmarks())
-    await accept(cell, "digitization.digitize_all")
+    await accept(client, "registration.plan_landmarks", **landmarks())
+    await accept(client, "digitization.digitize_all")
 
 
-async def register(cell: LabCell) -> None:
+async def register(client: Client) -> None:
     """Connects the robot, registers the head and plans a pose, as far as that is not done."""
-    before = (await cell.client.state()).branches
+    before = (await client.state()).branches
     if before["robot"] == "0":
-        await connect(cell)
+        await connect(client)
     if before["registration"] != "111":
-        await digitized(cell)
-        await accept(cell, "registration.register")
+        await digitized(client)
+        await accept(client, "registration.register")
     if before["toolplan"] == "0":
-        await accept(cell, "toolplan.plan", **tool_pose())
-    await until(cell, lambda snapshot: not snapshot.running)
-    if await state(cell, "placement") == "unknown":  # the tracker was late when the robot connected
-        await accept(cell, "placement.locate")
+        await accept(client, "toolplan.plan", **tool_pose())
+    await until(client, lambda snapshot: not snapshot.running)
+    if await state(client, "placement") == "unknown":  # the tracker was late when the robot connected
+        await accept(client, "placement.locate")
 
 
-async def to_retracted(cell: LabCell) -> None:
+async def to_retracted(client: Client) -> None:
     """The head is registered, the tool away from it."""
-    await register(cell)
-    if await state(cell, "placement") == "held":
-        await accept(cell, "placement.back_off")
-    if await state(cell, "placement") != "retracted":
-        await accept(cell, "placement.home")
+    await register(client)
+    if await state(client, "placement") == "held":
+        await accept(client, "placement.back_off")
+    if await state(client, "placement") != "retracted":
+        await accept(client, "placement.home")
 
 
-async def to_standoff(cell: LabCell) -> None:
+async def to_standoff(client: Client) -> None:
     """The tool is at the standoff."""
-    await register(cell)
-    if await state(cell, "placement") in ("placed", "following", "held"):
-        await accept(cell, "placement.back_off")
-    if await state(cell, "placement") != "standoff":
-        await accept(cell, "placement.approach")
+    await register(client)
+    if await state(client, "placement") in ("placed", "following", "held"):
+        await accept(client, "placement.back_off")
+    if await state(client, "placement") != "standoff":
+        await accept(client, "placement.approach")
 
 
-async def to_placed(cell: LabCell) -> None:
+async def to_placed(client: Client) -> None:
     """The tool is at its planned pose."""
-    await register(cell)
-    if await state(cell, "placement") != "placed":
-        await to_standoff(cell)
-        await accept(cell, "placement.confirm")
+    await register(client)
+    if await state(client, "placement") != "placed":
+        await to_standoff(client)
+        await accept(client, "placement.confirm")
 
 
-async def to_following(cell: LabCell) -> None:
+async def to_following(client: Client) -> None:
     """The tool follows the head and counts as aligned.
 
     Raises:
         NotRun: It does not, and nothing was injected yet: the machine is too busy for a cell in real time.
     """
-    await to_placed(cell)
-    await accept(cell, "placement.follow")
+    await to_placed(client)
+    await accept(client, "placement.follow")
     try:
-        await until(cell, lambda snapshot: snapshot.branches["alignment"] == "1")
+        await until(client, lambda snapshot: snapshot.branches["alignment"] == "1")
         await asyncio.sleep(FOLLOWED)
     except Unmet as error:
         raise NotRun(f"{TOO_BUSY} {error.text}") from None
-    if await state(cell, "placement") != "following":
+    if await state(client, "placement") != "following":
         raise NotRun(f"{TOO_BUSY} It was held within {FOLLOWED:g} s.")
 
 
-async def until(cell: LabCell, condition: Callable[[Snapshot], bool], within: float = PATIENCE) -> Snapshot:
+def showing(**branches: str) -> Callable[[Snapshot], bool]:
+    """Whether a snapshot shows branches in these states, as `until` takes it."""
+    return lambda snapshot: branches.items() <= snapshot.branches.items()
+
+
+async def until(client: Client, condition: Callable[[Snapshot], bool], within: float = PATIENCE) -> Snapshot:
     """Waits for a snapshot of which the condition holds, and returns it.
 
     Raises:
@@ -202,7 +208,7 @@ async def until(cell: LabCell, condition: Callable[[Snapshot], bool], within: fl
     """
     last: Snapshot | None = None
     with suppress(TimeoutError):
-        async with asyncio.timeout(within), aclosing(cell.client.watch()) as events:
+        async with asyncio.timeout(within), aclosing(client.watch()) as events:
             async for event in events:
                 last = event if isinstance(event, Snapshot) else last
                 if last is not None and condition(last):
@@ -212,15 +218,15 @@ async def until(cell: LabCell, condition: Callable[[Snapshot], bool], within: fl
 
 
 @asynccontextmanager
-async def moving(cell: LabCell, name: str = "placement.approach") -> AsyncIterator[asyncio.Task[Verdict]]:
+async def moving(client: Client, name: str = "placement.approach") -> AsyncIterator[asyncio.Task[Verdict]]:
     """A motion in the middle of which the arm moves; its verdict has come when the context ends.
 
     Raises:
         Unmet: The arm did not move, or no verdict came within `PATIENCE`.
     """
     await asyncio.sleep(SEEN)
-    moves, end = await _motion(cell)
-    verdict = asyncio.create_task(cell.client.call(name, timeout=PATIENCE))
+    moves, end = await _motion(client)
+    verdict = asyncio.create_task(client.call(name, timeout=PATIENCE))
     try:
         await asyncio.wait((verdict, moves), timeout=PATIENCE, return_when=asyncio.FIRST_COMPLETED)
         if not moves.done() or verdict.done():
@@ -236,14 +242,14 @@ async def moving(cell: LabCell, name: str = "placement.approach") -> AsyncIterat
             await verdict
 
 
-async def _motion(cell: LabCell) -> tuple[asyncio.Future[None], Callable[[], Any]]:
+async def _motion(client: Client) -> tuple[asyncio.Future[None], Callable[[], Awaitable[None]]]:
     moves: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
-    def look(_key: str, joints: JointState) -> None:
+    def look(joints: JointState) -> None:
         if not moves.done() and np.abs(joints.velocities).max() > MOVES:
             moves.set_result(None)
 
-    return moves, cell.bus.subscribe("state/joints", JointState, look)
+    return moves, client.listen("state/joints", JointState, look)
 
 
 @asynccontextmanager

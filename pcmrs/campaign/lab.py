@@ -229,7 +229,7 @@ class Pool:
 
 async def _prepare(cell: LabCell, seed: int, *, anew: bool) -> None:
     await cell.scene.reseed(seed)
-    await (start_anew(cell) if anew else calmed(cell))
+    await (start_anew(cell.client) if anew else calmed(cell.client))
 
 
 @asynccontextmanager

@@ -35,7 +35,8 @@ def render_page(report: CampaignReport) -> str:
     environment.filters["values"] = _values
     totals = {outcome: sum(found[outcome] for found in report.summary.values()) for outcome in OUTCOMES}
     page = environment.get_template(TEMPLATE)
-    return page.render(report=report, totals=totals, outcomes=OUTCOMES, marks=MARKS, responses=RESPONSES)
+    ids = len({result.id for result in report.faults})
+    return page.render(report=report, totals=totals, ids=ids, outcomes=OUTCOMES, marks=MARKS, responses=RESPONSES)
 
 
 def _values(details: dict[str, object]) -> str:

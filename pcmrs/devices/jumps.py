@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pcmrs.spatial import Floats, Transform, rotation_angle
+from pcmrs.spatial import Floats, Transform, distance, rotation_angle
 
 SAME_PLACE = 0.02
 """A body that jumps to within so much of another one has been taken for it, m."""
@@ -77,8 +77,7 @@ class JumpGuard:
             known.pop(body, None)
 
     def _jumped(self, before: Transform, now: Transform, time: float) -> bool:
-        way = float(np.linalg.norm(now.translation - before.translation))
-        if way > self._limits.speed * time:
+        if distance(before, now) > self._limits.speed * time:
             return True
         return self._limits.turn < math.inf and rotation_angle(before, now) > self._limits.turn * time
 

@@ -6,6 +6,7 @@ import asyncio
 import inspect
 from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping
+from functools import cache
 from math import inf
 from typing import Any, get_type_hints
 
@@ -147,7 +148,7 @@ class DeviceNode:
             log.exception(f"{what}_failed", why=why)
 
     def _serve(self, name: str, device: Any) -> None:
-        methods = {method: get_type_hints(getattr(PROTOCOLS[name], method)) for method in _methods(PROTOCOLS[name])}
+        methods = _methods(PROTOCOLS[name])
 
         async def answer(_key: str, request: DeviceRequest) -> DeviceReply:
             try:
@@ -267,11 +268,14 @@ def _daemon_silent(device: str, silence: float, limit: float) -> DeviceEvent:
     return DeviceEvent(device=device, code="daemon_silent", text=text, danger=True, fields=fields)
 
 
-def _methods(protocol: type) -> list[str]:
-    return [name for name, value in vars(protocol).items() if inspect.iscoroutinefunction(value)]
+@cache
+def _methods(protocol: type) -> Mapping[str, Mapping[str, Any]]:
+    """Method to the types of its arguments and of its result."""
+    found = {name: value for name, value in vars(protocol).items() if inspect.iscoroutinefunction(value)}
+    return {name: get_type_hints(value) for name, value in found.items()}
 
 
-async def _call(device: Any, methods: dict[str, dict[str, Any]], request: DeviceRequest) -> Any:
+async def _call(device: Any, methods: Mapping[str, Mapping[str, Any]], request: DeviceRequest) -> Any:
     hints = methods.get(request.method)
     if hints is None:
         raise PayloadError(f"There is no method {request.method!r}; there are {', '.join(methods)}.")

@@ -122,9 +122,8 @@ class PoseFeed:
         """The frames captured after `since`, s of the clock, that show all `bodies`: ``tracker_from_body`` each."""
         found: dict[int, dict[str, Transform]] = {}
         for body in bodies:
-            for sighting in self._sightings.get(body, ()):
-                if sighting.captured >= since:
-                    found.setdefault(sighting.frame_number, {})[body] = sighting.tracker_from_body
+            for sighting in takewhile(lambda each: each.captured >= since, reversed(self._sightings.get(body, ()))):
+                found.setdefault(sighting.frame_number, {})[body] = sighting.tracker_from_body
         return [frame for _, frame in sorted(found.items()) if len(frame) == len(bodies)]
 
     def frames_after(self, number: int, bodies: Sequence[str]) -> list[dict[str, Sighting]]:

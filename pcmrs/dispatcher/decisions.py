@@ -166,7 +166,7 @@ class Decisions(Generic[C, D]):
             state=state,
             reason=reason,
             allowed=self._procedure.allowed(command.branch, states) if state else [],
-            result=run.result if run is not None and run.result and decision != "rejected" else None,
+            result=run.result if run is not None and run.result else None,
             sequence=self._procedure.sequence if sequence is None else sequence,
         )
 

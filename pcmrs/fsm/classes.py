@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from functools import cache, lru_cache
 from typing import Any
 
 import msgspec
@@ -30,8 +31,14 @@ def states_of(blueprint: Blueprint) -> dict[str, list[type[State]]]:
     Args:
         blueprint: One that passed `pcmrs.fsm.rules.check_rules`.
     """
-    module: dict[str, Any] = {"__name__": f"blueprint_{blueprint.id}"}
-    exec(compile(source_of(blueprint), f"<blueprint {blueprint.id}>", "exec"), module)
+    return _defined(source_of(blueprint), blueprint.id)
+
+
+@lru_cache(maxsize=16)
+def _defined(source: str, name: str) -> dict[str, list[type[State]]]:
+    """The classes of a source, executed once however many procedures of this process run by it."""
+    module: dict[str, Any] = {"__name__": f"blueprint_{name}"}
+    exec(compile(source, f"<blueprint {name}>", "exec"), module)
     states: dict[str, list[type[State]]] = module["STATES"]
     return states
 
@@ -127,11 +134,16 @@ def _state_name(branch: str, state: str) -> str:
 
 def _given(spec: msgspec.Struct) -> Iterator[tuple[str, str]]:
     """Fields that differ from their defaults, as Python."""
-    for field in msgspec.structs.fields(spec):
+    for field in _fields(type(spec)):
         value = getattr(spec, field.name)
         default = field.default_factory() if field.default_factory is not msgspec.NODEFAULT else field.default
         if value != default:
             yield field.name, _literal(value)
+
+
+@cache
+def _fields(kind: type[msgspec.Struct]) -> tuple[msgspec.structs.FieldInfo, ...]:
+    return msgspec.structs.fields(kind)
 
 
 def _literal(value: Any) -> str:

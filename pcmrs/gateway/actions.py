@@ -14,6 +14,7 @@ from pcmrs.gateway.core import Core
 from pcmrs.gateway.grammar import Request
 from pcmrs.gateway.outcome import Outcome, of_verdict
 from pcmrs.gateway.records import Records
+from pcmrs.gateway.refusals import Refusals
 from pcmrs.gateway.series import LandmarkSeries, PlanLock, PosePair
 from pcmrs.gateway.streams import Streams
 from pcmrs.messages import Command
@@ -34,6 +35,7 @@ class Services:
     clock: Clock
     streams: Streams
     records: Records
+    refusals: Refusals
 
 
 class Actions:
@@ -80,7 +82,7 @@ class Actions:
         try:
             return self._handlers[request.spec.action](request)
         except RefusalError as refusal:
-            return self.rejected(request, refusal.refusal_code)
+            return self.rejected(request, refusal.refusal_code, refusal.text)
 
     def halt(self) -> None:
         """Ends commands of several steps after the step under way, as Stop demands."""
@@ -90,8 +92,9 @@ class Actions:
         """The acceptance of a command that the gateway itself performs."""
         return Outcome("accepted", request.spec.branch, self._state(request), numbers=numbers)
 
-    def rejected(self, request: Request, reason: str) -> Outcome:
+    def rejected(self, request: Request, reason: str, text: str = "") -> Outcome:
         """The gateway's own refusal."""
+        self._services.refusals.add(self.source, reason, f"{request.spec.name} was refused: {text or reason}")
         return Outcome("rejected", request.spec.branch, self._state(request), reason)
 
     def failed(self, request: Request, reason: str) -> Outcome:

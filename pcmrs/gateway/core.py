@@ -21,6 +21,9 @@ class Core(Protocol):
     async def stop(self, source: str) -> bool:
         """Stops everything and latches; returns whether the robot confirmed that it stands."""
 
+    def report(self, event: DeviceEvent) -> None:
+        """Journals and publishes an event of the gateway, without waiting."""
+
     def on_stop(self, callback: Callable[[], None]) -> None:
         """Calls back, synchronously, at every Stop whatever way it came."""
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 
-import structlog
-
 from pcmrs.clock import Clock
-from pcmrs.errors import PayloadError
+from pcmrs.errors import PayloadError, PcmrsError
 from pcmrs.gateway.actions import Actions, Services
 from pcmrs.gateway.commands import COMMANDS, Action
 from pcmrs.gateway.grammar import Request, parse, parse_tool_points
@@ -17,10 +15,10 @@ from pcmrs.gateway.session import Answer, Session
 from pcmrs.gateway.tasks import Tasks
 
 MAX_SESSIONS = 256
-LOG_PERIOD = 1.0
-"""Seconds between two log lines about refused datagrams; what falls between is counted."""
-
-_log = structlog.get_logger(__name__)
+STREAMS = ("tcp", "openigtlink")
+"""Links that are no UDP."""
+LINK_ERROR = "link_error"
+"""Reason where nothing was wrong with what was sent, or only a part of it came."""
 
 
 @dataclass(slots=True)
@@ -49,10 +47,15 @@ class Intake:
         services: What all peers share.
         tasks: Owns what the sessions run.
         unsigned_peers: Hosts whose unsigned commands are accepted.
+
+    Attributes:
+        counters: What arrived and was refused.
+        refusals: Told of everything that is refused.
     """
 
     def __init__(self, services: Services, tasks: Tasks, unsigned_peers: tuple[str, ...]) -> None:
         self.counters = Counters()
+        self.refusals = services.refusals
         self._services = services
         self._tasks = tasks
         self._unsigned_peers = unsigned_peers
@@ -60,10 +63,9 @@ class Intake:
         self._locks: dict[str, PlanLock] = {}
         self._memory = Memory()
         self._clock: Clock = services.clock
-        self._next_log = self._clock.monotonic()
 
     def receive(self, link: str, peer: tuple[str, int], exposed: bool, data: bytes, answer: Answer) -> None:
-        """Takes one datagram or frame; what is refused is counted, logged and changes nothing.
+        """Takes one datagram or frame; what is refused is counted, told and changes nothing.
 
         Args:
             link: Name of the link it came by.
@@ -86,14 +88,10 @@ class Intake:
             self._session(link, peer).receive(_as_meant(link, request), answer)
 
     def refuse(self, link: str, peer: tuple[str, int], error: Exception) -> None:
-        """Counts what cannot be taken and logs it, at most once per `LOG_PERIOD`."""
+        """Counts what cannot be taken, and has it told."""
         self.counters.refused += 1
-        now = self._clock.monotonic()
-        if now >= self._next_log:
-            self._next_log = now + LOG_PERIOD
-            _log.warning(
-                "datagram_refused", link=link, peer=f"{peer[0]}:{peer[1]}", text=str(error), total=self.counters.refused
-            )
+        reason = error.code if isinstance(error, PcmrsError) else LINK_ERROR
+        self.refusals.add(source_of(link, peer), reason, str(error))
 
     def halt(self) -> None:
         """Lets nothing that any peer sent before now begin, as Stop demands."""
@@ -123,13 +121,17 @@ class Intake:
             oldest_idle = next((key for key, session in self._sessions.items() if session.idle), None)
             if oldest_idle is not None:
                 del self._sessions[oldest_idle]
-        host, port = peer
-        transport = "tcp" if link == "tcp" else f"udp:{link}"
-        actions = Actions(f"{transport}:{host}:{port}", self._services, self.lock(host))
+        actions = Actions(source_of(link, peer), self._services, self.lock(peer[0]))
         return Session(actions, self._clock, self._tasks, self._memory, self._count_overflow)
 
     def _count_overflow(self) -> None:
         self.counters.overflowed += 1
+
+
+def source_of(link: str, peer: tuple[str, int]) -> str:
+    """Who sends over a link, as the daemon records it."""
+    host, port = peer
+    return f"{link}:{host}:{port}" if link in STREAMS else f"udp:{link}:{host}:{port}"
 
 
 def _as_meant(link: str, request: Request) -> Request:

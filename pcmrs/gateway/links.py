@@ -17,6 +17,7 @@ from pcmrs.gateway.core import Core
 from pcmrs.gateway.intake import Counters, Intake
 from pcmrs.gateway.markers import Markers
 from pcmrs.gateway.records import Records
+from pcmrs.gateway.refusals import Refusals
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from pcmrs.gateway.streams import Send, Streams
 from pcmrs.gateway.tasks import Tasks
@@ -59,7 +60,8 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         stack.push_async_callback(jobs.close)
         streams = Streams(core, clock, config, await _open_sender(stack), tasks)
         records = Records(core, clock, folder, tasks)
-        intake = Intake(Services(uuid4().hex, core, clock, streams, records), jobs, config.unsigned_peers)
+        refusals = Refusals(core, clock, tasks)
+        intake = Intake(Services(uuid4().hex, core, clock, streams, records, refusals), jobs, config.unsigned_peers)
         core.on_stop(intake.halt)
         if config.markers.enabled:
             markers = Markers(config.markers.stream, core.snapshot())

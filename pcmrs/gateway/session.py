@@ -140,7 +140,7 @@ class Session:
         try:
             return await job()
         except RefusalError as refusal:
-            return self._actions.rejected(request, refusal.refusal_code)
+            return self._actions.rejected(request, refusal.refusal_code, refusal.text)
         except PcmrsError as error:
             return self._actions.failed(request, error.code)
         except Exception:

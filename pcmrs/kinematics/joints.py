@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import isfinite
+
 import numpy as np
 import numpy.typing as npt
 
@@ -16,7 +18,7 @@ def joint_array(values: npt.ArrayLike, joints: int) -> Floats:
         GeometryError: They are not that many finite numbers.
     """
     array = np.array(values, dtype=float)
-    if array.shape != (joints,) or not np.isfinite(array).all():
+    if array.shape != (joints,) or not all(map(isfinite, array.tolist())):
         raise GeometryError(
             f"Joint values are {joints} finite numbers, not {array.tolist()}; send one for each joint.",
             values=array.tolist(),

@@ -12,7 +12,7 @@ from pcmrs.errors import UnreachableError
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.joints import joint_array
 from pcmrs.kinematics.urdf import urdf
-from pcmrs.spatial import Floats, Transform
+from pcmrs.spatial import Floats, Transform, trusted_transform
 
 _SRS_AXES = np.array(((0, 0, 1), (0, 1, 0), (0, 0, 1), (0, -1, 0), (0, 0, 1), (0, 1, 0), (0, 0, 1)))
 _SAME = 1e-12  # m, and of unit vectors
@@ -53,7 +53,7 @@ class ArmModel:
         """
         pinocchio.forwardKinematics(self._model, self._data, joint_array(q, self.joints))
         pose = pinocchio.updateFramePlacement(self._model, self._data, self._flange)
-        return Transform(pose.rotation, pose.translation)
+        return trusted_transform(np.array(pose.rotation), np.array(pose.translation))
 
     def jacobian(self, q: npt.ArrayLike) -> Floats:
         """Velocity of the flange per joint velocity, (6, n).

@@ -35,7 +35,13 @@ class SimulatedClock:
         return EPOCH + self._loop.time() + self.ahead if self._frozen is None else self._frozen
 
     async def sleep(self, seconds: float) -> None:
-        await asyncio.sleep(max(0.0, seconds))
+        woken = self._loop.create_future()
+        timer = self._loop.call_later(max(0.0, seconds), _wake, woken)
+        try:
+            await woken
+        except asyncio.CancelledError:
+            timer.cancel()
+            raise
 
     def timeout(self, seconds: float) -> AbstractAsyncContextManager[Any]:
         return asyncio.timeout(seconds)
@@ -43,3 +49,8 @@ class SimulatedClock:
     def freeze(self, frozen: bool) -> None:
         """The wall clock stands still from now on, or goes on as if it had not."""
         self._frozen = self.wall() if frozen else None
+
+
+def _wake(woken: asyncio.Future[None]) -> None:
+    if not woken.done():
+        woken.set_result(None)

@@ -76,6 +76,12 @@ class SimulatedJournal(Journal):
         self._error = None
         return next((stored.sequence for stored in self.reader.read(last=1)), 0)
 
+    async def close(self) -> None:
+        """Closes it, in an orderly end when what is under way has been written."""
+        if self._under_way and not self._gone:
+            await asyncio.sleep(self._due - asyncio.get_running_loop().time())
+        await super().close()
+
     def abandon(self) -> None:
         """The daemon is gone: what is not durable never will be."""
         self._gone = True

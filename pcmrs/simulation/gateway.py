@@ -10,6 +10,7 @@ from pcmrs.clock import Clock
 from pcmrs.gateway.actions import Services
 from pcmrs.gateway.intake import Intake
 from pcmrs.gateway.records import Records
+from pcmrs.gateway.refusals import Refusals
 from pcmrs.gateway.session import Answer
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.gateway.streams import Streams
@@ -34,7 +35,8 @@ class SimulatedGateway:
         self._tasks, self._jobs = Tasks(), Tasks()
         streams = Streams(core, clock, config, _to_nobody, self._tasks)
         records = Records(core, clock, folder, self._tasks)
-        self._intake = Intake(Services(uuid4().hex, core, clock, streams, records), self._jobs, (HOST,))
+        refusals = Refusals(core, clock, self._tasks)
+        self._intake = Intake(Services(uuid4().hex, core, clock, streams, records, refusals), self._jobs, (HOST,))
         core.on_stop(self._intake.halt)
 
     def receive(self, port: int, data: bytes, answer: Callable[[str], None]) -> None:

@@ -145,23 +145,25 @@ class Transform:
     @property
     def rotvec(self) -> Floats:
         """Rotation vector: axis times angle in [0, pi] rad, (3,)."""
-        return np.asarray(Rotation.from_matrix(self.rotation).as_rotvec())
+        w, x, y, z = _quaternion(self.rotation)
+        sine = math.hypot(x, y, z)
+        scale = 2.0 * math.atan2(sine, w) / sine if sine else 2.0
+        return np.array((scale * x, scale * y, scale * z))
 
 
-def rotation_angle(a: Transform, b: Transform) -> float:
-    """Angle in [0, pi] rad that turns the rotation of `a` into that of `b`.
+def rotation_angle(one: Transform, other: Transform) -> float:
+    """Angle in [0, pi] rad that turns the rotation of `one` into that of `other`.
 
     With ``|R - R^T| = 2 sqrt(2) sin(angle)`` (Frobenius norm) and ``trace R = 1 + 2 cos(angle)``; an arc cosine
-    alone would lose half of the digits of small angles.
+    alone would lose half of the digits of small angles. In plain floats: every tracked pose comes this way.
     """
-    relative = a.rotation.T @ b.rotation
-    sine = np.linalg.norm(relative - relative.T) / np.sqrt(8.0)
-    return float(np.arctan2(sine, (np.trace(relative) - 1.0) / 2.0))
+    (a, b, c), (d, e, f), (g, h, i) = (one.rotation.T @ other.rotation).tolist()
+    return math.atan2(math.hypot(h - f, c - g, d - b), a + e + i - 1.0)
 
 
 def distance(a: Transform, b: Transform) -> float:
     """Distance between the origins of two poses of one frame, m."""
-    return float(np.linalg.norm(a.translation - b.translation))
+    return math.dist(a.translation.tolist(), b.translation.tolist())
 
 
 def mean_transform(transforms: Sequence[Transform]) -> Transform:
@@ -238,14 +240,21 @@ def _array(values: npt.ArrayLike, shape: tuple[int, ...], what: str) -> Floats:
         raise GeometryError(f"The {what} must hold numbers in shape {shape}, got {values!r}.", shape=shape) from None
     if array.shape != shape:
         raise GeometryError(f"The {what} has shape {array.shape}, must be {shape}.", shape=array.shape, expected=shape)
-    if not np.isfinite(array).all():
+    if not all(map(math.isfinite, array.ravel().tolist())):
         raise GeometryError(f"The {what} {array.tolist()} holds a number that is not finite.", values=array.tolist())
     return array
 
 
+def _dot(one: Sequence[float], other: Sequence[float]) -> float:
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
+
 def _check_rotation(rotation: Floats) -> None:
-    deviation = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    determinant = float(np.linalg.det(rotation))
+    one, two, three = rotation.tolist()
+    lengths = (abs(_dot(row, row) - 1.0) for row in (one, two, three))
+    deviation = max(*lengths, abs(_dot(one, two)), abs(_dot(two, three)), abs(_dot(three, one)))
+    (a, b, c), (d, e, f) = one, two
+    determinant = _dot(three, (b * f - c * e, c * d - a * f, a * e - b * d))
     if deviation > ORTHONORMAL_TOLERANCE or determinant < 0.0:
         raise GeometryError(
             f"The matrix is no rotation: R R^T differs from I by {deviation:.3g} (limit {ORTHONORMAL_TOLERANCE:g}), "

@@ -25,8 +25,10 @@ Exposure = dict[str, Sighting]
 BODIES = ("coil", "body_ref")
 WATCHING = {"placed": "watch_alignment", "following": "follow_head"}
 """The activity that watches in each state of the placement."""
-LOOK_EVERY = 0.02
-"""Shorter than a frame of the tracker, s."""
+LOOKS = 5
+"""Within the time after which alignment is lost; by default a look takes less time than a frame of the tracker."""
+LEAST_PAUSE = 0.02
+"""Between two looks, s."""
 SHOW_EVERY = 0.5
 """Each showing publishes a snapshot, s."""
 ASK_EVERY = 0.25
@@ -125,13 +127,13 @@ async def watch_alignment(act: Activity) -> None:
     """Watches a tool that stands at the body, until it is told to end; a hidden tool or body is no alignment."""
     watch, number = AlignmentWatch(act), 0
     while True:
-        desired = desired_in_body_ref(act.cell, act.data)
         for frame in act.cell.poses.frames_after(number, BODIES)[-1:]:
             number = frame["coil"].frame_number
+            desired = desired_in_body_ref(act.cell, act.data)
             if desired is not None:
                 watch.take(frame, measured_from_desired(frame, desired))
         watch.look()
-        await act.clock.sleep(LOOK_EVERY)
+        await act.clock.sleep(max(LEAST_PAUSE, act.cell.settings.alignment.off_time / LOOKS))
 
 
 def seen_by_present_watch(run: Run) -> None:

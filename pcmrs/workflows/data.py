@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Self
 
 import msgspec
@@ -154,6 +155,7 @@ def _all_open(data: PlacementData) -> tuple[None, ...]:
     return tuple(None for _ in data.landmarks)
 
 
+@lru_cache(maxsize=64)
 def as_transform(pose: PoseMessage) -> Transform:
     """The pose as a `Transform`."""
     return Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from itertools import islice
 
 import msgspec
@@ -133,6 +134,7 @@ def target(data: PlacementData, height: float) -> Transform:
     return planned(data) @ along_axis(height) @ nudge_of(data.nudge_translation, data.nudge_rotation_zyx)
 
 
+@lru_cache(maxsize=64)
 def nudge_of(translation: Point, rotation_zyx: Point) -> Transform:
     """``coil_from_nudged`` of a translation (m) and rotations about z, y, x (rad)."""
     rotation = Rotation.from_euler("ZYX", np.asarray(rotation_zyx)).as_matrix()

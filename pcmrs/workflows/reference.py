@@ -78,9 +78,12 @@ def moved_by(cell: Cell, data: PlacementData) -> Shift | None:
     if len(frames) < settings.reference_frames:
         return None
     baseline = as_transform(data.reference)
-    shifts = [_shift(baseline, frame["body_ref"].inverse() @ frame["witness"]) for frame in frames]
-    least = min(shifts, key=lambda shift: (shift.translation, shift.rotation))
-    return least if all(shift.exceeds(settings) for shift in shifts) else None
+    shifts: list[Shift] = []
+    for frame in reversed(frames):
+        shifts.append(_shift(baseline, frame["body_ref"].inverse() @ frame["witness"]))
+        if not shifts[-1].exceeds(settings):
+            return None
+    return min(shifts, key=lambda shift: (shift.translation, shift.rotation))
 
 
 def moved_text(shift: Shift, cell: Cell) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import hypot, radians
 
 import numpy as np
 import numpy.typing as npt
 
 from pcmrs.kinematics.arms import ArmFacts
-from pcmrs.kinematics.collision import box, hull
+from pcmrs.kinematics.collision import Solid, box, hull
 from pcmrs.kinematics.cone import ApproachCone
 from pcmrs.kinematics.passage import BOUND, Passage, look_at
 from pcmrs.kinematics.zones import SIGHT_OF_BODY, SIGHT_OF_TOOL, ToolShape, Zone, ZoneModel
@@ -96,8 +97,14 @@ def _zones(settings: ProcedureSettings) -> list[Zone]:
     found = [Zone(b.name, box(b.size, b.pose.transform()), margins.box_margin) for b in margins.boxes]
     surface = read_surface(settings)
     if surface is not None:
-        found.append(Zone(BODY, hull(surface.vertices), margins.body_margin, tool_may_touch=True))
+        found.append(Zone(BODY, _hull(surface.vertices.tobytes()), margins.body_margin, tool_may_touch=True))
     return found
+
+
+@lru_cache(maxsize=4)
+def _hull(vertices: bytes) -> Solid:
+    """Worked out once for all cells of a process with the same body; vertices (N, 3), m."""
+    return hull(np.frombuffer(vertices).reshape(-1, 3))
 
 
 def _cone(zones: ZoneSettings, radius: float) -> ApproachCone:

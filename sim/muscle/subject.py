@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
-from pcmrs.spatial import Floats
+from pcmrs.spatial import Floats, Transform
 from pcmrs.tms.scalp import hand_area
 from pcmrs.tms.subject import Subject, draw
 from sim.head import CENTRE, EXPONENT, SEMI_AXES, surface_point
@@ -19,8 +21,13 @@ def draw_subject(phantom: str, seed: int) -> Subject | None:
     """The subject of a seed; None where the phantom is no head."""
     if phantom != "head":
         return None
-    vertex = surface_point((0.0, 0.0, 1.0))
-    return draw(closest_on_scalp, hand_area(closest_on_scalp, vertex), np.random.default_rng((seed, STREAM)))
+    return draw(closest_on_scalp, _centre(), np.random.default_rng((seed, STREAM)))
+
+
+@cache
+def _centre() -> Transform:
+    """Over the hand area of the head, the same for all subjects."""
+    return hand_area(closest_on_scalp, surface_point((0.0, 0.0, 1.0)))
 
 
 def closest_on_scalp(points: Floats) -> tuple[Floats, Floats]:

@@ -43,7 +43,7 @@ async def test_faults_of_a_cell_are_found_and_its_checks_fail_without_them(tmp_p
     async with lab.cell() as cell:
         with pytest.raises(Unmet, match=r"registration\.plan_landmarks was accepted"):
             await refused(cell, "registration.plan_landmarks", landmarks(), codes=("degenerate_points",))
-        await accept(cell, "registration.plan_landmarks", **landmarks())
+        await accept(cell.client, "registration.plan_landmarks", **landmarks())
         nowhere = {"body": "pointer", "millimetres": 0.0}
         with pytest.raises(Unmet, match=r"digitization\.digitize_one was accepted"):
             async with injected(cell, "pose_jump", nowhere, nowhere):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 from pathlib import Path
 
 import msgspec
@@ -146,6 +147,9 @@ def test_the_report_is_written_as_json_and_as_a_page_that_loads_nothing(tmp_path
     page = (folder / PAGE_NAME).read_text()
     assert "<script" not in page
     assert "&lt;script&gt;" in page
+    shown = re.findall(r'<input type="checkbox" id="(?:class|outcome)-(\w+)" checked>', page)
+    assert shown == ["passed", "failed", "not_run", "sensor"]
+    assert all(f"tr.{name} {{ display: none; }}" in page for name in shown)
     assert not {word for word in ("http:", "https:", "src=", "@import", "url(") if word in page}
     assert msgspec.json.decode((folder / JSON_NAME).read_bytes(), type=CampaignReport).summary
 

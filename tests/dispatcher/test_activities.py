@@ -130,6 +130,27 @@ async def test_a_motion_begins_after_it_has_ended(bench: Bench, gate: asyncio.Ev
     assert bench.holds == 0
 
 
+async def test_a_motion_does_not_break_off_its_end_when_it_has_been_told_to_end_before(
+    bench: Bench, gate: asyncio.Event
+) -> None:
+    await go(bench, "approach")
+
+    async def slow(act: Activity[Any, Notes]) -> None:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            await gate.wait()
+            bench.script.log.append("at rest")
+
+    bench.script.activities["follow_head"] = slow
+    await go(bench, "follow", "let_go")
+    withdraw = await bench.begin("placement.withdraw")
+    assert "placement.withdraw" not in bench.script.log
+    gate.set()
+    assert (await withdraw).decision == "accepted"
+    assert bench.script.log[-3:] == ["at rest", "follow_head ends", "placement.withdraw"]
+
+
 async def test_a_motion_fails_where_it_does_not_give_way_in_time(bench: Bench, gate: asyncio.Event) -> None:
     async def stubborn(act: Activity[Any, Notes]) -> None:
         while not gate.is_set():

@@ -9,6 +9,7 @@ from clock import settle
 from dispatcher_fakes import PLACED, RETRACTED, STANDOFF, Bench
 from ratms_oracle import Joint
 
+from pcmrs.errors import PcmrsError
 from pcmrs.messages import DeviceEvent, Verdict
 
 
@@ -110,6 +111,20 @@ async def test_what_else_runs_is_stopped_and_what_waits_is_rejected(bench: Bench
     await check_fail_stop(bench, STANDOFF)
 
 
+async def test_what_waits_does_not_begin_after_a_failure(worldly_bench: Bench) -> None:
+    """Although the state would allow it, and its decision could be written."""
+    worldly_bench.script.hang("toolplan.plan")
+    running = await worldly_bench.begin("toolplan.plan")
+    waiting = await worldly_bench.begin("toolplan.plan")
+    worldly_bench.recorder.failing.add("event")
+    await worldly_bench.dispatcher.report(DeviceEvent(device="tracker", code="occluded", text="Hidden."))
+    assert (await running).decision == "failed"
+    verdict = await waiting
+    assert verdict.reason is not None
+    assert (verdict.decision, verdict.reason.code) == ("rejected", "journal_unavailable")
+    assert worldly_bench.script.entered == ["toolplan.plan"]
+
+
 async def test_a_bug_in_the_data_of_a_commit_is_fail_stop(bench: Bench) -> None:
     async def keep_nonsense(run: object) -> None:
         run.keep(no_such_field=1)  # type: ignore[attr-defined]
@@ -120,3 +135,58 @@ async def test_a_bug_in_the_data_of_a_commit_is_fail_stop(bench: Bench) -> None:
     assert (verdict.decision, bench.joint[2], bench.holds) == ("unknown", "0", 1)
     assert verdict.reason is not None
     assert verdict.reason.code == "internal_error"
+
+
+async def test_a_motion_that_has_become_forbidden_under_way_is_fail_stop(bench: Bench) -> None:
+    """Locks rule it out, so that memory is not to be trusted any more."""
+    await bench.go(RETRACTED)
+    gate = bench.script.hang("placement.approach")
+    motion = await bench.begin("placement.approach")
+    bench.dispatcher.procedure._engine.place({"robot": "0"})
+    gate.set()
+    async with asyncio.timeout(10.0):
+        verdict = await motion
+    assert verdict.reason is not None
+    assert (verdict.decision, bench.holds) == ("unknown", 1)
+    assert "It was allowed when placement.approach began" in verdict.reason.text
+    assert bench.dispatcher.snapshot().running == []
+
+
+async def test_a_bug_stays_a_bug_when_the_journal_fails_after_it(bench: Bench) -> None:
+    """A journal that can be written again would not make the memory one to be trusted."""
+
+    async def keep_nonsense(run: object) -> None:
+        run.keep(no_such_field=1)  # type: ignore[attr-defined]
+
+    bench.script.steps["toolplan.plan"] = keep_nonsense
+    await bench.do("toolplan.plan")
+    bench.recorder.failing.add("event")
+    await bench.dispatcher.stop("test:operator")
+    bench.recorder.failing.clear()
+    assert bench.dispatcher.broken is not None
+    assert bench.dispatcher.broken.code == "internal_error"
+    with pytest.raises(PcmrsError, match="Only a restart"):
+        await bench.dispatcher.resume(begun=())
+
+
+@pytest.mark.parametrize("name", ["toolplan.plan", "placement.locate"])
+@pytest.mark.parametrize("cancelled", [True, False])
+async def test_a_recorder_that_breaks_is_fail_stop_and_everybody_is_answered(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, name: str, cancelled: bool
+) -> None:
+    def decision(*_: object, **__: object) -> asyncio.Future[None]:
+        if not cancelled:
+            raise ValueError("no such table")
+        written: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        written.cancel()
+        return written
+
+    await bench.do("robot.connect")
+    monkeypatch.setattr(bench.recorder, "decision", decision)
+    async with asyncio.timeout(10.0):
+        verdict = await bench.do(name)
+    await settle()
+    assert verdict.reason is not None
+    assert (verdict.decision, verdict.reason.code, bench.holds) == ("unknown", "internal_error", 1)
+    shown = bench.dispatcher.snapshot()
+    assert (shown.running, shown.branches["toolplan"], shown.branches["placement"]) == ([], "0", "unknown")

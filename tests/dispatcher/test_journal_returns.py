@@ -8,7 +8,7 @@ import pytest
 from clock import settle
 from dispatcher_fakes import HELD, PLACED, RETRACTED, STANDOFF, Bench
 
-from pcmrs.errors import PcmrsError
+from pcmrs.errors import JournalError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, UnknownOutcome, Verdict
 
 
@@ -30,6 +30,17 @@ async def test_it_goes_on_latched_and_moves_only_after_an_acknowledgement(bench:
     assert reasons(await bench.do("placement.home")) == ("rejected", "latched")
     assert (await bench.do("robot.acknowledge")).decision == "accepted"
     assert (await bench.do("placement.home")).decision == "accepted"
+
+
+async def test_a_robot_that_has_not_confirmed_to_stand_is_told_of_when_it_goes_on(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    bench.recorder.failing.add("decision")
+    await bench.do("placement.home")
+    bench.recorder.failing.clear()
+    bench.hold_error = UnknownOutcomeError("The robot is silent.")
+    await bench.dispatcher.resume(begun=())
+    assert bench.dispatcher.in_doubt
+    assert bench.recorder.rows[-1][:2] == ("event", "hold_not_confirmed")
 
 
 async def test_a_decision_that_the_disk_has_after_all_is_committed(bench: Bench) -> None:
@@ -59,6 +70,15 @@ async def test_a_decision_that_the_disk_has_not_is_as_if_never_asked(bench: Benc
     assert bench.joint == RETRACTED
     assert bench.dispatcher.snapshot().unknown == []
     assert (await bench.do("toolplan.clear", id="clear-1")).decision == "accepted", "a repeat is decided anew"
+
+
+async def test_a_rejection_that_was_not_written_is_decided_anew(bench: Bench) -> None:
+    bench.recorder.failing.add("decision")
+    assert (await bench.do("robot.connect", id="c1")).decision == "unknown"
+    assert reasons(await bench.do("toolplan.plan", id="p1")) == ("rejected", "journal_unavailable")
+    bench.recorder.failing.clear()
+    await bench.dispatcher.resume(begun=())
+    assert (await bench.do("toolplan.plan", id="p1")).decision == "accepted"
 
 
 async def test_a_motion_whose_outcome_was_not_written_leaves_the_placement_unknown(bench: Bench) -> None:
@@ -92,6 +112,43 @@ async def test_a_journal_that_fails_again_leaves_everything_refused_and_doubtful
     await bench.dispatcher.resume(begun={("test:user", "a1")})
     assert bench.joint[4] == "unknown"
     assert (await bench.do("toolplan.clear")).decision == "accepted"
+
+
+async def test_what_could_not_even_be_looked_up_stays_doubtful(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    bench.recorder.failing.add("decision")
+    await bench.do("placement.approach", id="a1")
+    bench.recorder.failing = {"recall"}
+    with pytest.raises(JournalError):
+        await bench.dispatcher.resume(begun={("test:user", "a1")})
+    bench.recorder.failing.clear()
+    await bench.dispatcher.resume(begun={("test:user", "a1")})
+    assert bench.joint[4] == "unknown"
+
+
+async def test_an_acknowledgement_from_before_does_not_answer_the_failure(bench: Bench) -> None:
+    await bench.go(HELD)
+    await bench.dispatcher.stop("test:operator")
+    bench.recorder.failing.add("decision")
+    await bench.do("robot.acknowledge", id="ack")
+    bench.recorder.failing.clear()
+    durable = Verdict(id="ack", branch="robot", operation="acknowledge", decision="accepted", state="1", sequence=99)
+    bench.recorder.earlier["test:user", "ack"] = durable
+    await bench.dispatcher.resume(begun=())
+    assert bench.dispatcher.snapshot().latched
+
+
+async def test_the_journal_goes_on_with_the_states_that_are(bench: Bench) -> None:
+    """Not with those of the decision that was never written."""
+    await bench.go(RETRACTED)
+    bench.recorder.failing.add("decision")
+    await bench.do("toolplan.clear")
+    bench.recorder.failing.clear()
+    await bench.dispatcher.resume(begun=())
+    (states,) = [states for _, name, states, _ in bench.recorder.rows if name == "journal_reopened"]
+    assert tuple(states.values()) == RETRACTED
+    await bench.do("robot.acknowledge")
+    assert tuple(bench.recorder.rows[-1][2].values()) == RETRACTED
 
 
 async def test_a_state_whose_activity_has_ended_is_left(bench: Bench) -> None:
@@ -168,6 +225,32 @@ async def test_an_ending_daemon_is_not_brought_back(bench: Bench) -> None:
     with pytest.raises(PcmrsError):
         await bench.dispatcher.resume(begun=())
     assert reasons(await bench.do("toolplan.clear")) == ("rejected", "ending")
+
+
+async def test_a_daemon_that_ends_while_it_resumes_is_not_brought_back_either(bench: Bench) -> None:
+    bench.recorder.failing.add("decision")
+    await bench.do("toolplan.clear")
+    bench.recorder.failing.clear()
+    gate = bench.recorder.gates["event"] = asyncio.Event()
+    resumed = asyncio.create_task(bench.dispatcher.resume(begun=()))
+    await settle()
+    closing = asyncio.create_task(bench.dispatcher.close())
+    await settle()
+    gate.set()
+    await asyncio.gather(resumed, closing)
+    assert reasons(await bench.do("toolplan.plan")) == ("rejected", "ending")
+
+
+async def test_what_a_user_asked_for_meanwhile_is_not_done_later(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    bench.recorder.failing.add("decision")
+    await bench.do("robot.no_such_operation")
+    assert (await bench.do("robot.disconnect")).decision == "rejected"
+    bench.recorder.failing.clear()
+    bench.script.entered.clear()
+    await bench.dispatcher.resume(begun=())
+    await settle()
+    assert (bench.script.entered, bench.joint) == ([], RETRACTED)
 
 
 async def test_what_an_earlier_run_left_is_shown_and_keeps_the_latch(bench: Bench) -> None:

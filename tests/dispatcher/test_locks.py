@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from ratms_oracle import USER_OPERATIONS
 
 from pcmrs.dispatcher import Run
+from pcmrs.dispatcher.attempt import Locks
 from pcmrs.dispatcher.lanes import MAX_WAITING
 from pcmrs.messages import Verdict
 
@@ -127,6 +128,54 @@ async def test_a_disconnection_waits_for_the_motion_and_is_then_asked_again(benc
     gate.set()
     await motion
     assert code(await disconnect) == "tool_near_patient"
+
+
+async def test_what_waits_takes_the_locks_of_what_it_would_do_in_its_turn(bench: Bench) -> None:
+    """The connection is denied when it is asked for, and would be made while a landmark is checked."""
+    await bench.go(("111", "1", "0", "1", "unknown", "0"))
+    bench.script.entered.clear()
+    checked, disconnected = bench.script.hang("digitization.check_landmark"), bench.script.hang("robot.disconnect")
+    checking, disconnecting = [await bench.begin(name) for name in ("digitization.check_landmark", "robot.disconnect")]
+    connecting = await bench.begin("robot.connect")
+    disconnected.set()
+    assert (await disconnecting).decision == "accepted"
+    await settle()
+    assert "robot.connect" not in bench.script.entered
+    checked.set()
+    await checking
+    assert (await connecting).decision == "accepted"
+
+
+async def test_what_its_parent_forbids_waits_for_the_parent(bench: Bench) -> None:
+    gate = bench.script.hang("robot.connect")
+    connecting = await bench.begin("robot.connect")
+    locating = await bench.begin("placement.locate")
+    assert not locating.done()
+    gate.set()
+    await connecting
+    assert (await locating).decision == "accepted"
+
+
+async def test_what_waits_longer_than_its_sender_wanted_is_not_done(worldly_bench: Bench) -> None:
+    gate = worldly_bench.script.hang("toolplan.plan")
+    running = await worldly_bench.begin("toolplan.plan")
+    waiting = await worldly_bench.begin("toolplan.plan", sent=worldly_bench.clock.wall(), ttl=2.0)
+    await worldly_bench.clock.advance(2.5)
+    gate.set()
+    assert (await running).decision == "accepted"
+    assert code(await waiting) == "expired"
+
+
+branches = st.frozensets(st.sampled_from("abcd"))
+
+
+@given(branches, branches, branches, branches)
+def test_two_are_in_each_other_s_way_where_one_writes_what_the_other_touches(
+    writes: frozenset[str], reads: frozenset[str], other_writes: frozenset[str], other_reads: frozenset[str]
+) -> None:
+    touched, touched_by_other = writes | reads, other_writes | other_reads
+    expected = bool(writes & touched_by_other) or bool(other_writes & touched)
+    assert Locks(writes, reads).conflicts(Locks(other_writes, other_reads)) == expected
 
 
 async def test_the_queue_is_bounded(worldly_bench: Bench) -> None:

@@ -67,6 +67,15 @@ async def test_03_a_refused_check_is_rejected_and_named(bench: Bench) -> None:
     assert bench.snapshots()[-1].running == []
 
 
+async def test_03_a_motion_that_a_check_refuses_takes_no_step(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    bench.script.entered.clear()
+    bench.script.checks["placement.approach"] = RefusalError("unreachable", "The target cannot be reached.")
+    verdict = await bench.do("placement.approach", id="a1")
+    assert (verdict.decision, code(verdict), bench.joint) == ("rejected", "unreachable", RETRACTED)
+    assert (bench.script.entered, bench.recorder.kinds("a1")) == ([], ["decision"])
+
+
 async def test_03_a_check_that_raises_is_rejected(bench: Bench) -> None:
     bench.script.checks["toolplan.plan"] = ZeroDivisionError()
     assert code(await bench.do("toolplan.plan")) == "check_raised"
@@ -178,6 +187,7 @@ async def test_05_a_rejection_is_a_value_with_branch_state_reason_and_what_is_al
         ("toolplan.think", {}, "unknown_operation"),
         ("toolplan.plan", {"value": 1}, "bad_arguments"),
         ("toolplan.plan", {"values": "many"}, "bad_arguments"),
+        ("toolplan.plan", {"values": ["1.5"]}, "bad_arguments"),
         ("toolplan.plan", {"values": [1.0, float("nan")]}, "bad_arguments"),
         ("toolplan.plan", {"values": [float("-inf")]}, "bad_arguments"),
         ("toolplan.clear", {"values": []}, "bad_arguments"),

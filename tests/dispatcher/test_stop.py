@@ -7,12 +7,15 @@ import contextlib
 from typing import Any
 
 import pytest
+from altered import with_operation
 from clock import settle
-from dispatcher_fakes import HELD, PLACED, RETRACTED, STANDOFF, Bench, Notes
+from dispatcher_fakes import HELD, PLACED, RATMS, RETRACTED, STANDOFF, Bench, Notes
 from ratms_oracle import INITIAL
 
 from pcmrs.dispatcher import Run
-from pcmrs.errors import UnknownOutcomeError
+from pcmrs.dispatcher.hold import Hold
+from pcmrs.dispatcher.tasks import Tasks
+from pcmrs.errors import RefusalError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, Reason, Verdict
 
 
@@ -207,6 +210,26 @@ async def test_nothing_moves_until_acknowledged(bench: Bench) -> None:
     assert (await bench.do("placement.back_off")).decision == "accepted"
 
 
+async def test_what_is_latched_is_not_told_as_allowed(bench: Bench) -> None:
+    await bench.go(HELD)
+    await bench.dispatcher.stop("test:operator")
+    refused = await bench.do("placement.back_off")
+    assert "back_off" not in refused.allowed
+    await bench.do("robot.acknowledge")
+    assert "back_off" in (await bench.do("placement.no_such_operation")).allowed
+
+
+async def test_who_gives_up_ends_the_hold_of_nobody_else() -> None:
+    stands = asyncio.Event()
+    hold = Hold(stands.wait, Tasks())
+    impatient, patient = (asyncio.create_task(hold.confirmed()) for _ in range(2))
+    await settle()
+    impatient.cancel()
+    await settle()
+    stands.set()
+    assert await patient
+
+
 async def test_an_acknowledgement_does_not_answer_a_later_stop(bench: Bench) -> None:
     await bench.go(HELD)
     await bench.dispatcher.stop("test:operator")
@@ -219,6 +242,20 @@ async def test_an_acknowledgement_does_not_answer_a_later_stop(bench: Bench) -> 
     assert bench.dispatcher.snapshot().latched
     assert (await bench.do("robot.acknowledge")).decision == "accepted"
     assert not bench.dispatcher.snapshot().latched
+
+
+async def test_an_acknowledgement_that_is_refused_releases_nothing() -> None:
+    bench = Bench(with_operation(RATMS, "robot", "acknowledge", checks=("has_looked",)))
+    await bench.go(HELD)
+    bench.hold_error = UnknownOutcomeError("The robot is silent.")
+    await bench.dispatcher.stop("test:operator")
+    bench.script.checks["robot.acknowledge"] = RefusalError("not_looked", "Look at the robot first.")
+    assert code(await bench.do("robot.acknowledge")) == "not_looked"
+    assert (bench.dispatcher.snapshot().latched, bench.dispatcher.in_doubt) == (True, True)
+    bench.script.checks.clear()
+    assert (await bench.do("robot.acknowledge")).decision == "accepted"
+    assert (bench.dispatcher.snapshot().latched, bench.dispatcher.in_doubt) == (False, False)
+    await bench.dispatcher.close()
 
 
 @pytest.mark.parametrize("event_code", ["hold_not_confirmed", "force_limit"])
@@ -264,6 +301,14 @@ async def test_an_event_without_danger_is_journalled_and_stops_nothing(bench: Be
     assert not bench.dispatcher.snapshot().latched
 
 
+async def test_what_a_device_says_starts_no_operation_of_users(bench: Bench) -> None:
+    """Whatever its code is: only operations that are declared as events follow from it."""
+    await bench.go(STANDOFF)
+    bench.script.entered.clear()
+    await bench.dispatcher.report(DeviceEvent(device="robot", code="home", text="At home."))
+    assert (bench.script.entered, bench.joint) == ([], STANDOFF)
+
+
 async def test_stop_gives_its_reason(bench: Bench) -> None:
     bench.script.hang("robot.connect")
     task = await bench.begin("robot.connect")
@@ -297,6 +342,7 @@ async def test_a_stop_whose_hold_is_not_confirmed_says_so_until_it_is_acknowledg
     assert bench.recorder.rows[-1][:2] == ("event", "hold_not_confirmed")
     bench.hold_error = None
     assert await bench.dispatcher.stop("test:operator")
+    assert (await bench.do("toolplan.plan")).decision == "accepted"
     assert bench.dispatcher.in_doubt, "nobody has looked yet"
     await bench.do("robot.acknowledge")
     assert not bench.dispatcher.in_doubt

@@ -38,6 +38,7 @@ class FakeCore:
         self.gates: dict[str, asyncio.Event] = defaultdict(_open_gate)
         self.stops: list[str] = []
         self.stands = True
+        self.events: list[DeviceEvent] = []
         self._on_stop: list[Callable[[], None]] = []
         self.on_published: Callable[[Snapshot | Verdict | DeviceEvent], None] | None = None
         self._verdicts: dict[tuple[str, str], Verdict] = {}
@@ -74,6 +75,9 @@ class FakeCore:
         for callback in self._on_stop:
             callback()
         return self.stands
+
+    def report(self, event: DeviceEvent) -> None:
+        self.events.append(event)
 
     def on_stop(self, callback: Callable[[], None]) -> None:
         self._on_stop.append(callback)
@@ -135,7 +139,7 @@ class ManualClock:
 
     def __init__(self) -> None:
         self.now = 100.0
-        self._timeouts: list[asyncio.Timeout] = []
+        self._timeouts: list[tuple[float, asyncio.Timeout]] = []
 
     def monotonic(self) -> float:
         return self.now
@@ -148,12 +152,12 @@ class ManualClock:
         await asyncio.sleep(0)
 
     def timeout(self, seconds: float) -> asyncio.Timeout:
-        self._timeouts.append(asyncio.timeout(None))
-        return self._timeouts[-1]
+        self._timeouts.append((seconds, asyncio.timeout(None)))
+        return self._timeouts[-1][1]
 
-    def expire(self) -> None:
-        """Lets the timeouts entered so far pass."""
-        for timeout in self._timeouts:
+    def expire(self, within: float) -> None:
+        """Lets the timeouts entered so far pass, those of at most so many seconds."""
+        for timeout in (timeout for seconds, timeout in self._timeouts if seconds <= within):
             timeout.reschedule(0.0)
         self._timeouts.clear()
 

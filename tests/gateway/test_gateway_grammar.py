@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from pcmrs.errors import PayloadError
 from pcmrs.gateway.commands import COMMANDS, Kind, Second, Spec, Value
 from pcmrs.gateway.grammar import MAX_BYTES, format_command, parse, parse_tool_points
-from pcmrs.gateway.outcome import NO_DATA, Outcome
+from pcmrs.gateway.outcome import NO_DATA, Outcome, of_verdict
+from pcmrs.messages import Verdict
 from pcmrs.planner import parse_reply
 
 _TOKENS: dict[Kind, st.SearchStrategy[Value]] = {
@@ -121,8 +122,43 @@ def test_results_follow_an_acceptance(numbers: list[float]) -> None:
 
 
 def test_a_refused_registration_never_shows_numbers() -> None:
-    assert Outcome("rejected", "registration", "110", "residual_too_large").second(Second.RESIDUAL) == NO_DATA
+    for refused in ("rejected", "failed"):
+        outcome = Outcome(refused, "registration", "110", "residual_too_large", (2.3,))
+        assert outcome.second(Second.RESIDUAL) == NO_DATA
     assert Outcome("accepted", "registration", "111", numbers=(2.300912,)).second(Second.RESIDUAL) == "2.300912"
+
+
+def test_an_outcome_that_nobody_knows_is_told_as_such() -> None:
+    unknown = Verdict(
+        id="1", branch="placement", operation="approach", decision="unknown", state="unknown", sequence=1,
+        result={"residual": 0.001},
+    )  # fmt: skip
+    assert of_verdict(unknown).reply("7") == "7_failed_placement_unknown_outcome_unknown;"
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "client_id"),
+    [
+        ("rob_conn_onxxxxx", (1.0,), None),
+        ("target_tslxxxxxx", (0.0, 0.0, float("inf")), None),
+        ("target_tslxxxxxx", (0.0, 0.0), None),
+        ("img_fid_numxxxxx", (-1,), None),
+        ("no_command_at_al", (), None),
+        ("rob_conn_onxxxxx", (), "12345678901"),
+        ("rob_conn_onxxxxx", (), "a"),
+    ],
+)
+def test_what_the_gateway_would_refuse_is_not_formatted(
+    name: str, values: tuple[Value, ...], client_id: str | None
+) -> None:
+    with pytest.raises(PayloadError):
+        format_command(name, *values, client_id=client_id)
+
+
+@pytest.mark.parametrize("numbers", ["", "_", "1_2_3_4_5", "1_2_3_4_5_6_7", "1_2_3_4_5_x", "1_2_3_4_5_1e999"])
+def test_a_tool_pose_has_six_numbers(numbers: str) -> None:
+    with pytest.raises(PayloadError):
+        parse_tool_points(f"__msg_toolpose_{numbers}".encode())
 
 
 @given(st.binary(max_size=100))

@@ -65,7 +65,7 @@ async def test_a_late_result_is_never_sent(cell: Any) -> None:
     cell.core.gates["register"].clear()
     assert await cell.tell("start_registrati;") == "ack"
     await cell.core.arrived.wait()
-    cell.clock.expire()
+    cell.clock.expire(0.4)  # so long clients wait
     assert await cell.replies.received.get() == "no_data_returned;"
     cell.core.gates["register"].set()
     # Commands of a peer run in order, so the registration has ended when this second one has.
@@ -111,6 +111,12 @@ async def test_half_a_plan_holds_motion_back_too(cell: Any) -> None:
     cell.clock.now += 1.5
     assert await cell.ask("target_tslxxxxxx_0_0_0_#3;") == "3_rejected_toolplan_0_rotation_too_old;"
     assert (await cell.ask("execute_motionxx_#4;")).endswith("plan_not_accepted;")
+    assert cell.core.commands == []
+
+
+async def test_an_announced_plan_holds_motion_back_too(cell: Any) -> None:
+    await cell.ask("img_fid_numxxxxx_02_#1;")
+    assert (await cell.ask("execute_motionxx_#2;")).endswith("plan_not_accepted;")
     assert cell.core.commands == []
 
 
@@ -170,6 +176,15 @@ async def test_stop_passes_what_runs_and_rejects_what_waits(cell: Any) -> None:
     await cell.tell("rob_conn_onxxxxx;")
     await settle(cell)
     assert cell.core.operations == ["digitize_all", "connect"]
+
+
+async def test_stop_without_an_id_waits_for_nothing_either(cell: Any) -> None:
+    cell.core.gates["approach"].clear()
+    await cell.tell("execute_motionxx;", cell.robot)
+    assert await cell.tell("stop_now_xxxxxxx;", cell.robot) == "ack"
+    await settle(cell, cell.robot)
+    assert cell.core.operations == ["approach"]
+    assert len(cell.core.stops) == 1
 
 
 async def test_a_stop_that_is_not_confirmed_is_no_success(cell: Any) -> None:
@@ -278,9 +293,16 @@ async def test_bad_datagrams_are_counted_and_change_nothing(cell: Any) -> None:
         cell.client.send(data, cell.planner)
     await settle(cell)
     assert cell.gateway.counters.refused == len(bad)
+    assert cell.core.events[0].fields["source"] == f"udp:planner:127.0.0.1:{cell.client.port}"
     assert cell.core.commands == []
     assert cell.client.received.empty()
     assert cell.replies.received.empty()
+
+
+async def test_what_the_gateway_itself_refuses_is_told_with_its_reason(cell: Any) -> None:
+    assert (await cell.ask("target_tslxxxxxx_0_0_0.1_#5;")).endswith("_no_rotation;")
+    (event,) = cell.core.events
+    assert event.fields == {"count": 1, "source": f"udp:planner:127.0.0.1:{cell.client.port}", "reason": "no_rotation"}
 
 
 async def test_the_mep_link_does_not_reply_and_logs_poses(cell: Any) -> None:

@@ -26,6 +26,23 @@ def test_a_series_is_complete_exactly_when_every_index_came_once(count: int, ind
         assert landmarks == [{"name": f"p{i}", "position": [float(i), 0.0, 0.0]} for i in range(count)]
 
 
+@given(st.integers(1, 6).flatmap(lambda count: st.permutations(range(count))), st.integers(0, 8), st.integers(0, 6))
+def test_one_landmark_too_many_drops_the_series(order: list[int], extra: int, place: int) -> None:
+    """Also the last one, of a series that was complete without it."""
+    series = LandmarkSeries()
+
+    def send(indices: list[int]) -> None:
+        series.announce(len(order))
+        for index in indices:
+            series.add(index, [0.0, 0.0, 0.0])
+
+    with pytest.raises(RefusalError) as refusal:
+        send([*order[:place], extra, *order[place:]])
+    assert refusal.value.refusal_code == "bad_series"
+    with pytest.raises(RefusalError, match="announce"):
+        series.finish()
+
+
 def test_a_new_announcement_drops_the_points_before_it() -> None:
     series = LandmarkSeries()
     series.announce(1)

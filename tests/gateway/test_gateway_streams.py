@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import csv
+import os
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.gateway.records import Records, placement_text
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.gateway.streams import Streams, point_message, pose_message, unity_message
-from pcmrs.gateway.tasks import Tasks
+from pcmrs.gateway.tasks import Repetition, Tasks
 from pcmrs.spatial import Transform
 
 _rotvecs = st.tuples(*[st.floats(-1.5, 1.5)] * 3)
@@ -147,3 +148,37 @@ async def test_a_placement_without_a_measured_pose_is_not_saved(tmp_path: Path) 
     core.pose = None
     with pytest.raises(RefusalError, match="no fresh measured pose"):
         await records.save_placement()
+
+
+async def test_a_record_gets_its_name_when_the_disk_has_all_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sync, synced = os.fsync, []
+
+    def look(descriptor: int) -> None:
+        sync(descriptor)
+        synced.append((os.fstat(descriptor).st_size, [path.suffix for path in tmp_path.iterdir()]))
+
+    monkeypatch.setattr(os, "fsync", look)
+    path = await Records(FakeCore(), ManualClock(), tmp_path, Tasks()).save_placement()
+    assert synced == [(path.stat().st_size, [".part"])]
+    assert path.suffix == ".yaml"
+
+
+async def test_ticks_missed_in_a_stall_are_not_made_up_for() -> None:
+    clock, tasks, times = ManualClock(), Tasks(), []
+    enough = asyncio.Event()
+
+    def tick() -> None:
+        times.append(clock.now)
+        clock.now += 1.0 if len(times) == 2 else 0.0
+        if len(times) == 8:
+            enough.set()
+
+    repetition = Repetition(clock, 10.0, tick, tasks)
+    repetition.start()
+    await enough.wait()
+    repetition.stop()
+    await tasks.close()
+    assert times[2] == pytest.approx(times[1] + 1.0), "the stall is over"
+    assert np.diff(times[2:8]) == pytest.approx(0.1)

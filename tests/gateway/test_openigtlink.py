@@ -254,6 +254,7 @@ async def test_what_are_no_landmarks_is_refused(room: Room, positions: Any, code
     room.slicer.send(wire.points("Landmarks", positions, [""] * len(positions)))
     assert (await room.slicer.verdict()).startswith(f"rejected registration.plan_landmarks {code}: ")
     assert room.core.commands == []
+    assert [event.fields["reason"] for event in room.core.events] == [code]
 
 
 async def test_a_plan_that_the_daemon_rejects_is_shown_until_one_is_accepted(room: Room) -> None:
@@ -267,11 +268,15 @@ async def test_a_plan_that_the_daemon_rejects_is_shown_until_one_is_accepted(roo
     await room.slicer.status(1)
 
 
-async def test_a_refused_plan_holds_the_motions_of_its_host_back(room: Room) -> None:
+@pytest.mark.parametrize("by_daemon", [True, False])
+async def test_a_refused_plan_holds_the_motions_of_its_host_back(room: Room, by_daemon: bool) -> None:
     panel, robot = await UdpClient.open(), room.gateway.addresses["robot"]
     assert (await panel.ask("execute_motionxx_#1;", robot)).startswith("1_accepted")
-    room.slicer.send(wire.transform(TARGET, np.eye(4)))
+    if by_daemon:
+        room.core.refusals["plan"] = "unreachable"
+    room.slicer.send(wire.transform(TARGET, planned_mm((41.0, 60.0, 80.0)) if by_daemon else np.eye(4)))
     assert (await room.slicer.verdict()).startswith("rejected")
+    room.core.refusals.clear()
     assert (await panel.ask("execute_motionxx_#2;", robot)).endswith("plan_not_accepted;")
     room.slicer.send(wire.transform(TARGET, planned_mm()))
     assert (await room.slicer.verdict()).startswith("accepted")

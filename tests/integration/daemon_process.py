@@ -24,6 +24,8 @@ from pcmrs.planner import Planner
 from pcmrs.service import Ready
 
 PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "ratms_plan.json").read_text())
+AT_REST = 1e-3
+"""Joint velocity below which the simulated arm counts as standing, rad/s."""
 START_TIME = 60.0
 """Seconds in which a daemon is ready on a machine that does much else."""
 PATIENCE = 20.0
@@ -182,6 +184,12 @@ def running_daemon(settings: Sequence[str], folder: Path) -> Iterator[ServeProce
             os.kill(node, signal.SIGKILL)
         if process.stdout is not None:
             process.stdout.close()
+
+
+async def stands_still(client: Client) -> bool:
+    """Whether the robot itself, asked past the daemon, measures no motion."""
+    state = await client.request_device("robot", "joints")
+    return bool(max(map(abs, state["velocities"])) < AT_REST)
 
 
 def is_running(pid: int) -> bool:

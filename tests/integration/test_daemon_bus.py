@@ -13,9 +13,9 @@ import msgspec
 import pytest
 import zenoh
 from daemon_process import PATIENCE, ServeProcess
-from driving import LANDMARKS, accepted
 
 from pcmrs.bus.keys import KEYS
+from pcmrs.campaign.driving import accept, landmarks
 from pcmrs.client import Client, Event
 from pcmrs.messages import BodyPose, JointState, Snapshot, Verdict
 
@@ -64,12 +64,12 @@ async def _first(events: AsyncIterator[Event], kind: type[Event], **fields: Any)
 
 
 async def test_a_late_joiner_gets_the_snapshot_and_then_every_decision(daemon: ServeProcess, client: Client) -> None:
-    await accepted(client, "registration.plan_landmarks", **LANDMARKS)
+    await accept(client, "registration.plan_landmarks", **landmarks())
     async with daemon.client() as late, aclosing(late.watch()) as events:
         snapshot = await _first(events, Snapshot)
         assert snapshot.branches["registration"] == "100"
         assert snapshot == await late.state()
-        verdict = await accepted(client, "registration.clear_landmarks")
+        verdict = await accept(client, "registration.clear_landmarks")
         # Events are never dropped and go first, of snapshots only the newest counts: either may come before the other.
         shown: set[type[Event]] = set()
         async with asyncio.timeout(PATIENCE):
@@ -135,10 +135,10 @@ def test_a_query_in_json_is_answered_in_json(daemon: ServeProcess) -> None:
 
 
 async def test_a_repeated_id_runs_nothing_and_gets_the_recorded_verdict(client: Client) -> None:
-    first = await client.call("registration.plan_landmarks", LANDMARKS, id="once")
-    await accepted(client, "registration.clear_landmarks")
+    first = await client.call("registration.plan_landmarks", landmarks(), id="once")
+    await accept(client, "registration.clear_landmarks")
     sequence = (await client.state()).sequence
-    assert await client.call("registration.plan_landmarks", LANDMARKS, id="once") == first
+    assert await client.call("registration.plan_landmarks", landmarks(), id="once") == first
     state = await client.state()
     assert state.sequence == sequence
     assert state.branches["registration"] == "000"

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 from daemon_process import PATIENCE, ServeProcess, own_settings, running_daemon
-from driving import accepted, register, until
 
+from pcmrs.campaign.driving import accept, calmed, showing, to_standoff, until
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.devices.remote import RemoteScene
@@ -47,15 +47,10 @@ class Bedside:
         client.listen("state/joints", JointState, self._see)
 
     async def place(self) -> None:
-        """From wherever the coil is to its place at the head."""
-        state = await self.client.state()
-        if state.latched:
-            await accepted(self.client, "robot.acknowledge")
-        await register(self.client)  # plans anew, so that a coil at the head is held
-        if (await self.client.state()).branches["placement"] != "retracted":
-            await accepted(self.client, "placement.back_off")
-        await accepted(self.client, "placement.approach")
-        await accepted(self.client, "placement.confirm")
+        """From wherever the coil is to its place at the head, anew."""
+        await calmed(self.client)
+        await to_standoff(self.client)
+        await accept(self.client, "placement.confirm")
 
     async def push(self, depth: float) -> None:
         """Shifts the head against the coil, along the coil's axis, m."""
@@ -67,7 +62,7 @@ class Bedside:
         """The next alarm, of which the daemon has latched by then."""
         async with asyncio.timeout(PATIENCE):
             fields = await self.alarms.get()
-        await until(self.client, placement="held")
+        await until(self.client, showing(placement="held"))
         assert (await self.client.state()).latched
         return fields
 
@@ -94,7 +89,7 @@ async def bedside(pressing_daemon: ServeProcess) -> AsyncIterator[Bedside]:
 
 
 async def test_the_coil_presses_as_asked(bedside: Bedside) -> None:
-    verdict = await accepted(bedside.client, "placement.press", force=3.0)
+    verdict = await accept(bedside.client, "placement.press", force=3.0)
     assert verdict.result is not None
     assert verdict.result["force"] == pytest.approx(3.0, abs=0.5)
     assert await bedside.force() == pytest.approx(3.0, abs=0.5)
@@ -115,14 +110,14 @@ async def test_a_head_that_leans_on_the_coil_stops_and_latches(bedside: Bedside)
     assert 0.0 < fields["relieved"] <= RELIEF + 1e-4
     assert await bedside.force() < LIMIT
     assert (await bedside.client.call("placement.back_off")).decision == "rejected"
-    await accepted(bedside.client, "robot.acknowledge")
-    await accepted(bedside.client, "placement.back_off")
+    await accept(bedside.client, "robot.acknowledge")
+    await accept(bedside.client, "placement.back_off")
     assert await bedside.force() == 0.0
 
 
 @pytest.mark.nightly
 async def test_too_much_force_ends_a_press(bedside: Bedside) -> None:
-    await accepted(bedside.client, "placement.nudge", translation=[0.0, 0.0, 0.008])
+    await accept(bedside.client, "placement.nudge", translation=[0.0, 0.0, 0.008])
     press = asyncio.create_task(bedside.client.call("placement.press", {"force": 1.0}))
     async with asyncio.timeout(PATIENCE):
         await bedside.moving.wait()

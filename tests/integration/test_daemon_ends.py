@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 from daemon_process import SLOW, is_running, own_settings, running_daemon, wait_until
-from driving import accepted, approaching
 
+from pcmrs.campaign.driving import accept, moving, register
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.journal import JournalReader, JournalRow
 
@@ -26,10 +26,12 @@ def _rows(folder: Path) -> list[JournalRow]:
 async def test_a_signal_holds_the_motion_before_everything_ends(tmp_path: Path, number: int) -> None:
     with running_daemon([*own_settings(tmp_path), *SLOW], tmp_path) as daemon:
         nodes = daemon.children()
-        async with daemon.client() as client, approaching(daemon, client) as approach:
-            status = await asyncio.to_thread(daemon.end, number)
-            with suppress(UnknownOutcomeError):  # the bus may be closed before the answer is through
-                assert (await approach).state == "held"
+        async with daemon.client() as client:
+            await register(client)
+            async with moving(client) as approach:
+                status = await asyncio.to_thread(daemon.end, number)
+                with suppress(UnknownOutcomeError):  # the bus may be closed before the answer is through
+                    assert (await approach).state == "held"
         assert status == 0
         assert nodes
         assert not any(map(is_running, nodes))
@@ -48,7 +50,8 @@ async def test_nodes_end_by_themselves_after_the_daemon_is_killed_and_its_succes
         nodes = daemon.children()
         async with daemon.client() as client:
             planned = await client.call("registration.clear_landmarks", id="before-the-crash")
-            async with approaching(daemon, client) as approach:
+            await register(client)
+            async with moving(client) as approach:
                 daemon.end(signal.SIGKILL)
                 with pytest.raises(UnknownOutcomeError):
                     await approach
@@ -65,7 +68,7 @@ async def test_nodes_end_by_themselves_after_the_daemon_is_killed_and_its_succes
                 "alignment": "0",
             }
             assert await client.call("registration.clear_landmarks", id="before-the-crash") == planned
-            await accepted(client, "robot.connect")
+            await accept(client, "robot.connect")
         assert "Traceback" not in successor.log
     (lost,) = (row for row in _rows(tmp_path) if row.verdict is not None and row.verdict.decision == "unknown")
     assert (lost.branch, lost.operation) == ("placement", "approach")

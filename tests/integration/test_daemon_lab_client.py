@@ -8,8 +8,8 @@ from contextlib import asynccontextmanager
 
 import pytest
 from daemon_process import PLAN, ServeProcess
-from driving import accepted, start_anew, until, until_shown
 
+from pcmrs.campaign.driving import accept, showing, start_anew, until
 from pcmrs.client import Client
 
 ACK_WITHIN = 0.5
@@ -82,7 +82,7 @@ async def test_the_workflow_with_fixed_reply_ports(daemon: ServeProcess, client:
     async with _lab_client(daemon) as lab:
         assert await lab.ask("robot", "get_jnt_angsxxxx;") == "no_data_returned;"
         await lab.tell("robot", "rob_conn_onxxxxx;")
-        await until(client, robot="1", placement="retracted")
+        await until(client, showing(robot="1", placement="retracted"))
         joints = await lab.ask("robot", "get_jnt_angsxxxx;")
         assert joints.endswith("_")
         assert len(joints.removesuffix("_").split("_")) == 7
@@ -92,21 +92,21 @@ async def test_the_workflow_with_fixed_reply_ports(daemon: ServeProcess, client:
         assert await lab.ask("planner", "start_registrati;") == "no_data_returned;"
         for command in _plan_of_landmarks():
             await lab.tell("planner", command)
-        await until(client, registration="100")
+        await until(client, showing(registration="100"))
         await lab.tell("planner", "start_autodigitz;")
-        await until(client, digitization="1")
+        await until(client, showing(digitization="1"))
         assert 0.1 < float(await lab.ask("planner", "start_registrati;")) < 4.0
         for command in _plan_of_pose(0):
             await lab.tell("planner", command)
-        await until(client, toolplan="1")
+        await until(client, showing(toolplan="1"))
         await lab.tell("robot", "execute_motionxx;")
-        await until(client, placement="standoff")
+        await until(client, showing(placement="standoff"))
         await lab.tell("robot", "execute_confirmx;")
-        await until(client, placement="placed")
+        await until(client, showing(placement="placed"))
         await lab.tell("robot", "execute_bkoffset;")
-        await until(client, placement="standoff")
+        await until(client, showing(placement="standoff"))
         await lab.tell("robot", "execute_homexxxx;")
-        await until(client, placement="retracted")
+        await until(client, showing(placement="retracted"))
         assert lab.quiet()
 
 
@@ -115,13 +115,13 @@ async def test_after_a_refused_plan_no_motion_goes_to_the_old_target(daemon: Ser
     async with _lab_client(daemon) as lab:
         for command in _plan_of_landmarks():
             await lab.tell("planner", command)
-        await until(client, registration="100")
-        await accepted(client, "robot.connect")
-        await accepted(client, "digitization.digitize_all")
-        await accepted(client, "registration.register")
+        await until(client, showing(registration="100"))
+        await accept(client, "robot.connect")
+        await accept(client, "digitization.digitize_all")
+        await accept(client, "registration.register")
         for command in _plan_of_pose(0):
             await lab.tell("planner", command)
-        await until(client, toolplan="1", placement="retracted")
+        await until(client, showing(toolplan="1", placement="retracted"))
         plan = (await client.state()).plan
         await lab.tell("planner", "target_rotxxxxxx_0.0_0.0_0.0_1.0;")
         await lab.tell("planner", "target_tslxxxxxx_120.0_0.0_80.0;")
@@ -133,11 +133,11 @@ async def test_after_a_refused_plan_no_motion_goes_to_the_old_target(daemon: Ser
         assert all(running.branch != "placement" for running in state.running)
         for command in _plan_of_pose(1):
             await lab.tell("planner", command)
-        await until_shown(client, lambda snapshot: snapshot.plan != plan)
+        await until(client, lambda snapshot: snapshot.plan != plan)
         await lab.tell("robot", "execute_motionxx;")
-        await until(client, placement="standoff")
+        await until(client, showing(placement="standoff"))
         await lab.tell("robot", "execute_homexxxx;")
-        await until(client, placement="retracted")
+        await until(client, showing(placement="retracted"))
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 from daemon_process import PLAN, as_words, own_settings, run_pcmrs, running_daemon
-from driving import accepted, register
 
+from pcmrs.campaign.driving import accept, register
 from pcmrs.errors import CommandRefusedError
 from pcmrs.workflows import find_workflow
 
@@ -20,18 +20,18 @@ async def test_a_workflow_of_two_branches_without_a_robot(tmp_path: Path) -> Non
         assert Path(daemon.ready.journal) == tmp_path / "biopsy.sqlite"
         async with daemon.client() as client, daemon.planner() as planner:
             await planner.plan_landmarks([landmark["position"] for landmark in PLAN["landmarks"]])
-            await accepted(client, "registration.digitize_all")
+            await accept(client, "registration.digitize_all")
             assert 0.1 < await planner.register() < 4.0
             for refused in (planner.connect(), planner.approach(), planner.digitize_all()):
                 with pytest.raises(CommandRefusedError, match="unknown_branch"):
                     await refused
             with pytest.raises(CommandRefusedError, match="unknown_branch"):
                 await planner.plan_pose(PLAN["poses"][0]["position"], PLAN["poses"][0]["quat_xyzw"])
-            await accepted(client, "needle.plan_path", entry=[0.01, 0.02, 0.12], target=[0.01, 0.02, 0.05])
-            assert (await accepted(client, "needle.insert")).state == "at_target"
+            await accept(client, "needle.plan_path", entry=[0.01, 0.02, 0.12], target=[0.01, 0.02, 0.05])
+            assert (await accept(client, "needle.insert")).state == "at_target"
             await planner.stop()
-            await accepted(client, "needle.sample")
-            assert (await accepted(client, "needle.withdraw")).state == "out"
+            await accept(client, "needle.sample")
+            assert (await accept(client, "needle.withdraw")).state == "out"
         assert daemon.end() == 0
         assert "Traceback" not in daemon.log
 
@@ -48,7 +48,7 @@ async def test_a_journal_is_taken_up_under_a_changed_workflow_only_by_a_declared
     workflow.write_text(f"# A comment changes nothing.\n{shipped}")
     with running_daemon(settings, tmp_path) as daemon:
         async with daemon.client() as client:
-            await accepted(client, "registration.use_previous")
+            await accept(client, "registration.use_previous")
     changed = shipped.replace("timeout_s = 300", "timeout_s = 200")
     assert changed != shipped
     workflow.write_text(changed)
@@ -61,5 +61,5 @@ async def test_a_journal_is_taken_up_under_a_changed_workflow_only_by_a_declared
     workflow.write_text(f"{changed}\n{table}\n")
     with running_daemon(settings, tmp_path) as daemon:
         async with daemon.client() as client:
-            await accepted(client, "registration.use_previous")
+            await accept(client, "registration.use_previous")
         assert "Traceback" not in daemon.log

@@ -25,9 +25,9 @@ from daemon_process import (
     running_daemon,
     wait_until,
 )
-from driving import accepted
 
 from pcmrs.bus import Bus, BusSettings
+from pcmrs.campaign.driving import accept
 from pcmrs.cli import main
 from pcmrs.client import Client
 from pcmrs.journal import JournalReader
@@ -76,7 +76,7 @@ async def test_what_was_recorded_is_heard_again_byte_for_byte_and_never_at_a_liv
     file = tmp_path / "run.mcap"
     with recorder(daemon, file) as process:
         async with daemon.client() as client:
-            await accepted(client, "registration.reinit")
+            await accept(client, "registration.reinit")
         report = ended(process)
     assert report.dropped == 0
     reading = Reading(file)
@@ -199,7 +199,7 @@ async def test_a_session_is_recorded_whatever_becomes_of_its_recorder_and_export
             event = await restarted
             assert not event.danger
             assert not (await client.state()).latched
-            await accepted(client, "registration.reinit")
+            await accept(client, "registration.reinit")
         second = await asyncio.to_thread(wait_until, lambda: len(files()) == 2 and heard(files()[1], "state/fsm"), 60)
         assert second
         assert daemon.end() == 0

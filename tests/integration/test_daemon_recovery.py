@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 from daemon_process import SLOW, own_settings, running_daemon, wait_until
-from driving import accepted, approaching, until
 
+from pcmrs.campaign.driving import accept, moving, register, showing, until
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.journal import JournalReader
 
@@ -31,10 +31,12 @@ async def test_after_a_kill_in_a_motion_nothing_moves_until_the_operator_has_loo
 ) -> None:
     settings = [*own_settings(tmp_path), *SLOW]
     with running_daemon(settings, tmp_path) as daemon:
-        async with daemon.client() as client, approaching(daemon, client) as approach:
-            daemon.end(signal.SIGKILL)
-            with pytest.raises(UnknownOutcomeError):
-                await approach
+        async with daemon.client() as client:
+            await register(client)
+            async with moving(client) as approach:
+                daemon.end(signal.SIGKILL)
+                with pytest.raises(UnknownOutcomeError):
+                    await approach
     with running_daemon(settings, tmp_path) as successor:
         async with successor.client() as client:
             state = await client.state()
@@ -48,15 +50,15 @@ async def test_after_a_kill_in_a_motion_nothing_moves_until_the_operator_has_loo
             assert json.loads(successor.pcmrs("state", "--json").stdout)["unknown"][0]["command"] == lost.command
             assert "unknown_outcome" in successor.log
             # Only what an operator asks for is taken back.
-            await accepted(client, "registration.use_previous")
-            await accepted(client, "toolplan.use_previous")
-            await accepted(client, "robot.connect")
-            await until(client, placement="retracted")
+            await accept(client, "registration.use_previous")
+            await accept(client, "toolplan.use_previous")
+            await accept(client, "robot.connect")
+            await until(client, showing(placement="retracted"))
             assert (await client.state()).unknown == [], "locating the arm has settled it"
             refused = await client.call("placement.approach")
             assert refused.reason is not None
             assert refused.reason.code == "latched"
-            await accepted(client, "robot.acknowledge")
+            await accept(client, "robot.acknowledge")
             assert not (await client.state()).latched
         assert successor.end() == 0
     with JournalReader(tmp_path / "ratms.sqlite") as journal:
@@ -84,4 +86,4 @@ async def test_damage_of_long_ago_is_told_after_the_start_and_holds_nothing(tmp_
         async with successor.client() as client:
             assert await asyncio.to_thread(wait_until, lambda: damage_told(journal))
             assert not (await client.state()).latched
-            await accepted(client, "robot.connect")
+            await accept(client, "robot.connect")

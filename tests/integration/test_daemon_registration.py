@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from daemon_process import PLAN, ServeProcess, own_settings, running_daemon
-from driving import LANDMARKS, accepted, register, start_anew, until, until_shown
 
+from pcmrs.campaign.driving import accept, landmarks, register, showing, start_anew, until
 from pcmrs.client import Client
 from pcmrs.planner import Planner
 
@@ -27,7 +27,7 @@ async def test_the_wire_refines_a_registration_by_the_surface(
     assert (await planner.command("icp_clear_prevxx")).decision == "accepted"
     assert (await planner.command("icp_clear_allxxx")).decision == "accepted"
     assert (await planner.command("icp_clear_prevxx")).reason == "no_surface_points"
-    await accepted(client, "digitization.digitize_surface", points=POINTS)
+    await accept(client, "digitization.digitize_surface", points=POINTS)
     unknown = await planner.command("icp_registerxxxx", "/home/lab/nobody.ply")
     assert (unknown.decision, unknown.reason) == ("rejected", "unknown_surface")
     refined = await planner.command("icp_registerxxxx", "/home/lab/skin_of_head/head_phantom.ply")
@@ -36,12 +36,12 @@ async def test_the_wire_refines_a_registration_by_the_surface(
 
 async def test_swapped_landmarks_are_named(daemon: ServeProcess, client: Client) -> None:
     await start_anew(client)
-    await accepted(client, "registration.plan_landmarks", **LANDMARKS)
+    await accept(client, "registration.plan_landmarks", **landmarks())
     first, second = (PLAN["landmarks"][index] for index in (0, 4))
     between = [b - a for a, b in zip(first["position"], second["position"], strict=True)]
     await client.request_device("scene", "displace_touch", {"index": 0, "offset_in_image": between})
     await client.request_device("scene", "displace_touch", {"index": 4, "offset_in_image": [-x for x in between]})
-    await accepted(client, "digitization.digitize_all")
+    await accept(client, "digitization.digitize_all")
     verdict = await client.call("registration.register", {})
     assert verdict.reason is not None
     assert verdict.reason.code == "swapped_landmarks"
@@ -56,17 +56,17 @@ async def test_a_bumped_reference_latches_and_the_noise_learned_outlives_the_dae
             await client.request_device(
                 "scene", "bump_reference", {"offset_in_body_ref": [0.004, 0.0, 0.0], "rotvec": [0.0, 0.0, 0.0]}
             )
-            await until(client, registration="100", digitization="0")
-            await until_shown(client, lambda snapshot: snapshot.latched)
-            await accepted(client, "robot.acknowledge")
-            await accepted(client, "digitization.digitize_all")
-            again = await accepted(client, "registration.register")
+            await until(client, showing(registration="100", digitization="0"))
+            await until(client, lambda snapshot: snapshot.latched)
+            await accept(client, "robot.acknowledge")
+            await accept(client, "digitization.digitize_all")
+            again = await accept(client, "registration.register")
         assert "Traceback" not in daemon.log
     with running_daemon(settings, tmp_path) as daemon:
         async with daemon.client() as client:
-            await accepted(client, "registration.plan_landmarks", **LANDMARKS)
-            await accepted(client, "digitization.digitize_all")
-            later = await accepted(client, "registration.register")
+            await accept(client, "registration.plan_landmarks", **landmarks())
+            await accept(client, "digitization.digitize_all")
+            later = await accept(client, "registration.register")
         assert again.result is not None
         assert later.result is not None
         assert again.result["sigma"] != 0.00186

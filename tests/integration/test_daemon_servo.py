@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 from daemon_process import ServeProcess, own_settings, run_pcmrs, running_daemon
-from driving import accepted, until_shown
 
+from pcmrs.campaign.driving import accept, until
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.devices.remote import RemoteRobot, RemoteScene
@@ -42,9 +42,9 @@ async def stream(robot: RemoteRobot, end: bool) -> None:
 
 
 async def heard_alarm(daemon: ServeProcess, client: Client, code: str) -> None:
-    await until_shown(client, lambda snapshot: snapshot.latched)
+    await until(client, lambda snapshot: snapshot.latched)
     assert code in run_pcmrs("journal", "show", daemon.ready.journal).stdout
-    await accepted(client, "robot.acknowledge")
+    await accept(client, "robot.acknowledge")
 
 
 async def test_the_robots_own_alarms_stop_and_latch(tmp_path: Path) -> None:
@@ -59,7 +59,7 @@ async def test_the_robots_own_alarms_stop_and_latch(tmp_path: Path) -> None:
     with running_daemon(settings, tmp_path) as daemon:
         async with daemon.client() as client, daemon.bus() as bus:
             robot, scene = RemoteRobot(bus, SystemClock()), RemoteScene(bus, SystemClock())
-            await accepted(client, "robot.connect")
+            await accept(client, "robot.connect")
             before = (await robot.joints()).positions
             await stream(robot, end=True)
             assert (await robot.joints()).positions[6] - before[6] > 0.02

@@ -6,9 +6,9 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
-from daemon_process import SLOW, ServeProcess, own_settings, running_daemon, virtual_drivers
-from driving import accepted, approaching, stands_still
+from daemon_process import SLOW, ServeProcess, own_settings, running_daemon, stands_still, virtual_drivers
 
+from pcmrs.campaign.driving import accept, moving, register
 from pcmrs.client import Client
 
 Stop = Callable[[ServeProcess, Client], Awaitable[None]]
@@ -45,7 +45,8 @@ async def test_stop_from_every_edge_holds_a_moving_arm_and_latches(
 
 
 async def _stop_and_recover(daemon: ServeProcess, client: Client, stop: Stop) -> None:
-    async with approaching(daemon, client) as approach:
+    await register(client)
+    async with moving(client) as approach:
         await stop(daemon, client)
         verdict = await approach
     assert verdict.decision == "failed"
@@ -59,6 +60,6 @@ async def _stop_and_recover(daemon: ServeProcess, client: Client, stop: Stop) ->
     assert refused.decision == "rejected"
     assert refused.reason is not None
     assert refused.reason.code == "latched"
-    await accepted(client, "robot.acknowledge")
-    await accepted(client, "placement.back_off")
+    await accept(client, "robot.acknowledge")
+    await accept(client, "placement.back_off")
     assert (await client.state()).branches["placement"] == "retracted"

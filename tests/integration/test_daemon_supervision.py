@@ -9,9 +9,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from daemon_process import PATIENCE, SLOW, ServeProcess, is_running, own_settings, running_daemon, wait_until
-from driving import accepted, approaching, register, stands_still, until, until_shown
+from daemon_process import (
+    PATIENCE,
+    SLOW,
+    ServeProcess,
+    is_running,
+    own_settings,
+    running_daemon,
+    stands_still,
+    wait_until,
+)
 
+from pcmrs.campaign.driving import accept, moving, register, showing, until
 from pcmrs.client import Client
 from pcmrs.journal import JournalReader, JournalRow
 
@@ -42,7 +51,7 @@ def told(daemon: ServeProcess, code: str) -> bool:
 
 async def held_until_acknowledged(client: Client) -> None:
     """The arm stands, nothing goes on by itself, and no motion begins before somebody has looked."""
-    await until_shown(client, lambda snapshot: snapshot.latched and not snapshot.running)
+    await until(client, lambda snapshot: snapshot.latched and not snapshot.running)
     assert await stands_still(client)
     branches = (await client.state()).branches
     refused = await client.call("placement.approach")
@@ -54,7 +63,8 @@ async def held_until_acknowledged(client: Client) -> None:
 async def test_an_arm_whose_daemon_is_stopped_is_held_and_stays_so_when_it_goes_on(slow_daemon: ServeProcess) -> None:
     daemon = slow_daemon
     async with daemon.client() as client:
-        async with approaching(daemon, client) as approach:
+        await register(client)
+        async with moving(client) as approach:
             daemon.process.send_signal(signal.SIGSTOP)
             held = await asyncio.to_thread(wait_until, lambda: "held_by_node" in daemon.log)
             daemon.process.send_signal(signal.SIGCONT)
@@ -66,7 +76,8 @@ async def test_an_arm_whose_daemon_is_stopped_is_held_and_stays_so_when_it_goes_
 async def test_a_daemon_that_is_blocked_while_the_arm_moves_says_so_and_holds_it(slow_daemon: ServeProcess) -> None:
     daemon = slow_daemon
     async with daemon.client() as client:
-        async with approaching(daemon, client) as approach:
+        await register(client)
+        async with moving(client) as approach:
             daemon.process.send_signal(signal.SIGUSR1)
             assert (await approach).decision in ("failed", "unknown")
         await held_until_acknowledged(client)
@@ -82,7 +93,7 @@ async def test_a_node_that_dies_is_begun_anew_and_the_operator_begins_anew_too(t
             await register(client)
             (node,) = daemon.children()
             os.kill(node, signal.SIGKILL)
-            await until(client, robot="0", placement="unknown")
+            await until(client, showing(robot="0", placement="unknown"))
             lost = await client.call("robot.connect")
             assert (lost.decision, lost.state) == ("unknown", "0"), "its node is only being begun anew"
             assert await asyncio.to_thread(wait_until, lambda: told(daemon, "node_restarted"))
@@ -90,7 +101,7 @@ async def test_a_node_that_dies_is_begun_anew_and_the_operator_begins_anew_too(t
             async with asyncio.timeout(PATIENCE):
                 while (await client.call("robot.connect")).decision != "accepted":  # noqa: ASYNC110
                     await asyncio.sleep(0.2)
-            await accepted(client, "robot.acknowledge")
+            await accept(client, "robot.acknowledge")
             (successor,) = daemon.children()
             assert successor != node
         assert daemon.end() == 0

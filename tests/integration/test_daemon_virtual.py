@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 from daemon_process import PATIENCE, PLAN, ServeProcess, own_settings, running_daemon
-from driving import LANDMARKS, accepted, approaching, until_shown
 from virtual_cell import VirtualCell
 
+from pcmrs.campaign.driving import accept, landmarks, moving, register, until
 from pcmrs.client import Client
 from pcmrs.messages import DeviceHealth, Snapshot
 
@@ -50,9 +50,9 @@ async def until_told(client: Client, device: str, *, connected: bool) -> DeviceH
 
 async def register_by_hand(client: Client, cell: VirtualCell) -> None:
     """Connects, and registers the head, which a person touches whom nobody but the test tells where."""
-    await accepted(client, "robot.connect")
-    await accepted(client, "registration.plan_landmarks", **LANDMARKS)
-    digitizing = asyncio.create_task(accepted(client, "digitization.digitize_all"))
+    await accept(client, "robot.connect")
+    await accept(client, "registration.plan_landmarks", **landmarks())
+    digitizing = asyncio.create_task(accept(client, "digitization.digitize_all"))
     touched = 0
     async with asyncio.timeout(PATIENCE), aclosing(client.watch()) as events:
         async for event in events:
@@ -65,8 +65,8 @@ async def register_by_hand(client: Client, cell: VirtualCell) -> None:
             if event.branches["digitization"] == "1":
                 break
     await digitizing
-    await accepted(client, "registration.register")
-    await accepted(client, "toolplan.plan", **PLAN["poses"][0])
+    await accept(client, "registration.register")
+    await accept(client, "toolplan.plan", **PLAN["poses"][0])
 
 
 @pytest.mark.nightly
@@ -83,13 +83,13 @@ async def test_a_daemon_starts_without_its_devices_and_works_once_they_are_there
         with cell.running():
             await until_told(client, "tracker", connected=True)
             await register_by_hand(client, cell)
-            await accepted(client, "placement.approach")
-            placed = await accepted(client, "placement.confirm")
+            await accept(client, "placement.approach")
+            placed = await accept(client, "placement.confirm")
             assert placed.result is not None
             assert placed.result["translation_error"] < 0.5e-3
-            await accepted(client, "placement.back_off")
-            await accepted(client, "placement.home")
-            await accepted(client, "robot.disconnect")
+            await accept(client, "placement.back_off")
+            await accept(client, "placement.home")
+            await accept(client, "robot.disconnect")
 
 
 @pytest.mark.nightly
@@ -100,11 +100,12 @@ async def test_a_cell_that_drops_out_in_motion_latches_and_comes_back_changed(
         with cell.running():
             await until_told(client, "tracker", connected=True)
             await register_by_hand(client, cell)
-            async with approaching(daemon, client) as moving:
+            await register(client)
+            async with moving(client) as approach:
                 cell.kill()
-                verdict = await moving
+                verdict = await approach
             assert verdict.decision in ("failed", "unknown")
-            await until_shown(client, lambda snapshot: snapshot.branches["robot"] == "0")
+            await until(client, lambda snapshot: snapshot.branches["robot"] == "0")
         state = await client.state()
         assert state.latched
         assert state.branches["placement"] == "unknown"
@@ -115,7 +116,7 @@ async def test_a_cell_that_drops_out_in_motion_latches_and_comes_back_changed(
         assert (await client.call("robot.connect")).decision == "failed"
         with cell.running():  # its arm is at home now, not where it was
             await until_told(client, "tracker", connected=True)
-            await accepted(client, "robot.connect")
-            await until_shown(client, lambda snapshot: snapshot.branches["placement"] == "retracted")
-            await accepted(client, "robot.acknowledge")
-            await accepted(client, "placement.approach")
+            await accept(client, "robot.connect")
+            await until(client, lambda snapshot: snapshot.branches["placement"] == "retracted")
+            await accept(client, "robot.acknowledge")
+            await accept(client, "placement.approach")

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from daemon_process import PATIENCE, SLOW, ServeProcess, own_settings, running_daemon, virtual_drivers
-from driving import approaching, until, until_shown
 
+from pcmrs.campaign.driving import moving, register, showing, until
 from pcmrs.client import Client
 from pcmrs.spatial import Floats
 
@@ -41,12 +41,13 @@ def node_of(daemon: ServeProcess, driver: str) -> int:
 
 async def lose_robot(daemon: ServeProcess, client: Client, driver: str, number: int) -> None:
     """Sends a signal to a node while the arm moves, after which the robot counts as lost."""
-    async with approaching(daemon, client) as approach:
+    await register(client)
+    async with moving(client) as approach:
         os.kill(node_of(daemon, driver), number)
         verdict = await approach
     assert verdict.decision in ("failed", "unknown")
-    await until(client, robot="0", placement="unknown")
-    await until_shown(client, lambda snapshot: snapshot.latched)
+    await until(client, showing(robot="0", placement="unknown"))
+    await until(client, lambda snapshot: snapshot.latched)
     for name in ("placement.approach", "placement.home", "robot.acknowledge"):
         refused = await client.call(name)
         assert refused.decision == "rejected"

@@ -1,8 +1,8 @@
 from __future__ import annotations
 
 from daemon_process import PLAN, ServeProcess
-from driving import start_anew
 
+from pcmrs.campaign.driving import start_anew
 from pcmrs.client import Client
 from pcmrs.planner import Planner
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from daemon_process import PATIENCE, ServeProcess, free_port, own_settings, run_pcmrs, running_daemon
-from driving import accepted, approaching, start_anew, until, until_shown
 
+from pcmrs.campaign.driving import accept, moving, register, showing, start_anew, until
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.devices.ndi.tools import placeholder
@@ -85,19 +85,20 @@ async def test_a_robot_that_fails_in_motion(virtual_daemon: ServeProcess, fault:
             await connect(client)
         await start_anew(client)
         await connect(client)
-        async with approaching(virtual_daemon, client) as approach:
+        await register(client)
+        async with moving(client) as approach:
             await scene.inject(fault, begin)
         verdict: Verdict = approach.result()
         assert (verdict.decision, verdict.state) == (("unknown", "unknown") if lost else ("failed", "held"))
-        await until_shown(client, lambda snapshot: snapshot.latched)
+        await until(client, lambda snapshot: snapshot.latched)
         await stands(scene)
         if lost:
-            await until(client, robot="0")
+            await until(client, showing(robot="0"))
         await scene.inject(fault, dict.fromkeys(begin, False))
         await asyncio.sleep(1.0)
         if lost:
             await connect(client)
-            await until_shown(client, lambda snapshot: snapshot.branches["placement"] != "unknown")
+            await until(client, lambda snapshot: snapshot.branches["placement"] != "unknown")
         await stands(scene)
         assert (await client.state()).latched, "an operator confirms"
 
@@ -119,12 +120,13 @@ async def test_a_tracker_that_fails_while_the_tool_follows(
             await connect(client)
         await start_anew(client)
         await connect(client)
-        async with approaching(virtual_daemon, client):
+        await register(client)
+        async with moving(client):
             pass
-        await accepted(client, "placement.confirm")
-        await accepted(client, "placement.follow")
+        await accept(client, "placement.confirm")
+        await accept(client, "placement.follow")
         await scene.inject(fault, begin)
-        await until_shown(client, lambda snapshot: snapshot.branches["placement"] == "held" and snapshot.latched)
+        await until(client, lambda snapshot: snapshot.branches["placement"] == "held" and snapshot.latched)
         await stands(scene)
         await scene.inject(fault, end)
 

@@ -112,6 +112,8 @@ def test_rows_survive_their_encoding(arguments: dict[str, object]) -> None:
     "statement",
     [
         "UPDATE journal SET wall = 0 WHERE sequence = 1",
+        "UPDATE journal SET body = x'00' WHERE sequence = 1",
+        "UPDATE journal SET sequence = 9 WHERE sequence = 2",
         "DELETE FROM journal WHERE sequence = 2",
         "DELETE FROM journal",
         "INSERT INTO journal SELECT sequence + 5, kind, 's', 'i', branch, wall, body, hash, hash FROM journal LIMIT 1",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from hypothesis import strategies as st
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.dispatcher.dispatcher import SHUTDOWN
 from pcmrs.errors import ConfigurationError, JournalError
+from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.journal import Journal, JournalRow
 from pcmrs.messages import BlueprintTag, Command, Decision, DeviceEvent, PoseMessage, Reason, Verdict
 from pcmrs.service import recorder as recorder_module
@@ -231,6 +233,28 @@ async def test_a_journal_of_another_blueprint_is_refused_before_a_row_is_written
     with pytest.raises(ConfigurationError, match="migrations"):
         await recover(journal, recorder_of(journal), WORKFLOW, configured)
     assert len(list(journal.reader.read())) == 1
+
+
+async def test_a_declared_migration_is_journalled_before_anything_is_decided(
+    journal: Journal, configured: Settings
+) -> None:
+    other = JournalRecorder(journal, ManualClock(), "s0", BlueprintTag(id="ratms", version="0.1", hash="ab"))
+    await other.event(DeviceEvent(device="x", code="y", text=""), {})
+    declared = MigrationSpec(version="0.1", hash="ab", why="only a deadline changed")
+    workflow = replace(WORKFLOW, blueprint=msgspec.structs.replace(RATMS, migrations=[declared]))
+    await recover(journal, recorder_of(journal), workflow, configured)
+    rows = [stored.row for stored in journal.reader.read(after=1)]
+    assert [row.operation for row in rows] == ["started", "taken_up"]
+    assert rows[-1].result is not None
+    assert rows[-1].result["why"] == "only a deadline changed"
+
+
+def test_only_what_explicit_operations_use_is_taken_back() -> None:
+    ledger = Ledger(RATMS, Kept())
+    row = as_row("outcome", "toolplan.plan", 1, "accepted")
+    assert row.result is not None
+    ledger.take(msgspec.structs.replace(row, result={**row.result, "plan_id": "p", "registration_id": "r"}))
+    assert ledger.kept.taken_back == row.result
 
 
 async def test_a_snapshot_of_an_unknown_kind_is_told_with_the_file(journal: Journal) -> None:

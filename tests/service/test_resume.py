@@ -92,6 +92,13 @@ async def test_a_migration_that_is_used_is_in_the_journal_once(journal: Journal)
     assert migration_for(journal.reader, migrated, FILE) is None, "it is written under the present blueprint now"
 
 
+async def test_a_migration_from_another_content_of_the_same_version_is_none(journal: Journal) -> None:
+    await _write(journal, OLD)
+    declared = MigrationSpec(version=OLD.version, hash="cc", why="only a deadline changed")
+    with pytest.raises(ConfigurationError, match="migrations"):
+        migration_for(journal.reader, msgspec.structs.replace(NEW, migrations=[declared]), FILE)
+
+
 @pytest.mark.parametrize("why", ["", " ", "\n\t"])
 def test_a_migration_must_say_why(why: str) -> None:
     text = f'id = "x"\nversion = "1"\nmigrations = [{{ version = "0", hash = "aa", why = {json.dumps(why)} }}]\n'

@@ -14,6 +14,7 @@ from exploring_mutants import MUTANTS
 from pcmrs.campaign.explore.exploring import explore, run_seeds
 from pcmrs.campaign.explore.faults import FAULTS, SCENE
 from pcmrs.campaign.explore.generate import draw_script
+from pcmrs.campaign.explore.going_on import WITH_STIMULATOR
 from pcmrs.campaign.explore.script import Act, Script, read_script, write_script
 from pcmrs.campaign.explore.session import run_session
 from pcmrs.campaign.explore.settings import workflow_of
@@ -51,6 +52,14 @@ def test_the_head_is_reached_when_nothing_is_wrong() -> None:
     assert found.seen["accepted placement.confirm"] == 1
 
 
+def test_a_pulse_is_given_when_nothing_is_wrong() -> None:
+    """What is explored must come to what matters: rates that are too low for a pulse would hide all that follows."""
+    stimulation = [Act(6.0, name, "anna", arguments) for name, arguments in WITH_STIMULATOR]
+    found = run_session(Script(seed=1, workflow="ratms_threshold", acts=[*TO_THE_HEAD[:8], *stimulation]))
+    assert (found.invariant, found.text) == ("", "")
+    assert found.seen["accepted stimulation.fire"] == 2
+
+
 def test_every_fault_of_the_simulated_cell_can_be_drawn() -> None:
     """A fault that is added to the simulation is explored, or this fails."""
     assert SCENE.keys() == SIMULATED.keys()
@@ -68,6 +77,7 @@ def test_a_guard_that_was_taken_out_is_missed(name: str, monkeypatch: pytest.Mon
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(1200)
 @pytest.mark.parametrize("name", MUTANTS)
 def test_exploring_finds_and_shrinks_every_mutant(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     MUTANTS[name](monkeypatch)
@@ -79,7 +89,27 @@ def test_exploring_finds_and_shrinks_every_mutant(name: str, monkeypatch: pytest
     assert run_session(shorter).invariant == invariant
 
 
+@pytest.mark.parametrize("first", range(1001, 1041, 5))
+def test_sessions_hold(first: int) -> None:
+    found = run_seeds("ratms", "kinematic", list(range(first, first + 5)))
+    assert {each.seed: (each.invariant, each.text) for each in found if each.invariant} == {}
+
+
 @pytest.mark.nightly
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("workflow", ["femoroplasty", "grid_mapping", "ratms_threshold"])
+def test_sessions_of_other_workflows_hold(workflow: str) -> None:
+    assert explore(workflow, 1, 50, jobs=2).broken == []
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+def test_sessions_with_a_heavy_arm_hold() -> None:
+    assert explore("ratms", 1, 10, jobs=2, physics="mujoco").broken == []
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(7200)
 def test_500_sessions_hold_and_reach_every_fault() -> None:
     report = explore("ratms", 1, 500, jobs=2)
     assert report.broken == []
@@ -91,6 +121,14 @@ def test_shrinking_leaves_what_is_needed_only() -> None:
     needed = {"act3", "act17", "act38"}
     shorter = shrink(script, lambda each: needed <= {act.what for act in each.acts})
     assert {act.what for act in shorter.acts} == needed
+
+
+def test_a_script_is_only_what_a_file_can_hold() -> None:
+    """JSON has no infinite numbers: a saved script that had one would be another script."""
+    blueprint = workflow_of("ratms").blueprint
+    for seed in range(50):
+        script = draw_script(blueprint, "ratms", seed)
+        assert msgspec.json.decode(msgspec.json.encode(script), type=Script) == script
 
 
 def test_scripts_survive_a_file_and_others_are_refused(tmp_path: Path) -> None:

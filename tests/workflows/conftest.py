@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+import asyncio
+from collections.abc import AsyncIterator, Callable
 
 import pytest
 from workflow_bench import WorkflowBench, open_bench
+
+from pcmrs.simulation.loop import SimulatedLoop
+
+
+def pytest_asyncio_loop_factories(
+    config: pytest.Config, item: pytest.Item
+) -> dict[str, Callable[[], asyncio.AbstractEventLoop]]:
+    """Nobody waits for real."""
+    return {"simulated": SimulatedLoop}
 
 
 @pytest.fixture

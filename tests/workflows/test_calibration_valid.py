@@ -19,8 +19,6 @@ from pcmrs.messages import PoseMessage
 from pcmrs.settings import read_settings
 from pcmrs.workflows import read_workflow
 
-pytestmark = pytest.mark.nightly  # minutes of motion
-
 TODAY = datetime.fromtimestamp(EPOCH, UTC)
 RESTING_ON_IT = {
     "registration.register",

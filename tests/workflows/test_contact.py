@@ -6,12 +6,10 @@ import asyncio
 
 import numpy as np
 import pytest
-from workflow_bench import WorkflowBench, open_bench
+from workflow_bench import DYNAMICS, WorkflowBench, open_bench
 
 from pcmrs.messages import PoseMessage, Verdict
 from pcmrs.workflows.data import as_transform
-
-pytestmark = pytest.mark.nightly  # minutes of motion
 
 MILLIMETRE = 1e-3
 
@@ -35,7 +33,7 @@ async def pressed(bench: WorkflowBench, **force: float) -> tuple[Verdict, float]
 
 @pytest.mark.parametrize(("seed", "asked"), [(1, 3.0), (2, 1.0), (3, 5.0)])
 async def test_the_tool_presses_as_asked(seed: int, asked: float) -> None:
-    async with open_bench(sim={"seed": seed}) as bench:
+    async with open_bench(sim={"seed": seed, **DYNAMICS}) as bench:
         await bench.to_placed()
         verdict, travel = await pressed(bench, force=asked)
         assert verdict.result is not None
@@ -54,7 +52,7 @@ async def test_the_configured_force_counts_where_none_is_asked_for() -> None:
 
 
 async def test_pressing_anew_goes_from_one_force_to_the_other() -> None:
-    async with open_bench() as bench:
+    async with open_bench(sim=DYNAMICS) as bench:
         await bench.to_placed()
         await pressed(bench, force=4.0)
         _, travel = await pressed(bench, force=1.0)
@@ -63,7 +61,7 @@ async def test_pressing_anew_goes_from_one_force_to_the_other() -> None:
 
 
 async def test_what_comes_after_starts_from_the_pressed_pose() -> None:
-    async with open_bench() as bench:
+    async with open_bench(sim=DYNAMICS) as bench:
         await bench.to_placed()
         before = await bench.true_height()
         _, travel = await pressed(bench, force=3.0)
@@ -86,7 +84,7 @@ async def test_a_tool_that_meets_nothing_is_held() -> None:
 
 
 async def test_a_body_that_gives_way_is_not_followed_on_and_on() -> None:
-    async with open_bench(sim={"contact": {"stiffness": 100.0}}) as bench:
+    async with open_bench(sim={"contact": {"stiffness": 100.0}, **DYNAMICS}) as bench:
         await bench.to_placed()
         verdict = await bench.refuse("placement.press", "travel_limit", "failed", force=5.0)
         assert verdict.result is not None
@@ -101,7 +99,7 @@ async def test_a_force_that_is_not_gentle_is_refused(force: object) -> None:
 
 
 async def test_a_press_goes_no_deeper_than_the_limit() -> None:
-    async with open_bench(sim={"contact": {"stiffness": 100.0}}) as bench:
+    async with open_bench(sim={"contact": {"stiffness": 100.0}, **DYNAMICS}) as bench:
         await bench.to_placed()
         await bench.accept("placement.nudge", translation=[0.0, 0.0, -0.004])
         verdict = await bench.refuse("placement.press", "travel_limit", "failed", force=5.0)

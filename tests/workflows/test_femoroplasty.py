@@ -21,8 +21,6 @@ from pcmrs.workflows.data import as_transform
 from pcmrs.workflows.femoroplasty import Data, guide_pose
 from sim.plan import TRAJECTORIES, trajectory
 
-pytestmark = pytest.mark.nightly  # minutes of motion
-
 PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "femoroplasty_plan.json").read_text())
 ENTRY, TARGET = [0.1190896, 0.0086103, -0.0247955], [0.0652414, 0.0161782, -0.0051043]
 TRAJECTORY: dict[str, Any] = {"entry": ENTRY, "target": TARGET}

@@ -7,14 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from workflow_bench import WorkflowBench, open_bench
+from workflow_bench import DYNAMICS, WorkflowBench, open_bench
 
 from pcmrs.messages import DeviceEvent, HeadBurst, HeadMotion, HeadStep
 from pcmrs.spatial import Floats, Transform, distance
 from pcmrs.workflows.data import as_transform
 from sim.settings import GeometrySettings
-
-pytestmark = pytest.mark.nightly  # minutes of motion
 
 Z = (0.0, 0.0, 1.0)
 BREATHING = HeadMotion(breathing_amplitude=0.002, breathing_hz=0.25, breathing_direction=Z)
@@ -84,12 +82,14 @@ async def ended(bench: WorkflowBench) -> None:
     assert bench.states["placement"] == "held"
 
 
-async def test_the_tool_follows_breathing_to_a_fraction_of_its_amplitude(following: WorkflowBench) -> None:
-    await following.scene.set_motion(BREATHING)
-    found = await errors(following, 8.0)
-    assert np.sqrt(np.mean(found**2)) < 0.0003
-    assert found.max() < 0.0008
-    assert aligned(following)
+async def test_the_tool_follows_breathing_to_a_fraction_of_its_amplitude() -> None:
+    async with open_bench(sim=DYNAMICS) as bench:
+        await follow(bench)
+        await bench.scene.set_motion(BREATHING)
+        found = await errors(bench, 8.0)
+        assert np.sqrt(np.mean(found**2)) < 0.0003
+        assert found.max() < 0.0008
+        assert aligned(bench)
 
 
 async def test_a_tool_that_stands_meets_no_such_bounds() -> None:
@@ -108,12 +108,14 @@ async def test_drift_is_followed_far_beyond_what_is_corrected_at_once(following:
     assert aligned(following)
 
 
-async def test_after_a_step_the_tool_is_back_and_alignment_too(following: WorkflowBench) -> None:
-    await following.scene.set_motion(HeadMotion(steps=[HeadStep(time=0.1, offset=(0.005, 0.0, 0.0))]))
-    found = await errors(following, 2.0)
-    assert found.max() > 0.002
-    assert found[-20:].max() < 0.0005
-    await following.until(lambda: aligned(following))
+async def test_after_a_step_the_tool_is_back_and_alignment_too() -> None:
+    async with open_bench(sim=DYNAMICS) as bench:
+        await follow(bench)
+        await bench.scene.set_motion(HeadMotion(steps=[HeadStep(time=0.1, offset=(0.005, 0.0, 0.0))]))
+        found = await errors(bench, 2.0)
+        assert found.max() > 0.002
+        assert found[-20:].max() < 0.0005
+        await bench.until(lambda: aligned(bench))
 
 
 async def test_a_head_quicker_than_the_tool_closes_the_gate_until_the_tool_is_there() -> None:
@@ -134,7 +136,7 @@ async def test_a_head_quicker_than_the_tool_closes_the_gate_until_the_tool_is_th
 async def test_latency_is_compensated(compensated: bool) -> None:
     """What is 60 ms behind a head at 10 mm/s is 0.6 mm behind; the integral has been given no time."""
     slow = {"compensated": compensated, "correction_time": 1e3}
-    async with open_bench({"following": slow}) as bench:
+    async with open_bench({"following": slow}, DYNAMICS) as bench:
         await follow(bench)
         await bench.scene.set_motion(HeadMotion(drift=(0.010, 0.0, 0.0)))
         mean = (await errors(bench, 3.0))[50:].mean()

@@ -24,8 +24,6 @@ from pcmrs.workflows.data import PlacementData, as_message
 from pcmrs.workflows.grid_mapping import Data
 from pcmrs.workflows.toolplan import ToolPose, pose_of
 
-pytestmark = pytest.mark.nightly  # minutes of motion
-
 GRID = POSES[:3]
 PAGE = (Path(__file__).parents[2] / "docs" / "workflows.md").read_text()
 

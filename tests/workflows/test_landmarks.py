@@ -13,8 +13,6 @@ from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
 from pcmrs.workflows.settings import PoseSetting
 
-pytestmark = pytest.mark.nightly  # minutes of motion
-
 COUNT = len(LANDMARKS)
 
 

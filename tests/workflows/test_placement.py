@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
+from workflow_bench import DYNAMICS, LANDMARKS, POSES, WorkflowBench, open_bench
 
 from pcmrs.spatial import distance
 from pcmrs.workflows.paths import distance_from_body
@@ -57,7 +57,6 @@ async def test_an_unreachable_pose_is_refused_as_soon_as_it_can_be_known() -> No
         await bench.accept("placement.approach")
 
 
-@pytest.mark.nightly
 async def test_poses_on_all_sides_of_the_head_are_placed_from_home(bench: WorkflowBench) -> None:
     await bench.register()
     for pose in POSES[::4]:
@@ -213,7 +212,7 @@ async def test_locating_needs_the_tracker_to_see_tool_and_body(bench: WorkflowBe
 
 async def test_the_speed_limits_are_kept() -> None:
     limits = {"linear_velocity": 0.1, "joint_speed_fraction": 0.1}
-    async with open_bench({"motion": limits}) as bench:
+    async with open_bench({"motion": limits}, DYNAMICS) as bench:
         await bench.register()
         fastest = np.zeros(7)
         async with bench.moving("placement.approach") as approach:

@@ -4,39 +4,40 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
+from workflow_bench import DYNAMICS, LANDMARKS, POSES, WorkflowBench, open_bench
 
 from pcmrs.spatial import Transform
 from pcmrs.workflows.data import as_transform
 
 
-async def test_every_step_of_the_procedure_once(bench: WorkflowBench) -> None:
-    registered = await bench.register()
-    assert bench.states == {
-        "registration": "111",
-        "digitization": "1",
-        "toolplan": "1",
-        "robot": "1",
-        "placement": "retracted",
-        "alignment": "0",
-    }
-    assert registered.result is not None
-    assert 0.0 < registered.result["residual"] < registered.result["limit"]
-    assert len(registered.result["distances"]) == len(LANDMARKS)
-    assert (await bench.accept("placement.approach")).state == "standoff"
-    assert await bench.true_height() == pytest.approx(0.070, abs=0.001)
-    placed = await bench.accept("placement.confirm")
-    assert placed.state == "placed"
-    assert placed.result is not None
-    assert placed.result["translation_error"] < 0.0005
-    assert np.degrees(placed.result["rotation_error"]) < 0.2
-    assert await bench.true_height() == pytest.approx(0.0, abs=0.001)
-    assert (await bench.accept("placement.back_off")).state == "standoff"
-    assert (await bench.accept("placement.home")).state == "retracted"
-    assert (await bench.accept("placement.approach")).state == "standoff"
-    assert (await bench.accept("placement.to_initial")).state == "retracted"
-    assert (await bench.accept("robot.disconnect")).state == "0"
-    assert bench.states["placement"] == "unknown"
+async def test_every_step_of_the_procedure_once() -> None:
+    async with open_bench(sim=DYNAMICS) as bench:
+        registered = await bench.register()
+        assert bench.states == {
+            "registration": "111",
+            "digitization": "1",
+            "toolplan": "1",
+            "robot": "1",
+            "placement": "retracted",
+            "alignment": "0",
+        }
+        assert registered.result is not None
+        assert 0.0 < registered.result["residual"] < registered.result["limit"]
+        assert len(registered.result["distances"]) == len(LANDMARKS)
+        assert (await bench.accept("placement.approach")).state == "standoff"
+        assert await bench.true_height() == pytest.approx(0.070, abs=0.001)
+        placed = await bench.accept("placement.confirm")
+        assert placed.state == "placed"
+        assert placed.result is not None
+        assert placed.result["translation_error"] < 0.0005
+        assert np.degrees(placed.result["rotation_error"]) < 0.2
+        assert await bench.true_height() == pytest.approx(0.0, abs=0.001)
+        assert (await bench.accept("placement.back_off")).state == "standoff"
+        assert (await bench.accept("placement.home")).state == "retracted"
+        assert (await bench.accept("placement.approach")).state == "standoff"
+        assert (await bench.accept("placement.to_initial")).state == "retracted"
+        assert (await bench.accept("robot.disconnect")).state == "0"
+        assert bench.states["placement"] == "unknown"
 
 
 async def test_without_errors_the_registration_and_the_placement_are_exact() -> None:

@@ -24,8 +24,6 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from sim.robot import SimRobot
 
-pytestmark = pytest.mark.nightly  # minutes of motion
-
 Faults = dict[str, Any]
 """Arguments of a fault."""
 

@@ -196,7 +196,6 @@ async def test_the_threshold_is_found_by_pulses(armed: StimulationBench, method:
     assert result["estimate"]["threshold"] == armed.data.threshold.threshold
 
 
-@pytest.mark.nightly
 async def test_the_simulated_subject_has_the_threshold_that_is_found() -> None:
     """The simulated stimulator, muscle and electromyograph in place of the stand-ins; at the subject's own hot-spot."""
     async with open_bench({"stimulation": {"intervals": {"least": 1.1}}}, workflow="ratms_threshold") as bench:

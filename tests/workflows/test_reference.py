@@ -15,8 +15,6 @@ from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 from pcmrs.messages import DeviceEvent
 from pcmrs.service.reference import ReferenceWatch
 
-pytestmark = pytest.mark.nightly  # minutes of motion
-
 FEMUR: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "femoroplasty_plan.json").read_text())
 BUMP = (0.004, 0.0, 0.0)
 TURN = (0.0, 0.0, 0.05)

@@ -16,8 +16,6 @@ from pcmrs.spatial import distance
 from pcmrs.workflows.data import PlacementData, as_transform, settle
 from sim import head
 
-pytestmark = pytest.mark.nightly  # minutes of motion
-
 ENOUGH = 25
 
 

@@ -14,8 +14,6 @@ from pcmrs.registration import NoiseEstimate
 from pcmrs.workflows.accuracy import pointer_id, sigma_in_force
 from pcmrs.workflows.data import PlacementData, as_transform
 
-pytestmark = pytest.mark.nightly  # minutes of motion
-
 NAMES = [landmark["name"] for landmark in LANDMARKS]
 POSITIONS = np.array([landmark["position"] for landmark in LANDMARKS])
 GATES = ["wrong_unit", "mirrored", "swapped_landmarks", "landmark_outlier", "residual_too_large", "tre_too_large"]

@@ -12,8 +12,6 @@ from workflow_bench import AT_REST, POSES, WorkflowBench, open_bench
 from pcmrs.messages import DeviceEvent
 from pcmrs.workflows.data import as_transform
 
-pytestmark = pytest.mark.nightly  # minutes of motion
-
 Prepare = Callable[[WorkflowBench], Awaitable[Any]]
 
 MOTIONS: list[tuple[str, Prepare, dict[str, Any]]] = [

@@ -16,8 +16,6 @@ from workflow_bench import WorkflowBench, open_bench
 from pcmrs.spatial import Transform
 from pcmrs.workflows.paths import middle_of_body
 
-pytestmark = pytest.mark.nightly  # minutes of motion
-
 PLANS = {"ratms": "ratms", "grid_mapping": "ratms", "femoroplasty": "femoroplasty"}
 PLACES = [("ratms", 0), ("ratms", 8), ("ratms", 11), ("grid_mapping", 3), ("femoroplasty", 0), ("femoroplasty", 8)]
 """Workflows, and poses of their plans: at 8 and 11 of the head a joint comes to its limit on the way back."""

@@ -1,9 +1,8 @@
-"""The real procedure on the simulated devices in one process, in time that passes only when everybody waits."""
+"""The real procedure on the simulated devices in one process, on a loop whose time jumps when everybody waits."""
 
 from __future__ import annotations
 
 import asyncio
-import heapq
 import itertools
 import json
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
@@ -14,7 +13,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from clock import ManualClock, settle
 
 from pcmrs.config import overlaid
 from pcmrs.devices.poses import PoseFeed
@@ -23,6 +21,7 @@ from pcmrs.dispatcher import Dispatcher, Recorder, Workflow
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
+from pcmrs.simulation.clock import SimulatedClock
 from pcmrs.spatial import Transform
 from pcmrs.workflows import open_workflow
 from pcmrs.workflows.cell import Cell
@@ -37,7 +36,9 @@ DEVICES = ("robot", "tracker", "pointer", "scene", "stimulator", "emg")
 AT_REST = 1e-3
 """Joint velocity below which the simulated arm counts as standing, rad/s."""
 
-QUICK_SIM: dict[str, Any] = {"digitization": {"reach_time": 0.05, "rest_time": 0.05}}
+QUICK_SIM: dict[str, Any] = {"arm": {"physics": "kinematic"}, "digitization": {"reach_time": 0.05, "rest_time": 0.05}}
+DYNAMICS: dict[str, Any] = {"arm": {"physics": "mujoco"}}
+"""For what friction, masses, controller or the noise of the force sensor decide."""
 QUICK_PROCEDURE: dict[str, Any] = {
     "registration": {"samples": 4},
     "motion": {
@@ -48,18 +49,6 @@ QUICK_PROCEDURE: dict[str, Any] = {
     },
     "placement": {"frames": 4, "settle_time": 0.1, "tolerance_mm": 0.5, "tolerance_deg": 0.2},
 }
-
-
-class FlyingClock(ManualClock):
-    """Jumps to the next deadline whenever nothing else is to be done."""
-
-    async def fly(self) -> None:
-        """Lets time pass until cancelled."""
-        while True:
-            await settle()
-            if self._due:
-                self._now, _, wake = heapq.heappop(self._due)
-                wake()
 
 
 class ListRecorder:
@@ -109,7 +98,7 @@ class WorkflowBench:
         workflow: Workflow[Cell, PlacementData],
         devices: Mapping[str, Any],
         settings: ProcedureSettings,
-        clock: ManualClock,
+        clock: SimulatedClock,
         journal: Recorder | None,
     ) -> None:
         self.clock = clock
@@ -247,7 +236,7 @@ async def open_bench(
     workflow: str | Workflow[Cell, PlacementData] = "ratms",
     journal: Recorder | None = None,
 ) -> AsyncIterator[WorkflowBench]:
-    """A bench with quick motions and touches, and with what the test sets itself, table by table.
+    """A bench with an arm without dynamics, quick motions and touches, and what the test sets itself, table by table.
 
     The workflow's own defaults are in force; `journal` takes the place of the bench's recorder.
     """
@@ -256,15 +245,13 @@ async def open_bench(
     quick = overlaid(defaults, {"procedure": QUICK_PROCEDURE, "sim": QUICK_SIM})
     values = overlaid(quick, {"procedure": procedure or {}, "sim": sim or {}})
     settings = msgspec.convert(values["procedure"], ProcedureSettings)
-    clock = FlyingClock()
-    async with _background(clock.fly()):
-        devices = open_devices(DEVICES, {"sim": values["sim"]}, clock)
-        async with devices as opened:
-            bench = WorkflowBench(opened_workflow, opened, settings, clock, journal)
-            async with _background(bench.pump()):
-                await bench.until(lambda: bench.cell.poses.seen("coil") and bench.cell.joints is not None)
-                yield bench
-                await bench.dispatcher.close()
+    clock = SimulatedClock(asyncio.get_running_loop())
+    async with open_devices(DEVICES, {"sim": values["sim"]}, clock) as opened:
+        bench = WorkflowBench(opened_workflow, opened, settings, clock, journal)
+        async with _background(bench.pump()):
+            await bench.until(lambda: bench.cell.poses.seen("coil") and bench.cell.joints is not None)
+            yield bench
+            await bench.dispatcher.close()
 
 
 @asynccontextmanager

@@ -19,11 +19,13 @@ CODED = 0.25
 IN_THE_MIDDLE = 0.3
 """Part of the commands that are not waited for: what comes next comes while they run."""
 
-PAUSE = 4.0
-"""Mean pause of an operator, s; one in ten is a long one."""
-LONG_PAUSE = 40.0
+PAUSE = 20.0
+"""Mean pause of an operator after a command has ended and nothing has gone wrong, s; one in ten is a long one."""
+LONG_PAUSE = 120.0
+HURRY = 4.0
+"""Mean time until something is done while a command runs or something is wrong, s."""
 BRIEF = 1.5
-"""What comes while a command runs comes within this, s."""
+"""A fault, or Stop, comes within this, s."""
 
 
 def draw_script(blueprint: Blueprint, workflow: str, seed: int, physics: Physics = "kinematic") -> Script:
@@ -37,13 +39,16 @@ def draw_script(blueprint: Blueprint, workflow: str, seed: int, physics: Physics
     """
     draw = random.Random(f"session {workflow} {seed}")
     trouble = draw.choice((0.0, 0.1, 0.25, 0.4))
-    acts = [_act(blueprint, draw, trouble) for _ in range(draw.randint(FEWEST, MOST))]
+    acts: list[Act] = []
+    for _ in range(draw.randint(FEWEST, MOST)):
+        acts.append(_act(blueprint, draw, trouble, hurry=bool(acts) and not acts[-1].waits))
     return Script(seed=seed, workflow=workflow, physics=physics, coded=draw.random() < CODED, acts=acts)
 
 
-def _act(blueprint: Blueprint, draw: random.Random, trouble: float) -> Act:
+def _act(blueprint: Blueprint, draw: random.Random, trouble: float, *, hurry: bool) -> Act:
     waits = draw.random() >= IN_THE_MIDDLE
-    after = round(draw.expovariate(1.0 / (LONG_PAUSE if draw.random() < 0.1 else PAUSE)), 3)
+    mean = HURRY if hurry else LONG_PAUSE if draw.random() < 0.1 else PAUSE
+    after = round(draw.expovariate(1.0 / mean), 3)
     if draw.random() < trouble:
         return _fault(draw)
     who = OPERATORS[draw.random() < SECOND]

@@ -49,7 +49,7 @@ def _to_readiness(snapshot: Snapshot, states: dict[str, str], turn: int) -> Step
     if states["robot"] == "0":
         return ("robot.connect" if turn % 2 else "wire:rob_conn_onxxxxx"), {}
     if snapshot.latched:
-        return "robot.acknowledge", {}
+        return ("robot.acknowledge" if turn % 4 else "placement.home"), {}  # some do not look before they go on
     if states["placement"] in ("unknown", "held"):
         return {"unknown": "placement.locate", "held": "placement.back_off"}[states["placement"]], {}
     step: Step | None = {

@@ -5,7 +5,7 @@ The numbers are those of the lines in which the meaning of the procedure is pinn
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from pcmrs.campaign.explore.view import MOVING_SPEED, Answered, Event, Fired, Moved, View
 from pcmrs.fsm.blueprint import Condition
@@ -191,24 +191,25 @@ def starts_with_nothing(view: View, event: Event) -> str | None:
     return None
 
 
-INVARIANTS: tuple[Invariant, ...] = (
-    one_state_per_branch,
-    children_fit_their_parents,
-    promises_are_kept,
-    nothing_moves_unasked,
-    stop_holds,
-    nothing_begins_while_latched,
-    danger_latches,
-    released_by_acknowledging,
-    registered_by_a_verdict,
-    durable_before_known,
-    performed_once,
-    repeats_get_the_recorded_verdict,
-    sequence_never_goes_back,
-    rejection_changes_nothing,
-    fires_only_armed_and_placed,
-    starts_with_nothing,
-)
+INVARIANTS: Mapping[type[Event], tuple[Invariant, ...]] = {
+    Snapshot: (
+        one_state_per_branch,
+        children_fit_their_parents,
+        promises_are_kept,
+        nothing_begins_while_latched,
+        danger_latches,
+        released_by_acknowledging,
+        registered_by_a_verdict,
+        sequence_never_goes_back,
+        starts_with_nothing,
+    ),
+    Verdict: (durable_before_known, performed_once, rejection_changes_nothing),
+    DeviceEvent: (danger_latches,),
+    Moved: (nothing_moves_unasked, stop_holds),
+    Fired: (fires_only_armed_and_placed,),
+    Answered: (durable_before_known, repeats_get_the_recorded_verdict),
+}
+"""Event to what it can show to be broken."""
 
 
 def _holds(condition: Condition, snapshot: Snapshot) -> bool:

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
+import msgspec
+
 from pcmrs.experiment.plan import Plan, example_plan, read_plan
 from pcmrs.experiment.tours.arguments import plan_arguments
 from pcmrs.fsm import Blueprint
@@ -21,7 +23,7 @@ WRONG: tuple[dict[str, Any], ...] = (
     {"nonsense": True},
     {"position": [0.0, 0.0, 140.0], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]},
     {"position": [0.0, 0.0, 2.0], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]},
-    {"position": [float("inf"), 0.0, 0.1], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]},
+    {"position": [1e300, 0.0, 0.1], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]},
     {"translation": [0.0, 0.0, 0.5]},
     {"landmarks": []},
     {"percent": 101.0},
@@ -85,7 +87,8 @@ def pose_commands(workflow: str, number: int) -> list[tuple[str, tuple[Any, ...]
 def _arguments(workflow: str) -> Mapping[str, Any]:
     plan = plan_of(workflow)
     own = {"ceiling": {"percent": 60.0, "operator": "explorer"}, "intensity": {"percent": 40.0}}
-    return {**plan_arguments(plan), "surface_points": {"points": 5}, **own}
+    found = {**plan_arguments(plan), "surface_points": {"points": 5}, **own}
+    return msgspec.json.decode(msgspec.json.encode(found), type=dict[str, Any])  # as a script in a file has them
 
 
 _known: dict[str, list[tuple[str, str, Any]]] = {}

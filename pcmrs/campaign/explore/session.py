@@ -28,6 +28,8 @@ from pcmrs.simulation.loop import SimulatedLoop
 
 QUIET_END = 10.0
 """After the last act, with nothing wrong any more, everything has come to an end within this and `PATIENCE`, s."""
+LONGEST_FOLLOWING = 3.0
+"""While the tool follows the head, nobody waits longer until the next act, s: each second has 60 set points."""
 
 
 class Found(msgspec.Struct, frozen=True):
@@ -149,7 +151,7 @@ class Session:
 
     async def _act_all(self, seconds: float) -> None:
         for act in self._script.acts:
-            await asyncio.sleep(act.after)
+            await asyncio.sleep(min(act.after, LONGEST_FOLLOWING) if self._following() else act.after)
             task = asyncio.get_running_loop().create_task(self._do(act))
             self._under_way[task] = None
             task.add_done_callback(self._under_way.pop)
@@ -159,6 +161,10 @@ class Session:
         await self.faults.start_daemon()
         await asyncio.sleep(seconds)
         await self._come_to_an_end()
+
+    def _following(self) -> bool:
+        snapshot = self.witness.view.snapshot
+        return snapshot is not None and snapshot.branches.get("placement") == "following"
 
     async def _come_to_an_end(self) -> None:
         """With nothing wrong any more everything that was begun ends."""

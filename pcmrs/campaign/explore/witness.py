@@ -79,9 +79,9 @@ class Witness:
         self.judge(Answered(command, verdict))
 
     def judge(self, event: Event) -> None:
-        """Holds an event against all invariants."""
+        """Holds an event against all invariants that are about such events."""
         self.view.now = self._loop.time()
-        for invariant in INVARIANTS:
+        for invariant in INVARIANTS[type(event)]:
             text = invariant(self.view, event)
             if text is not None:
                 self.break_(invariant.__name__, text)

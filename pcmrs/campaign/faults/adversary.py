@@ -40,15 +40,15 @@ MAGIC = (
 async def stop_under_a_flood(lab: Lab) -> Evidence:
     """Stop over the bus while the planner's socket is flooded; once in the middle of a motion."""
     async with lab.daemon("cell.rate=1", "procedure.max_pose_age=0.5", "robot.deadman=0.5") as cell:
-        await register(cell)
-        async with moving(cell), flood(cell.ready.links["planner"], FLOOD, lab.seed) as sent:
+        await register(cell.client)
+        async with moving(cell.client), flood(cell.ready.links["planner"], FLOOD, lab.seed) as sent:
             await cell.client.stop()
-            await until(cell, lambda shown: shown.latched)
+            await until(cell.client, lambda shown: shown.latched)
         await held(cell)
         async with flood(cell.ready.links["planner"], FLOOD, lab.seed) as sent, timer_lateness() as timer:
             taken = await stop_times(cell, STOPS)
         await confirmed(cell)
-        await start_anew(cell)
+        await start_anew(cell.client)
     details = {"rate_hz": round(sent.rate), **in_ms("stop", taken), **in_ms("timer", timer.late)}
     late = percentile(taken, 0.5) - percentile(timer.late, 0.99)
     expect(late < STOP_WITHIN, f"Stop took {late * 1e3:.1f} ms longer than a bare timer is late: {details}.")
@@ -59,7 +59,7 @@ async def stop_under_a_flood(lab: Lab) -> Evidence:
 async def magic_texts(lab: Lab) -> Evidence:
     """Words that might end a receiver, whole and as a part of a datagram."""
     async with lab.cell() as cell:
-        await digitized(cell)
+        await digitized(cell.client)
         return Evidence(
             "refused, the receiver goes on", await refused_all(cell, [*MAGIC, *(b"x" * 16 + m for m in MAGIC)])
         )
@@ -71,7 +71,7 @@ async def unknown_commands_and_bad_numbers(lab: Lab) -> Evidence:
     wrong = [b"no_such_commandx;", b"img_fid_numxxxxx_-1;", b"img_fid_numxxxxx_1000;", b"img_dig_digitize_x;"]
     wrong += [b"target_tslxxxxxx_1_2;", b"target_tslxxxxxx_1_2_3_4;", b"target_tslxxxxxx_1_2_x;"]
     async with lab.cell() as cell:
-        await digitized(cell)
+        await digitized(cell.client)
         details = await refused_all(cell, wrong)
         for name, arguments in (
             ("registration.no_such_operation", {}),
@@ -91,7 +91,7 @@ async def numbers_that_only_some_parsers_read(lab: Lab) -> Evidence:
     wrong = [f"target_tslxxxxxx_{RIGHT}_{RIGHT}_{number};".encode() for number in WRONG_NUMBERS]
     wrong += [f"img_fid_numxxxxx_{number};".encode() for number in WRONG_NUMBERS]
     async with lab.cell() as cell:
-        await register(cell)
+        await register(cell.client)
         details = await refused_all(cell, wrong)
         for number in (float("nan"), float("inf"), "1", None):
             pose = {"position": [0.0, 0.0, number], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
@@ -114,10 +114,10 @@ async def paths_from_the_network(lab: Lab) -> Evidence:
         "\\\\host\\share\\x.ply",
     )
     async with lab.cell() as cell:
-        await digitized(cell)
+        await digitized(cell.client)
         before, files = await cell.client.state(), set(cell.folder.rglob("*"))
         verdicts = {path: await cell.planner.command("icp_registerxxxx", path) for path in paths}
-        after = await until(cell, lambda shown: not shown.running)
+        after = await until(cell.client, lambda shown: not shown.running)
         new = set(cell.folder.rglob("*")) - files
     accepted = [path for path, verdict in verdicts.items() if verdict.decision == "accepted"]
     expect(not accepted, f"Accepted was {accepted}.")
@@ -130,9 +130,9 @@ async def paths_from_the_network(lab: Lab) -> Evidence:
 async def stop_spam(lab: Lab) -> Evidence:
     """Thousands of Stops: the first one stops, all are honoured, and the cell can be used again."""
     async with lab.cell() as cell:
-        await register(cell)
+        await register(cell.client)
         row = cell.last_row()
-        async with moving(cell), raw_socket(cell.ready.links["planner"]) as raw:
+        async with moving(cell.client), raw_socket(cell.ready.links["planner"]) as raw:
             answers: list[bytes] = []
             for first in range(1, SPAM, BATCH):
                 for number in range(first, first + BATCH):
@@ -144,7 +144,7 @@ async def stop_spam(lab: Lab) -> Evidence:
         stops = sum(entry.operation == "stopped" for entry in cell.rows(row))
         expect(honoured == SPAM, f"Of {SPAM} Stops {honoured} were confirmed.")
         expect(stops == SPAM, f"Of {SPAM} Stops the journal has {stops}.")
-        await start_anew(cell)
+        await start_anew(cell.client)
     return Evidence("all honoured, held until confirmed", {"sent": SPAM, "honoured": honoured, "rows": stops})
 
 
@@ -152,7 +152,7 @@ async def stop_spam(lab: Lab) -> Evidence:
 async def the_journal_is_edited(lab: Lab) -> Evidence:
     """A row is changed, and its hash is left; a start reads from the last snapshot on only, verifying reads it all."""
     async with lab.daemon() as cell:
-        await accept(cell, "registration.reinit")
+        await accept(cell.client, "registration.reinit")
         journal = Path(cell.ready.journal)
     with closing(sqlite3.connect(journal)) as connection:
         (guard,) = connection.execute("SELECT sql FROM sqlite_master WHERE name = 'no_update'").fetchone()
@@ -169,12 +169,12 @@ async def the_journal_is_rolled_back(lab: Lab) -> Evidence:
     """The database is as it was some commands ago; key and head are left alone."""
     copy = lab.folder / "older.sqlite"
     async with lab.daemon() as cell:
-        await accept(cell, "registration.reinit")
+        await accept(cell.client, "registration.reinit")
         journal = Path(cell.ready.journal)
         with closing(sqlite3.connect(journal)) as connection, closing(sqlite3.connect(copy)) as older:
             connection.backup(older)
         for _ in range(5):
-            await accept(cell, "registration.reinit")
+            await accept(cell.client, "registration.reinit")
     for beside in journal.parent.glob(f"{journal.name}-*"):
         beside.unlink()
     shutil.copyfile(copy, journal)

@@ -72,9 +72,9 @@ async def the_clocks_of_two_hosts_differ(lab: Lab) -> Evidence:
 async def the_machine_sleeps(lab: Lab) -> Evidence:
     """Nothing goes on by itself afterwards: the motion is held, and old commands are refused."""
     async with lab.daemon(*SLOW) as cell:
-        await register(cell)
+        await register(cell.client)
         wall = SystemClock().wall()
-        async with moving(cell) as verdict:
+        async with moving(cell.client) as verdict:
             everybody = [cell.process.pid, *descendants(cell.process.pid)]
             _signal(everybody, signal.SIGSTOP)
             late = asyncio.create_task(_late_command(cell, wall))
@@ -85,7 +85,7 @@ async def the_machine_sleeps(lab: Lab) -> Evidence:
         await held(cell, ("held", "unknown"))
         old = await late
         expect(old != "accepted", "A command from before the sleep was accepted after it.")
-        if await state(cell, "placement") == "held":
+        if await state(cell.client, "placement") == "held":
             await confirmed(cell)
     return Evidence("held; what was old is refused", {"approach": ended, "old command": old})
 
@@ -106,9 +106,9 @@ async def _set_in_motion(lab: Lab, ahead: float | None) -> Evidence:
     """Sets the wall clock in motion: the motion ends as ever, and so does what is begun after it."""
     clock = WallClock.right(lab.folder)
     async with lab.daemon(*REAL_TIME, "robot.deadman=1", environment=clock.environment()) as cell:
-        await register(cell)
+        await register(cell.client)
         row = cell.last_row()
-        async with moving(cell) as verdict:
+        async with moving(cell.client) as verdict:
             if ahead is None:
                 clock.stand()
             else:
@@ -156,8 +156,8 @@ async def _by_planner(cell: LabCell) -> None:
 async def _stop_works(cell: LabCell) -> None:
     """Stop latches, and its latch can be released."""
     await cell.client.stop()
-    await until(cell, lambda shown: shown.latched)
-    if await state(cell, "robot") == "1":
+    await until(cell.client, lambda shown: shown.latched)
+    if await state(cell.client, "robot") == "1":
         released = await _command(cell, "robot", "acknowledge")
         expect(released.decision == "accepted", f"acknowledge was {released.decision}.")
 

@@ -120,8 +120,8 @@ async def no_terminator_and_oversize(lab: Lab) -> Evidence:
     """Without an end, with two ends, and of up to 60,000 bytes."""
     whole = b"session_reinitxx"
     async with lab.cell() as cell:
-        await digitized(cell)
-        wrong = [whole, whole + b";;", whole + b";" + whole + b";", whole + b"\0;", b";", b"", b"\xff" * 300]
+        await digitized(cell.client)
+        wrong = [whole, whole + b";;", whole + b";" + whole + b";", whole + b"\0;", b";", b"\xff" * 300]
         wrong += [whole + b"_" * size + b";" for size in (256, 1500, 9000, 60_000)]
         return Evidence("refused, nothing changed", await refused_all(cell, wrong))
 
@@ -131,7 +131,7 @@ async def rotation_and_translation_of_two_plans(lab: Lab) -> Evidence:
     """A translation without its rotation, or long after it, is refused; so is an approach by what is left."""
     turned, moved = b"target_rotxxxxxx_0.0_0.0_0.0_1.0", b"target_tslxxxxxx_0.01_0.02_0.11"
     async with lab.cell() as cell, raw_socket(cell.ready.links["planner"]) as other:
-        await register(cell)
+        await register(cell.client)
         before = await cell.client.state()
         other.send(turned + b";")
         await other.fence()
@@ -160,7 +160,7 @@ async def a_series_with_gaps(lab: Lab) -> Evidence:
         "one more than announced": ("no_series", [b"img_fid_numxxxxx_01;", b"img_fid_pntxxxxx_01" + point + b";"]),
     }
     async with lab.cell() as cell:
-        await digitized(cell)
+        await digitized(cell.client)
         details: dict[str, Any] = {}
         for number, (name, (code, datagrams)) in enumerate(series.items()):
             end = f"img_fid_lastrecv_#{1000 + number};".encode()
@@ -192,12 +192,12 @@ async def the_router_is_restarted(lab: Lab) -> Evidence:
     heard: list[Snapshot] = []
     async with lab.daemon(endpoint, folder=place) as first:
         first.client.listen("state/fsm", Snapshot, heard.append)
-        await accept(first, "registration.reinit")
+        await accept(first.client, "registration.reinit")
         first.process.send_signal(signal.SIGKILL)
         await first.process.wait()
         heard.clear()
         async with lab.daemon(endpoint, folder=place) as second:
-            await accept(second, "robot.connect")
+            await accept(second.client, "robot.connect")
             await until_true(
                 lambda: any(shown.branches["robot"] == "1" for shown in heard), "No snapshot of the new daemon came"
             )
@@ -212,16 +212,16 @@ async def the_router_is_restarted(lab: Lab) -> Evidence:
 async def a_consumer_that_does_not_read(lab: Lab) -> Evidence:
     """Who reads nothing loses what he does not read; commands and Stop are as quick as before."""
     async with lab.cell() as cell:
-        await register(cell)
+        await register(cell.client)
         usual = await _round_trips(cell)
         async with _frozen_subscriber(cell) as subscriber:
             await asyncio.sleep(2.0)
             slow = await _round_trips(cell)
-            async with moving(cell):
+            async with moving(cell.client):
                 await cell.client.stop()
             await held(cell)
             expect(subscriber.returncode is None, "The subscriber has ended.")
-        await start_anew(cell)
+        await start_anew(cell.client)
     expect(max(slow) < 1.0, f"A command took {max(slow):.2f} s beside a consumer that does not read.")
     return Evidence("control unaffected", {"control": _worst(usual), "beside": _worst(slow)})
 
@@ -231,13 +231,13 @@ async def a_wire_of_100_kbit(lab: Lab) -> Evidence:
     """Poses come too late to be believed: what needs them is refused; status and Stop work."""
     weather = Weather(seed=lab.seed)
     async with _remote_cell(lab, weather) as cell:
-        await register(cell)
+        await register(cell.client)
         weather.rate = NARROW
         await asyncio.sleep(4.0)
         approach = await cell.client.call("placement.approach", timeout=PATIENCE)
         expect(approach.decision == "rejected", f"By poses that are late the approach was {approach.decision}.")
         await cell.client.stop()
-        snapshot = await until(cell, lambda shown: shown.latched)
+        snapshot = await until(cell.client, lambda shown: shown.latched)
         weather.rate = None
         await stands(cell)
     reason = approach.reason.code if approach.reason is not None else ""
@@ -266,13 +266,13 @@ async def a_socket_error(lab: Lab) -> Evidence:
             expect(verdict.decision == "accepted", f"After {error} it was {verdict.decision}.")
             failed[error] = tampered.calls
         await cell.planner.plan_landmarks([landmark.position for landmark in plan().landmarks])
-        expect(await state(cell, "registration") == "100", "The planner's link is dead.")
+        expect(await state(cell.client, "registration") == "100", "The planner's link is dead.")
     return Evidence("the receiver goes on", failed)
 
 
 async def refused_all_with_reasons(cell: LabCell, datagrams: Sequence[bytes], codes: set[str]) -> dict[str, Any]:
     """`refused_all`, where every one that has an id is answered with one of the codes."""
-    details = await refused_all(cell, datagrams)
+    details = await refused_all(cell, datagrams, refusals=1)
     for answer in details["answers"]:
         expect(any(code in answer for code in codes), f"The answer was {answer}; {sorted(codes)} had to come.")
     expect(bool(details["answers"]), "There was no answer.")
@@ -357,12 +357,12 @@ async def _cut_in_motion(lab: Lab, *, towards: bool, back: bool) -> Evidence:
     """Cuts the wire between node and daemon while the arm moves; `towards` is from node to daemon."""
     weather = Weather(seed=lab.seed)
     async with _remote_cell(lab, weather) as cell:
-        await register(cell)
+        await register(cell.client)
         clock = asyncio.get_running_loop().time
-        async with moving(cell) as verdict:
+        async with moving(cell.client) as verdict:
             weather.towards, weather.back = towards, back
             cut = clock()
-            shown = await until(cell, lambda snapshot: snapshot.latched or snapshot.branches["robot"] == "0")
+            shown = await until(cell.client, lambda snapshot: snapshot.latched or snapshot.branches["robot"] == "0")
             found = clock() - cut
             await asyncio.sleep(1.0)
             weather.towards, weather.back = True, True
@@ -414,7 +414,7 @@ async def _round_trips(cell: LabCell) -> list[float]:
     taken = []
     for _ in range(20):
         begun = clock()
-        await accept(cell, "toolplan.plan", **tool_pose())
+        await accept(cell.client, "toolplan.plan", **tool_pose())
         taken.append(clock() - begun)
     return taken
 

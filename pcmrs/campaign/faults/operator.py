@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -29,6 +30,7 @@ from pcmrs.campaign.driving import (
 from pcmrs.campaign.every_state import walk
 from pcmrs.campaign.fault import Evidence, NotRun, Unmet, fault
 from pcmrs.campaign.lab import REAL_TIME, Lab, LabCell
+from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.errors import DeviceError
 from pcmrs.experiment.tours.arguments import Arguments, plan_arguments
@@ -83,19 +85,19 @@ async def all_forbidden(lab: Lab) -> Evidence:
     async with lab.cell() as cell:
         for step in _way():
             if step is not None:
-                await step(cell)
-                await until(cell, lambda snapshot: not snapshot.running)
+                await step(cell.client)
+                await until(cell.client, lambda snapshot: not snapshot.running)
             asked += await _ask_forbidden(cell, blueprint, rulings)
             states += 1
     return Evidence(f"{asked} refused in {states} joint states", {"control": "what leads on was accepted"})
 
 
-def _way() -> tuple[Any, ...]:
-    async def planned(cell: LabCell) -> None:
-        await accept(cell, "registration.plan_landmarks", **landmarks())
+def _way() -> tuple[Callable[[Client], Awaitable[object]] | None, ...]:
+    async def planned(client: Client) -> None:
+        await accept(client, "registration.plan_landmarks", **landmarks())
 
-    async def all_digitized(cell: LabCell) -> None:
-        await accept(cell, "digitization.digitize_all")
+    async def all_digitized(client: Client) -> None:
+        await accept(client, "digitization.digitize_all")
 
     return None, planned, all_digitized, register, to_standoff, to_placed
 
@@ -126,7 +128,7 @@ async def _ask_forbidden(cell: LabCell, blueprint: Blueprint, rulings: Any) -> i
 async def index_out_of_range(lab: Lab) -> Evidence:
     """A landmark that is not planned is not digitized."""
     async with lab.cell() as cell:
-        await accept(cell, "registration.plan_landmarks", **landmarks())
+        await accept(cell.client, "registration.plan_landmarks", **landmarks())
         count = len(plan().landmarks)
         indices = (-1, count, lab.random.randrange(count, 10**6))
         for index in indices:
@@ -137,21 +139,21 @@ async def index_out_of_range(lab: Lab) -> Evidence:
         answer = await cell.planner.command("img_dig_digitize", count, timeout=30.0)
         expect(answer.decision == "rejected", f"Over UDP it was {answer.decision}.")
         expect(shape(await cell.client.state()) == shape(before), "The state changed.")
-        await accept(cell, "digitization.digitize_one", index=count - 1)
+        await accept(cell.client, "digitization.digitize_one", index=count - 1)
     return Evidence(f"refused: {said(verdict)}", {"indices": str(indices), "control": f"index {count - 1} accepted"})
 
 
 async def _displaced(cell: LabCell, offsets: dict[int, Any]) -> str:
     """Digitizes with touches off by `offsets` (m, by index); the code with which registering is refused."""
-    await accept(cell, "registration.plan_landmarks", **landmarks())
+    await accept(cell.client, "registration.plan_landmarks", **landmarks())
     for index, offset in offsets.items():
         x, y, z = map(float, offset)
         await cell.scene.displace_touch(index, (x, y, z))
-    await accept(cell, "digitization.digitize_all")
+    await accept(cell.client, "digitization.digitize_all")
     verdict = await refused(cell, "registration.register", codes=GATES)
     await refused(cell, "placement.approach", codes=("requirement_not_met", "invalid_in_state", "parent_refuses"))
-    await digitized(cell)
-    await accept(cell, "registration.register")
+    await digitized(cell.client)
+    await accept(cell.client, "registration.register")
     return verdict.reason.code if verdict.reason is not None else ""
 
 
@@ -192,7 +194,7 @@ async def collinear(lab: Lab) -> Evidence:
     codes = ("degenerate_points", "landmarks_collinear")
     async with lab.cell() as cell:
         verdict = await refused(cell, "registration.plan_landmarks", {"landmarks": line}, codes=codes)
-        await accept(cell, "registration.plan_landmarks", **landmarks())
+        await accept(cell.client, "registration.plan_landmarks", **landmarks())
     return Evidence(f"refused: {said(verdict)}", {"control": "the example's landmarks are accepted"})
 
 
@@ -205,12 +207,12 @@ def _patient(name: str) -> tuple[str, ...]:
 async def previous_patient(lab: Lab) -> Evidence:
     """Another patient's registration is not taken."""
     async with lab.daemon(*_patient("one")) as cell:
-        await digitized(cell)
-        await accept(cell, "registration.register")
+        await digitized(cell.client)
+        await accept(cell.client, "registration.register")
     async with lab.daemon(*_patient("two"), folder=cell.folder) as other:
         verdict = await refused(other, "registration.use_previous", codes=("other_patient",))
     async with lab.daemon(*_patient("one"), folder=cell.folder) as same:
-        await accept(same, "registration.use_previous")
+        await accept(same.client, "registration.use_previous")
     return Evidence(f"refused: {said(verdict)}", {"control": "accepted for the same patient"})
 
 
@@ -218,15 +220,15 @@ async def previous_patient(lab: Lab) -> Evidence:
 async def planned_again(lab: Lab) -> Evidence:
     """A new plan ends digitization and registration."""
     async with lab.cell() as cell:
-        await register(cell)
-        await accept(cell, "registration.plan_landmarks", **landmarks())
+        await register(cell.client)
+        await accept(cell.client, "registration.plan_landmarks", **landmarks())
         shown = await cell.client.state()
         states = (shown.branches["registration"], shown.branches["digitization"], shown.registration)
         expect(states == ("100", "0", None), f"registration, digitization and id are {states}.")
         await refused(cell, "registration.register", codes=("invalid_in_state",))
         await refused(cell, "placement.approach", codes=("requirement_not_met", "invalid_in_state"))
-        await accept(cell, "digitization.digitize_all")
-        await accept(cell, "registration.register")
+        await accept(cell.client, "digitization.digitize_all")
+        await accept(cell.client, "registration.register")
     return Evidence("digitization and registration gone, approach refused", {"control": "digitized anew: registered"})
 
 
@@ -254,14 +256,14 @@ async def repeated(lab: Lab) -> Evidence:
         arguments = landmarks()
         both = [cell.client.call("registration.plan_landmarks", arguments, id=name) for _ in range(2)]
         first, second = await asyncio.gather(*both)
-        await accept(cell, "digitization.digitize_all")
+        await accept(cell.client, "digitization.digitize_all")
         third = await cell.client.call("registration.plan_landmarks", arguments, id=name)
         expect(first == second == third, f"Three verdicts for one id: {first}, {second}, {third}.")
         shown = (await cell.client.state()).branches
         expect(shown["digitization"] == "1", "The repeat was run: the digitization is gone.")
         outcomes = [stored for stored in cell.rows(row) if (stored.kind, stored.command_id) == ("outcome", name)]
         expect(len(outcomes) == 1, f"The journal has {len(outcomes)} outcomes of one id.")
-        other = await accept(cell, "registration.plan_landmarks", **arguments)
+        other = await accept(cell.client, "registration.plan_landmarks", **arguments)
         expect(other.sequence > first.sequence, "Another id was not run.")
     return Evidence("run once, the recorded verdict thrice", {"control": "another id is run"})
 
@@ -278,11 +280,11 @@ async def stop_while_digitizing(lab: Lab) -> Evidence:
     """Stop ends a digitization at once."""
     took: list[float] = []
     async with lab.daemon("sim.digitization.reach_time=60") as cell:
-        await connect(cell)
-        await accept(cell, "registration.plan_landmarks", **landmarks())
+        await connect(cell.client)
+        await accept(cell.client, "registration.plan_landmarks", **landmarks())
         for _ in range(STOPS):
             took.append(await _stop_digitizing(cell))
-            await accept(cell, "robot.acknowledge")
+            await accept(cell.client, "robot.acknowledge")
             expect((await cell.client.state()).branches["digitization"] == "0", "Something was digitized.")
     late = await _timer_lateness()
     if median(took) > PROMISE:
@@ -297,7 +299,7 @@ async def _stop_digitizing(cell: LabCell) -> float:
     """From the datagram of Stop to the cancelled operation's verdict at its caller, s."""
     clock = SystemClock()
     call = asyncio.create_task(cell.client.call("digitization.digitize_one", {"index": 0}, timeout=30.0))
-    await until(cell, lambda snapshot: bool(snapshot.running))
+    await until(cell.client, lambda snapshot: bool(snapshot.running))
     expect(not call.done(), "The digitization ended without a Stop.")
     begun = clock.monotonic()
     stop = asyncio.create_task(cell.planner.stop())
@@ -322,9 +324,9 @@ async def _timer_lateness() -> float:
 async def edited_while_moving(lab: Lab) -> Evidence:
     """No plan changes under a motion."""
     async with lab.cell(*REAL_TIME) as cell:
-        await to_retracted(cell)
+        await to_retracted(cell.client)
         before = await cell.client.state()
-        async with moving(cell) as approach:
+        async with moving(cell.client) as approach:
             row, meanwhile = cell.last_row(), await cell.client.state()
             pose = await cell.client.call("toolplan.plan", tool_pose(1))
             await check_refused(cell, pose, meanwhile, row, ("busy",))
@@ -333,8 +335,8 @@ async def edited_while_moving(lab: Lab) -> Evidence:
             verdict = await approach
         expect(verdict.decision == "accepted", f"The approach was {verdict.decision}: {said(verdict)}.")
         expect((await cell.client.state()).plan == before.plan, "The plan was changed.")
-        await accept(cell, "toolplan.plan", **tool_pose(1))
-        await until(cell, lambda snapshot: snapshot.branches["placement"] == "held")
+        await accept(cell.client, "toolplan.plan", **tool_pose(1))
+        await until(cell.client, lambda snapshot: snapshot.branches["placement"] == "held")
     details = {"control": "accepted when the tool stood at the standoff, which was revoked: held"}
     return Evidence(f"refused: {said(pose)}", details)
 
@@ -355,17 +357,19 @@ async def abandoned(lab: Lab) -> Evidence:
 
 
 async def _leave(cell: LabCell) -> Evidence:
-    await to_placed(cell)
-    await accept(cell, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
-    await accept(cell, "stimulation.set_intensity", percent=50.0)
-    await accept(cell, "stimulation.arm")
+    await to_placed(cell.client)
+    await accept(cell.client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
+    await accept(cell.client, "stimulation.set_intensity", percent=50.0)
+    await accept(cell.client, "stimulation.arm")
     for _ in range(4):  # somebody is there: each of these is within the limit
         await asyncio.sleep(1.5)
         await cell.client.call("stimulation.set_intensity", {"percent": 50.0})
     expect(not (await cell.client.state()).latched, "It was held although somebody was there.")
     clock = SystemClock()
     left = clock.monotonic()
-    shown = await until(cell, lambda snapshot: snapshot.latched and snapshot.branches["stimulation"] == "disarmed")
+    shown = await until(
+        cell.client, lambda snapshot: snapshot.latched and snapshot.branches["stimulation"] == "disarmed"
+    )
     took = clock.monotonic() - left
     stimulator = await cell.client.request_device("stimulator", "state")
     expect(not stimulator["armed"], "The stimulator itself is armed.")

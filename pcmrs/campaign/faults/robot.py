@@ -39,15 +39,15 @@ async def braked(
 ) -> Evidence:
     """A motion fails, the tool is held; nothing goes on when the fault has ended, until an operator confirms."""
     async with lab.cell(*REAL_TIME, anew=False) as cell:
-        await to_retracted(cell)
-        async with moving(cell) as approach, injected(cell, name, begin, end):
+        await to_retracted(cell.client)
+        async with moving(cell.client) as approach, injected(cell, name, begin, end):
             verdict = await approach
             _expect_end(verdict, ("failed", "held"))
             await held(cell)
         await asyncio.sleep(SETTLING)
         await held(cell)
         await confirmed(cell)
-        async with moving(cell) if await _retracted(cell) else moving(cell, "placement.home"):
+        async with moving(cell.client) if await _retracted(cell) else moving(cell.client, "placement.home"):
             pass
     return Evidence("motion failed, held and latched until confirmed", {"control": "the next motion was done"})
 
@@ -79,15 +79,15 @@ async def lost(
 ) -> Evidence:
     """The outcome of a motion is unknown, the robot counts as disconnected, and nothing is sent again."""
     async with lab.cell(*REAL_TIME, anew=False) as cell:
-        await to_retracted(cell)
+        await to_retracted(cell.client)
         row = cell.last_row()
-        async with moving(cell) as approach, injected(cell, name, begin, end):
+        async with moving(cell.client) as approach, injected(cell, name, begin, end):
             _expect_end(await approach, *endings)
-            await until(cell, lambda shown: shown.latched and shown.branches["robot"] == "0")
+            await until(cell.client, lambda shown: shown.latched and shown.branches["robot"] == "0")
             expect((await cell.client.state()).branches["placement"] == "unknown", "The placement counts as known.")
             way = await stands(cell)
-        await connect(cell)
-        located = await until(cell, lambda snapshot: snapshot.branches["placement"] != "unknown")
+        await connect(cell.client)
+        located = await until(cell.client, lambda snapshot: snapshot.branches["placement"] != "unknown")
         expect(located.latched, "The latch is gone, and nobody has confirmed.")
         await stands(cell)
         intents = [stored for stored in cell.rows(row) if (stored.kind, stored.operation) == ("intent", "approach")]
@@ -112,8 +112,8 @@ async def silent(lab: Lab) -> Evidence:
 async def interrupted(lab: Lab) -> Evidence:
     """The cabinet breaks the motion off."""
     async with lab.cell(*REAL_TIME, anew=False) as cell:
-        await to_retracted(cell)
-        async with moving(cell) as approach, injected(cell, "interrupt", {}, {}):
+        await to_retracted(cell.client)
+        async with moving(cell.client) as approach, injected(cell, "interrupt", {}, {}):
             verdict = await approach
         _expect_end(verdict, ("failed", "held"))
         expect("interrupted" in said(verdict), f"The reason does not say so: {said(verdict)}.")
@@ -130,7 +130,7 @@ async def framed(lab: Lab) -> Evidence:
     async with lab.daemon(*VIRTUAL) as cell:
         await cell.scene.inject("frame_replies", {"how": "whole"})
         try:
-            await to_placed(cell)
+            await to_placed(cell.client)
             await _there_and_back(cell)
         except Unmet as error:
             raise NotRun(f"The virtual cabinet fails with whole replies, too, on this machine: {error.text}") from None
@@ -142,9 +142,9 @@ async def framed(lab: Lab) -> Evidence:
 
 
 async def _there_and_back(cell: LabCell) -> None:
-    await accept(cell, "placement.back_off")
+    await accept(cell.client, "placement.back_off")
     await asyncio.sleep(SETTLING)
-    await accept(cell, "placement.confirm")
+    await accept(cell.client, "placement.confirm")
 
 
 @fault("B5", how=f"{HOW}: emergency stop")
@@ -158,13 +158,13 @@ async def unreachable(lab: Lab) -> Evidence:
     """The planned pose is out of reach."""
     far = {"millimetres": 1500.0}
     async with lab.cell(*REAL_TIME, anew=False) as cell:
-        await to_retracted(cell)
+        await to_retracted(cell.client)
         async with injected(cell, "shift_body", far, {"millimetres": -1500.0}):
             await asyncio.sleep(1.0)
             verdict = await refused(cell, "placement.approach", codes=("unreachable",))
             await stands(cell)
         await asyncio.sleep(1.0)
-        await accept(cell, "placement.approach")
+        await accept(cell.client, "placement.approach")
     return Evidence(f"refused: {said(verdict)}", {"control": "accepted when it was back"})
 
 
@@ -193,21 +193,23 @@ async def guided(lab: Lab) -> Evidence:
     """The arm is elsewhere when it is connected again."""
     angle = lab.random.choice((-1.0, 1.0)) * lab.random.uniform(0.2, 0.4)
     async with lab.cell(*REAL_TIME, anew=False) as cell:
-        await to_standoff(cell)
+        await to_standoff(cell.client)
         before = await _joints(cell)
         await cell.scene.inject("drop_client", {})
-        await until(cell, lambda shown: (shown.branches["robot"], shown.branches["placement"]) == ("0", "unknown"))
+        await until(
+            cell.client, lambda shown: (shown.branches["robot"], shown.branches["placement"]) == ("0", "unknown")
+        )
         await cell.scene.inject("guide_by_hand", {"joint": 1, "angle": angle})
         await asyncio.sleep(2.0)
-        await connect(cell)
-        located = await until(cell, lambda shown: shown.branches["placement"] != "unknown")
+        await connect(cell.client)
+        located = await until(cell.client, lambda shown: shown.branches["placement"] != "unknown")
         found = located.branches["placement"]
         expect(found in ("held", "retracted"), f"The arm was moved, and counts as {found}.")
         moved = float(np.abs(np.subtract(await _joints(cell), before)).max())
         expect(moved > 0.1, f"The arm was not moved by hand: {moved:.3f} rad.")
         await refused(cell, "placement.approach", codes=("latched", "invalid_in_state"))
         await confirmed(cell)
-        await accept(cell, "placement.home")
+        await accept(cell.client, "placement.home")
     return Evidence(f"placement unknown, then {found}", {"moved_rad": moved})
 
 
@@ -224,7 +226,7 @@ async def raising(lab: Lab) -> Evidence:
             verdict = await cell.client.call("robot.connect")
             _expect_end(verdict, ("failed", "0"))
             expect((await cell.client.state()).branches["robot"] == "0", "The robot counts as connected.")
-        await connect(cell)
+        await connect(cell.client)
     return Evidence(f"failed, state 0 kept: {said(verdict)}", {"control": "connected when it did not refuse"})
 
 
@@ -238,13 +240,13 @@ async def dropped(lab: Lab) -> Evidence:
 async def late(lab: Lab) -> Evidence:
     """What was sent earlier arrives after a new connection."""
     async with lab.cell(*REAL_TIME, anew=False) as cell:
-        await to_following(cell)
+        await to_following(cell.client)
         async with injected(cell, "late_set_point"):
             await cell.scene.inject("drop_client", {})
-            await until(cell, lambda shown: shown.branches["robot"] == "0")
+            await until(cell.client, lambda shown: shown.branches["robot"] == "0")
             await stands(cell)
             before = (await cell.scene.truth()).tracker_from_coil.position
-            await connect(cell)
+            await connect(cell.client)
             await stands(cell)
             after = (await cell.scene.truth()).tracker_from_coil.position
             moved = float(np.linalg.norm(np.subtract(after, before)))
@@ -258,14 +260,14 @@ async def late(lab: Lab) -> Evidence:
 async def old_command(lab: Lab) -> Evidence:
     """A command that was held up on its way is not run late."""
     async with lab.cell(*REAL_TIME, anew=False) as cell:
-        await to_retracted(cell)
+        await to_retracted(cell.client)
         sent = SystemClock().wall() - lab.random.uniform(10.0, 3600.0)
         before, key = await cell.client.state(), command_key("local", "placement", "approach")
         verdict = await cell.bus.request(key, Envelope(id=f"old-{sent}", sent=sent, ttl=5.0), Verdict, 20.0)
         expect(verdict.decision == "rejected", f"It was {verdict.decision}.")
         await stands(cell)
         expect((await cell.client.state()).branches == before.branches, "A state changed.")
-        await accept(cell, "placement.approach")
+        await accept(cell.client, "placement.approach")
     return Evidence(f"refused: {said(verdict)}", {"control": "accepted when sent anew"})
 
 
@@ -273,15 +275,15 @@ async def old_command(lab: Lab) -> Evidence:
 async def doubled(lab: Lab) -> Evidence:
     """The arm follows every set point once."""
     async with lab.cell(*REAL_TIME, anew=False) as cell:
-        await to_following(cell)
+        await to_following(cell.client)
         async with injected(cell, "double_commands"):
             await asyncio.sleep(FOLLOWED)
             shown = (await cell.client.state()).branches
         if shown["placement"] != "following":
-            await calmed(cell)
-            await to_following(cell)  # not run where it does not follow without the fault, either
+            await calmed(cell.client)
+            await to_following(cell.client)  # not run where it does not follow without the fault, either
             raise Unmet(f"With every set point twice it does not follow: {shown}.")
-        await accept(cell, "placement.stop_following")
+        await accept(cell.client, "placement.stop_following")
     return Evidence("followed on", {"seconds": FOLLOWED, "control": f"{FOLLOWED:g} s without the fault"})
 
 
@@ -289,7 +291,7 @@ async def doubled(lab: Lab) -> Evidence:
 async def twice(lab: Lab) -> Evidence:
     """One command id is one motion."""
     async with lab.cell(*REAL_TIME, anew=False) as cell:
-        await to_retracted(cell)
+        await to_retracted(cell.client)
         row, name = cell.last_row(), f"twice-{lab.random.random()}"
         both = [cell.client.call("placement.approach", id=name) for _ in range(2)]
         first, second = await asyncio.gather(*both)

@@ -35,10 +35,10 @@ NOT_BELIEVED = ("pose_stale", "pose_missing")
 async def no_pose(lab: Lab, name: str, *many: dict[str, Any]) -> Evidence:
     """With the fault nothing goes to the body, once for each of `many` arguments; without it, it does."""
     async with lab.cell(*REAL_TIME, anew=False) as cell:
-        await to_standoff(cell)
+        await to_standoff(cell.client)
         codes = [await _confirm_refused(cell, name, arguments) for arguments in many or ({},)]
         await stands(cell)
-        await accept(cell, "placement.confirm")
+        await accept(cell.client, "placement.confirm")
     return Evidence(f"confirm refused: {', '.join(dict.fromkeys(codes))}", {"control": "accepted once it had ended"})
 
 
@@ -55,7 +55,7 @@ async def following_held(
 ) -> Evidence:
     """A tool that follows the head is held when the fault comes, and stays so when it has gone."""
     async with lab.cell(*REAL_TIME, anew=False) as cell:
-        await to_following(cell)
+        await to_following(cell.client)
         async with injected(cell, name, begin, end):
             await held(cell)
         await asyncio.sleep(STALE)
@@ -112,12 +112,12 @@ async def bumped(lab: Lab) -> Evidence:
     """The reference is not where it was on the patient."""
     millimetres = lab.random.uniform(3.0, 8.0)
     async with lab.cell(*REAL_TIME, anew=False) as cell:
-        await to_placed(cell)
+        await to_placed(cell.client)
         await asyncio.sleep(STALE)
         expect((await cell.client.state()).branches["registration"] == "111", "It was taken back without the fault.")
         slip, back = {"millimetres": millimetres}, {"millimetres": -millimetres}
         async with injected(cell, "bump_reference", slip, back):
-            await until(cell, lambda snapshot: snapshot.branches["registration"] == "100")
+            await until(cell.client, lambda snapshot: snapshot.branches["registration"] == "100")
             await held(cell)
         shown = await cell.client.state()
         expect((shown.registration, shown.branches["digitization"]) == (None, "0"), f"Still registered: {shown}.")
@@ -176,9 +176,9 @@ async def wrong_calibration(lab: Lab) -> Evidence:
 async def _digitize_with(lab: Lab, settings: tuple[str, ...], code: str) -> str:
     """A daemon with these settings digitizes, or refuses with `code` where there is one."""
     async with lab.daemon(*settings) as cell:
-        await accept(cell, "registration.plan_landmarks", **landmarks())
+        await accept(cell.client, "registration.plan_landmarks", **landmarks())
         if not code:
-            await accept(cell, "digitization.digitize_all")
+            await accept(cell.client, "digitization.digitize_all")
             return ""
         await refused(cell, "digitization.digitize_all", codes=(code,))
         return code
@@ -219,7 +219,7 @@ async def pushed(lab: Lab) -> Evidence:
     """The force on a tool at rest is over the limit."""
     force = lab.random.uniform(35.0, 50.0)
     async with lab.cell(*REAL_TIME, anew=False) as cell:
-        await to_placed(cell)
+        await to_placed(cell.client)
         async with injected(cell, "push_tool", {"force": force}, {"force": 0.0}):
             await held(cell)
         await asyncio.sleep(STALE)
@@ -233,11 +233,11 @@ ARMED = ("workflow=ratms_threshold", "procedure.alignment.off_time=30", *REAL_TI
 
 async def _arm(cell: LabCell) -> None:
     """Placed and aligned, the stimulator armed at 50 %, the interval since then behind."""
-    await to_placed(cell)
-    await accept(cell, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
-    await accept(cell, "stimulation.set_intensity", percent=50.0)
-    await until(cell, lambda snapshot: snapshot.branches["alignment"] == "1")
-    await accept(cell, "stimulation.arm")
+    await to_placed(cell.client)
+    await accept(cell.client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
+    await accept(cell.client, "stimulation.set_intensity", percent=50.0)
+    await until(cell.client, lambda snapshot: snapshot.branches["alignment"] == "1")
+    await accept(cell.client, "stimulation.arm")
     await asyncio.sleep(INTERVAL)
 
 
@@ -289,9 +289,9 @@ async def slow_frames_at_pulse(lab: Lab) -> Evidence:
 async def no_response(lab: Lab) -> Evidence:
     """A threshold that no pulse reaches is none."""
     async with lab.daemon(*ARMED, "procedure.stimulation.intervals.least=1.1") as cell:
-        await to_placed(cell)
-        await accept(cell, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
-        await until(cell, lambda snapshot: snapshot.branches["alignment"] == "1")
+        await to_placed(cell.client)
+        await accept(cell.client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
+        await until(cell.client, lambda snapshot: snapshot.branches["alignment"] == "1")
         async with injected(cell, "no_mep"):
             pulses, result = await _hunt(cell)
     expect(bool(result.get("refusal")), f"A threshold came out of {pulses} pulses that evoked nothing: {result}.")
@@ -300,13 +300,13 @@ async def no_response(lab: Lab) -> Evidence:
 
 async def _hunt(cell: LabCell) -> tuple[int, dict[str, Any]]:
     """Pulses until the hunt ends: how many, and what the last one said."""
-    begun = (await accept(cell, "threshold.begin")).result or {}
-    await accept(cell, "stimulation.set_intensity", percent=begun.get("intensity", 50.0))
-    await accept(cell, "stimulation.arm")
+    begun = (await accept(cell.client, "threshold.begin")).result or {}
+    await accept(cell.client, "stimulation.set_intensity", percent=begun.get("intensity", 50.0))
+    await accept(cell.client, "stimulation.arm")
     pulses, result = 0, dict[str, Any]()
     while (await cell.client.state()).branches["threshold"] == "hunting":
         await asyncio.sleep(1.2)
-        result = (await accept(cell, "threshold.pulse")).result or {}
+        result = (await accept(cell.client, "threshold.pulse")).result or {}
         expect(not result["mep"]["present"], f"Pulse {pulses + 1} counts as answered: {result['mep']}.")
         pulses += 1
     return pulses, result

@@ -41,6 +41,18 @@ async def the_disk_is_full(lab: Lab) -> Evidence:
         return await _afterwards(lab, asked, details)
 
 
+@fault("T1", how="a real ext4 disk with journal and log of the daemon, full", tools=DISK_TOOLS, deadline=SEVERAL)
+async def the_disk_of_the_log_is_full(lab: Lab) -> Evidence:
+    """What cannot be logged is lost; no command fails for it, and none waits."""
+    async with loop_disk(lab.folder) as disk, lab.daemon(folder=disk.path / "cell") as cell:
+        asked = await _asked(cell)
+        disk.fill()
+        details = await _refused_sooner_or_later(asked)
+        expect(details["refused_as"] != "no verdict", "A command had no verdict.")
+        disk.release()
+        return await _afterwards(lab, asked, details)
+
+
 @fault("T2", how="strace: write of the journal's files gives EIO", tools=("strace",), deadline=SEVERAL)
 async def writing_fails(lab: Lab) -> Evidence:
     """The disk does not take what is written."""
@@ -153,7 +165,7 @@ async def the_disk_is_read_only(lab: Lab) -> Evidence:
 async def a_half_written_file(lab: Lab) -> Evidence:
     """What a crash can leave of files that are written as a whole is not read."""
     async with lab.daemon() as cell:
-        await accept(cell, "registration.plan_landmarks", **landmarks())
+        await accept(cell.client, "registration.plan_landmarks", **landmarks())
     left = ["lock.tmp", "journal.key.tmp", "ratms.sqlite.head.tmp", "records/placements.csv.tmp", "cache.json"]
     for name in left:
         file = cell.folder / name
@@ -161,7 +173,7 @@ async def a_half_written_file(lab: Lab) -> Evidence:
         file.write_bytes(b'{"registration": "111", "landm')
     async with lab.daemon(folder=cell.folder) as successor:
         snapshot = await successor.client.state()
-        await accept(successor, "registration.plan_landmarks", **landmarks())
+        await accept(successor.client, "registration.plan_landmarks", **landmarks())
     _expect_initial(snapshot)
     return Evidence("ignored", {"files": left})
 
@@ -235,7 +247,7 @@ async def _successor(lab: Lab, cell: LabCell) -> None:
     """The next daemon on the folder begins as all do, and decides again."""
     async with lab.daemon(f"cell.folder={cell.ready.folder}", folder=cell.folder) as successor:
         _expect_initial(await successor.client.state())
-        await accept(successor, "registration.plan_landmarks", **landmarks())
+        await accept(successor.client, "registration.plan_landmarks", **landmarks())
 
 
 def _expect_initial(snapshot: Snapshot) -> None:

@@ -19,6 +19,8 @@ SLOWING = 0.1
 NEAR = 5e-5
 """A travel that lacks no more than this is at its end, m."""
 
+_DAMPED = DAMPING**2 * np.eye(6)
+
 
 class AxisMotion(ABC):
     """Keeps the orientation of the flange and moves it by ``dq = J^T (J J^T + damping^2 I)^-1 (axis v, 0)``.
@@ -49,7 +51,8 @@ class AxisMotion(ABC):
         self._model = model
         self._position, self._carried = position.copy(), velocity.copy()
         self._velocity = velocity
-        self._axis = model.forward(self._position).rotation @ axis_in_flange
+        axis = model.forward(self._position).rotation @ axis_in_flange
+        self._twist = np.concatenate((axis, np.zeros(3)))
         self._travel = travel
         self._step = step
         self._speed = 0.0
@@ -65,7 +68,7 @@ class AxisMotion(ABC):
         """The next sample, (3, n)."""
         wanted = min(self._wanted(), (self._travel - self.travelled) / SLOWING)
         if self.ended:
-            return np.stack((self._position, np.zeros_like(self._position), np.zeros_like(self._position)))
+            return np.array((self._position, np.zeros_like(self._position), np.zeros_like(self._position)))
         step = self._step
         self._speed += (wanted - self._speed) * step / LAG
         self.travelled += self._speed * step
@@ -73,9 +76,9 @@ class AxisMotion(ABC):
         before = self._velocity
         self._velocity = self._carried + self._joint_velocity()
         self._position += self._velocity * step
-        if not np.all((self._model.lower < self._position) & (self._position < self._model.upper)):
+        if not ((self._model.lower < self._position) & (self._position < self._model.upper)).all():
             self.halt = "joint_limit"
-        return np.stack((self._position, self._velocity, (self._velocity - before) / step))
+        return np.array((self._position, self._velocity, (self._velocity - before) / step))
 
     @property
     def alarm(self) -> DeviceEvent | None:
@@ -98,6 +101,6 @@ class AxisMotion(ABC):
 
     def _joint_velocity(self) -> Floats:
         jacobian = self._model.jacobian(self._position)
-        twist = np.concatenate((self._speed * self._axis, np.zeros(3)))
-        velocity: Floats = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + DAMPING**2 * np.eye(6), twist)
+        damped = jacobian @ jacobian.T + _DAMPED
+        velocity: Floats = jacobian.T @ np.linalg.solve(damped, self._speed * self._twist)
         return velocity

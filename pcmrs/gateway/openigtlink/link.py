@@ -13,7 +13,7 @@ from pcmrs.clock import Clock
 from pcmrs.devices.plus.framing import MessageReader
 from pcmrs.errors import PayloadError
 from pcmrs.gateway.core import Core
-from pcmrs.gateway.intake import Intake
+from pcmrs.gateway.intake import Intake, source_of
 from pcmrs.gateway.openigtlink.feed import Feed
 from pcmrs.gateway.openigtlink.peer import KINDS, Peer
 from pcmrs.gateway.openigtlink.planner import Answer, Planner
@@ -133,11 +133,11 @@ class OpenIgtLink:
             writer.close()
 
     def _new_peer(self, address: tuple[str, int]) -> Peer:
-        host, port = address
-        lock, source = self._intake.lock(host), f"{LINK}:{host}:{port}"
+        host = address[0]
+        lock, source = self._intake.lock(host), source_of(LINK, address)
 
         def planner(answer: Callable[[Answer], None]) -> Planner:
-            return Planner(source, self._core, lock, self._jobs, answer)
+            return Planner(source, self._core, lock, self._jobs, answer, self._intake.refusals)
 
         trusted = not self._exposed and host in self._gateway.unsigned_peers
         return Peer(self._config, planner, self._clock.wall, trusted=trusted)

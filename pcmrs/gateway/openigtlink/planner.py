@@ -12,6 +12,7 @@ import structlog
 from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.gateway.commands import Plan
 from pcmrs.gateway.core import Core
+from pcmrs.gateway.refusals import Refusals
 from pcmrs.gateway.series import PlanLock
 from pcmrs.gateway.tasks import Tasks
 from pcmrs.messages import Command, Verdict
@@ -56,14 +57,24 @@ class Planner:
         lock: The plan lock of the peer's host.
         tasks: Owns what runs.
         answer: Told how each command ended.
+        refusals: Told of what never gets to the daemon.
     """
 
-    def __init__(self, source: str, core: Core, lock: PlanLock, tasks: Tasks, answer: Callable[[Answer], None]) -> None:
+    def __init__(
+        self,
+        source: str,
+        core: Core,
+        lock: PlanLock,
+        tasks: Tasks,
+        answer: Callable[[Answer], None],
+        refusals: Refusals,
+    ) -> None:
         self._source = source
         self._core = core
         self._lock = lock
         self._tasks = tasks
         self._answer = answer
+        self._refusals = refusals
         self._waiting: dict[Plan, Attempt] = {}
         self._working = False
 
@@ -86,7 +97,7 @@ class Planner:
     def halt(self) -> None:
         """Rejects what waits, as Stop demands."""
         for kind in self._waiting:
-            self._answer(Answer("rejected", ".".join(OPERATIONS[kind]), "stopped", "Stop came before it was decided."))
+            self._answer(self._rejected(".".join(OPERATIONS[kind]), "stopped", "Stop came before it was decided."))
         self._waiting.clear()
 
     async def _work(self) -> None:
@@ -107,7 +118,7 @@ class Planner:
                 )
             )  # fmt: skip
         except RefusalError as refusal:
-            return Answer("rejected", name, refusal.refusal_code, refusal.text)
+            return self._rejected(name, refusal.refusal_code, refusal.text)
         except PcmrsError as error:
             return Answer("failed", name, error.code, error.text)
         except Exception:
@@ -116,6 +127,10 @@ class Planner:
         if verdict.decision == "accepted":
             self._lock.accept(kind, attempt.number)
         return _answer_of(verdict)
+
+    def _rejected(self, name: str, reason: str, text: str) -> Answer:
+        self._refusals.add(self._source, reason, f"{name} was refused: {text}")
+        return Answer("rejected", name, reason, text)
 
     async def _stop(self) -> None:
         stands = await self._core.stop(self._source)

@@ -1,0 +1,80 @@
+"""Tells log and journal of what the gateway itself refuses, at a bounded rate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import structlog
+
+from pcmrs.clock import Clock
+from pcmrs.gateway.core import Core
+from pcmrs.gateway.tasks import Tasks
+from pcmrs.messages import DeviceEvent
+
+PERIOD = 10.0
+"""Seconds between two reports of one reason."""
+
+REFUSED = "refused"
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Untold:
+    """What was refused for one reason since it was told last: how often, and the newest."""
+
+    count: int
+    source: str
+    text: str
+
+
+class Refusals:
+    """Reports the first of each reason at once; as long as more come, the newest every `PERIOD`, with their number.
+
+    What the dispatcher refuses it journals itself. What does not get there is journalled by this: nothing is refused
+    in silence, and a flood fills neither log nor journal.
+
+    Args:
+        core: Journals the reports.
+        clock: The machine's.
+        tasks: Owns the waiting.
+    """
+
+    def __init__(self, core: Core, clock: Clock, tasks: Tasks) -> None:
+        self._core = core
+        self._clock = clock
+        self._tasks = tasks
+        self._untold: dict[str, Untold] = {}
+        self._told: set[str] = set()
+        self._waiting = False
+
+    def add(self, source: str, reason: str, text: str) -> None:
+        """Takes one refusal; never waits.
+
+        Args:
+            source: Who asked, as the daemon records it.
+            reason: One of the codes that there are.
+            text: What, which value, which limit, what to do.
+        """
+        before = self._untold.get(reason)
+        self._untold[reason] = Untold(1 if before is None else before.count + 1, source, text)
+        if reason not in self._told:
+            self._report(reason)
+        if not self._waiting:
+            self._waiting = True
+            self._tasks.spawn(self._wait())
+
+    async def _wait(self) -> None:
+        while self._told:
+            await self._clock.sleep(PERIOD)
+            self._told.clear()
+            for reason in tuple(self._untold):
+                self._report(reason)
+        self._waiting = False
+
+    def _report(self, reason: str) -> None:
+        self._told.add(reason)
+        untold = self._untold.pop(reason)
+        fields = {"count": untold.count, "source": untold.source, "reason": reason}
+        _log.warning(REFUSED, text=untold.text, **fields)
+        self._core.report(DeviceEvent(device="gateway", code=REFUSED, text=untold.text, fields=fields))

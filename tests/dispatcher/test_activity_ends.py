@@ -1,0 +1,115 @@
+"""What an activity that has ended, or never began, must not do."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+import pytest
+from altered import with_operation
+from clock import settle
+from dispatcher_fakes import Bench
+from following import FOLLOWING
+
+from pcmrs.dispatcher import Registry
+from pcmrs.errors import BlueprintError, RefusalError, UnknownOutcomeError
+
+
+@pytest.fixture
+async def bench() -> AsyncIterator[Bench]:
+    made = Bench(FOLLOWING, ["placement"])
+    yield made
+    await made.dispatcher.close()
+
+
+async def go(bench: Bench, *operations: str) -> None:
+    for operation in operations:
+        assert (await bench.do(f"placement.{operation}")).decision == "accepted"
+    await settle()
+
+
+def asked_by_activities(bench: Bench) -> list[str]:
+    return [each.operation for each in bench.recorder.commands if each.source.startswith("activity:")]
+
+
+@pytest.mark.parametrize("way", [("stand", "withdraw"), ("let_go",), ("withdraw",)])
+async def test_one_that_was_told_to_end_asks_for_nothing(bench: Bench, way: tuple[str, ...]) -> None:
+    await go(bench, "approach", "follow", *way)
+    assert asked_by_activities(bench) == []
+
+
+async def test_nothing_is_asked_for_when_the_daemon_ends(bench: Bench) -> None:
+    await go(bench, "approach", "follow")
+    await bench.dispatcher.close()
+    assert asked_by_activities(bench) == []
+
+
+async def test_none_begins_after_a_fail_stop(bench: Bench) -> None:
+    """Although the decision that enters its state was under way, and is committed."""
+    await go(bench, "approach")
+    gate = bench.recorder.gates["decision"] = asyncio.Event()
+    following = await bench.begin("placement.follow")
+    bench.recorder.failing.add("recall")
+    await bench.do("plan.change")
+    assert bench.dispatcher.broken is not None
+    bench.recorder.failing.clear()
+    gate.set()
+    await following
+    await settle()
+    assert bench.script.acting == []
+
+
+async def test_a_state_that_cannot_be_left_without_its_activity_is_fail_stop() -> None:
+    bench = Bench(with_operation(FOLLOWING, "placement", "following_lost", checks=("leaving_possible",)), ["placement"])
+    ended = asyncio.Event()
+
+    async def end(_act: object) -> None:
+        await ended.wait()
+
+    bench.script.activities["follow_head"] = end
+    bench.script.checks["placement.following_lost"] = RefusalError("stuck", "The test wants this to be refused.")
+    await go(bench, "approach", "follow")
+    ended.set()
+    await settle()
+    assert bench.dispatcher.broken is not None
+    assert "following_lost has not led out of it" in bench.dispatcher.broken.text
+    await bench.dispatcher.close()
+
+
+async def test_a_hold_that_is_not_confirmed_after_stop_is_told_once(bench: Bench) -> None:
+    async def hold() -> None:
+        bench.holds += 1
+        if bench.holds > 1:
+            raise UnknownOutcomeError("The robot is silent.")
+
+    bench.hold = hold
+    await go(bench, "approach", "follow")
+    assert not await bench.dispatcher.stop("test:operator")
+    await settle()
+    events = [name for kind, name, _, _ in bench.recorder.rows if kind == "event"]
+    assert [events.count(name) for name in ("stopped", "hold_not_confirmed")] == [1, 1]
+
+
+async def test_one_that_the_latch_keeps_from_beginning_is_not_told_to_have_begun(bench: Bench) -> None:
+    await go(bench, "approach")
+    gate = bench.recorder.gates["decision"] = asyncio.Event()
+    following = await bench.begin("placement.follow")
+    stop = asyncio.create_task(bench.dispatcher.stop("test:operator"))
+    await settle()
+    gate.set()
+    await asyncio.gather(following, stop)
+    await settle()
+    assert "activity_started" not in [name for _, name, _, _ in bench.recorder.rows]
+
+
+@pytest.mark.parametrize("kind", ["step", "activity"])
+def test_what_waits_and_what_does_not_are_registered_as_such(kind: str) -> None:
+    async def waiting(_run: object) -> None: ...
+
+    def at_once(_run: object) -> None: ...
+
+    registry: Registry[Any, Any] = Registry()
+    register: Callable[[Any], object] = getattr(registry, kind)
+    with pytest.raises(BlueprintError):
+        register(waiting if kind == "step" else at_once)

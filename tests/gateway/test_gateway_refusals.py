@@ -1,0 +1,64 @@
+"""What the gateway refuses is told: the first of a reason at once, more at a bounded rate, each counted once."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+
+import pytest
+from clock import ManualClock, settle
+from gateway_fakes import FakeCore
+
+from pcmrs.gateway.refusals import PERIOD, Refusals
+from pcmrs.gateway.tasks import Tasks
+
+SOURCE = "udp:planner:127.0.0.1:4000"
+
+
+class Bench:
+    def __init__(self) -> None:
+        self.core, self.clock, self.tasks = FakeCore(), ManualClock(), Tasks()
+        self.refusals = Refusals(self.core, self.clock, self.tasks)
+
+    async def refuse(self, times: int, reason: str = "malformed") -> None:
+        for number in range(times):
+            self.refusals.add(SOURCE, reason, f"number {number}")
+        await settle()
+
+    @property
+    def told(self) -> list[tuple[str, int, str]]:
+        return [(event.fields["reason"], event.fields["count"], event.text) for event in self.core.events]
+
+
+@pytest.fixture
+async def bench() -> AsyncIterator[Bench]:
+    made = Bench()
+    yield made
+    await made.tasks.close()
+
+
+async def test_the_first_is_told_at_once_with_who_and_why(bench: Bench) -> None:
+    await bench.refuse(1)
+    (event,) = bench.core.events
+    assert (event.device, event.code, event.danger) == ("gateway", "refused", False)
+    assert event.fields == {"count": 1, "source": SOURCE, "reason": "malformed"}
+
+
+async def test_of_a_flood_every_period_has_one_report_and_none_is_forgotten(bench: Bench) -> None:
+    for _ in range(3):
+        await bench.refuse(1000)
+        await bench.clock.advance(PERIOD)
+    counts = [count for _, count, _ in bench.told]
+    assert counts == [1, 999, 1000, 1000]
+
+
+async def test_during_a_flood_another_reason_is_told_at_once(bench: Bench) -> None:
+    await bench.refuse(1000)
+    await bench.refuse(1, "no_rotation")
+    assert bench.told == [("malformed", 1, "number 0"), ("no_rotation", 1, "number 0")]
+
+
+async def test_after_a_quiet_period_the_next_is_told_at_once_again(bench: Bench) -> None:
+    await bench.refuse(1)
+    await bench.clock.advance(PERIOD)
+    await bench.refuse(1)
+    assert bench.told == [("malformed", 1, "number 0"), ("malformed", 1, "number 0")]
