@@ -91,7 +91,11 @@ def test_what_was_queued_behind_an_error_is_not_written(path: Path) -> None:
     writer.close()
 
 
-@pytest.mark.parametrize("value", ["\ud800", 2**70, -(2**70), object(), {1: {2: object()}}], ids=repr)
+@pytest.mark.parametrize(
+    "value",
+    ["\ud800", 2**70, -(2**70), object(), {1: {2: object()}}],
+    ids=["surrogate", "large", "small", "object", "nested object"],
+)
 def test_what_a_row_cannot_hold_is_refused(value: object) -> None:
     with pytest.raises(JournalError, match="cannot be journalled"):
         encode_row(row(result={"value": value}))
