@@ -165,10 +165,10 @@ class PoseFeed:
             return None, "stamp_reversed"
         now = self._clock.monotonic()
         silence, self._arrivals[pose.body] = now - self._arrivals.get(pose.body, now), now
-        late = self._lateness.hear(pose.sent, now)
         known = self._sightings.get(pose.body)
         if known and pose.frame_number < known[-1].frame_number and silence > RESTART_TIME:
             self._forget()  # the tracker was restarted and counts anew; a frozen one repeats its number
+        late = self._lateness.hear(pose.sent, now)
         if known and pose.frame_number <= known[-1].frame_number:
             return None, "frame_not_advancing"
         if known and pose.captured <= known[-1].exposed:

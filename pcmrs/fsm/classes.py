@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from functools import cache, lru_cache
+from types import CodeType
 from typing import Any
 
 import msgspec
@@ -31,14 +32,8 @@ def states_of(blueprint: Blueprint) -> dict[str, list[type[State]]]:
     Args:
         blueprint: One that passed `pcmrs.fsm.rules.check_rules`.
     """
-    return _defined(source_of(blueprint), blueprint.id)
-
-
-@lru_cache(maxsize=16)
-def _defined(source: str, name: str) -> dict[str, list[type[State]]]:
-    """The classes of a source, executed once however many procedures of this process run by it."""
-    module: dict[str, Any] = {"__name__": f"blueprint_{name}"}
-    exec(compile(source, f"<blueprint {name}>", "exec"), module)
+    module: dict[str, Any] = {"__name__": f"blueprint_{blueprint.id}"}
+    exec(_compiled(source_of(blueprint), blueprint.id), module)
     states: dict[str, list[type[State]]] = module["STATES"]
     return states
 
@@ -126,6 +121,12 @@ def _index(blueprint: Blueprint) -> Iterator[str]:
         yield from (f"        {_state_name(name, state)}," for state in branch.states)
         yield "    ],"
     yield "}"
+
+
+@lru_cache(maxsize=16)
+def _compiled(source: str, name: str) -> CodeType:
+    """Compiled once, however many procedures of this process have classes of their own of it."""
+    return compile(source, f"<blueprint {name}>", "exec")
 
 
 def _state_name(branch: str, state: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from pcmrs.campaign.fault import Unmet
-from pcmrs.campaign.lab import Lab, LabCell, Pool
+from pcmrs.campaign.lab import Lab, Pool
 
 
 class Daemons:
@@ -29,15 +29,15 @@ class Daemons:
         yield cell
         self.ended.append(cell)
 
-    async def start_anew(self, cell: LabCell) -> None:
-        if cell in self.spoilt:
+    async def start_anew(self, client: Any) -> None:
+        if client in self.spoilt:
             raise Unmet("It cannot be brought back.")
 
 
 class Stand:
     def __init__(self, daemons: Daemons) -> None:
         self._daemons = daemons
-        self.scene = self
+        self.scene = self.client = self
 
     async def reseed(self, seed: int) -> None:
         self._daemons.seeds.append(seed)
