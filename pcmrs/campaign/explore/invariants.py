@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from pcmrs.campaign.explore.view import MOVING_SPEED, Answered, Event, Fired, Moved, View
+from pcmrs.errors import JournalError
 from pcmrs.fsm.blueprint import Condition
 from pcmrs.messages import DeviceEvent, Snapshot, Verdict
 
@@ -144,6 +145,8 @@ def performed_once(view: View, event: Event) -> str | None:
     """14: a repeat of (source, id) runs nothing."""
     if not isinstance(event, Verdict) or event.decision == "rejected":
         return None
+    if event.decision == "unknown" and event.reason is not None and event.reason.code == JournalError.code:
+        return None  # the journal failed in the middle: what the disk has is told when it has been read again
     if event.id in view.performed:
         return f"{event.branch}.{event.operation} was performed twice for {event.id}."
     view.performed.add(event.id)
