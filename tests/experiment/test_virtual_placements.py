@@ -21,7 +21,7 @@ QUICK = (  # motion in real time, but not more of it than the test needs
 )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_placements_through_real_drivers_are_as_accurate_as_promised() -> None:
     pytest.importorskip("ndicapy")
     settings = [word for setting in QUICK for word in ("--set", setting)]

@@ -100,7 +100,7 @@ async def test_a_daemon_is_told_of_fed_and_scraped_while_it_serves_and_not_while
         assert "Traceback" not in daemon.log
 
 
-@pytest.mark.slow  # a task is held for stuck after ten seconds
+@pytest.mark.nightly  # a task is held for stuck after ten seconds
 async def test_a_task_that_hangs_is_not_fed_for_and_the_health_says_which(
     tmp_path: Path, manager: ServiceManager, blocked: Path
 ) -> None:

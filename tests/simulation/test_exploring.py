@@ -89,7 +89,7 @@ def test_exploring_finds_and_shrinks_every_mutant(name: str, monkeypatch: pytest
     assert run_session(shorter).invariant == invariant
 
 
-@pytest.mark.parametrize("first", range(1001, 1041, 5))
+@pytest.mark.parametrize("first", range(1001, 1021, 5))
 def test_sessions_hold(first: int) -> None:
     found = run_seeds("ratms", "kinematic", list(range(first, first + 5)))
     assert {each.seed: (each.invariant, each.text) for each in found if each.invariant} == {}
