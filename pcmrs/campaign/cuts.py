@@ -25,10 +25,11 @@ COMMITS = 400
 """Of the writer whose power is cut: enough for the write-ahead log to be taken into the database."""
 
 TAIL = 2048
-"""So many bytes at the end of every file are cut at every byte."""
+"""So many bytes at the end of database and log are cut at every byte."""
 
 NAME = "journal.sqlite"
-DAMAGED = (NAME, f"{NAME}-wal", f"{NAME}.head")
+HEAD = f"{NAME}.head"
+DAMAGED = (NAME, f"{NAME}-wal", HEAD)
 
 ShowProgress = Callable[[str, int, int], None]
 
@@ -99,7 +100,7 @@ def cut_and_flip(
     """Damages copies of the journal of a killed process, one at a time, and opens them.
 
     Args:
-        cuts: So many random ones; None for every byte of the last `TAIL` of each file, and of the whole head.
+        cuts: So many random ones; None for every byte of the head's slots, and of the last `TAIL` of the others.
         flips: So many random bits; None for one bit of every byte there.
         seed: Of what is random.
         clock: The machine's.
@@ -258,6 +259,8 @@ def _damages(
 
 def _places(folder: Path) -> Iterator[tuple[str, int]]:
     for name in DAMAGED:
-        size = (folder / name).stat().st_size if (folder / name).exists() else 0
-        for place in range(max(0, size - TAIL), size):
-            yield name, place
+        content = (folder / name).read_bytes() if (folder / name).exists() else b""
+        if name == HEAD:
+            yield from ((name, place) for place, byte in enumerate(content) if byte)  # the rest is padding
+        else:
+            yield from ((name, place) for place in range(max(0, len(content) - TAIL), len(content)))

@@ -51,7 +51,11 @@ class Asked:
         await self.cell.client.stop()
         snapshot = await self.cell.client.state()
         expect(self.cell.process.returncode is None, "The daemon has ended.")
-        reason = verdict.reason.code if verdict is not None and verdict.reason is not None else "no verdict"
+        expect(snapshot.latched, "Stop has not latched.")
+        refusal = await self.ask()  # the first may be unknown: it was being written when the disk failed
+        said = "not answered" if refusal is None else refusal.decision
+        expect(said == "rejected", f"A change of state was {said}, must be rejected.")
+        reason = refusal.reason.code if refusal is not None and refusal.reason is not None else ""
         return {"refused_as": reason, "latched": snapshot.latched}
 
     async def recovers(self, within: float = PATIENCE) -> bool:

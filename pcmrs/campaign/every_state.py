@@ -71,7 +71,9 @@ async def _walk_stretch(
             found.forbidden += 1
             wrong = _wrong(move, verdict, before == _shape(dispatcher), journal)
             found.wrong += [f"{move} in {'-'.join(move.before)}: {wrong}"] if wrong else []
-        if joint_of(blueprint, dispatcher.snapshot().branches) != move.after:
+        reached = joint_of(blueprint, dispatcher.snapshot().branches)
+        if reached != move.after:
+            found.wrong.append(f"{move} in {'-'.join(move.before)}: it led to {'-'.join(reached)}")
             break  # the rest of the stretch begins elsewhere
         await asyncio.sleep(0)
 

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import random
 import select
+import signal
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Collection
@@ -129,11 +130,11 @@ class Tally:
 
 def _one_journal(context: ForkServerContext, path: Path, tally: Tally) -> None:
     """One process after the other writes the same journal and is killed, until one cannot open it."""
-    checked = Checked()
+    checked, places = Checked(), ("", *OF_JOURNAL)
     for _ in range(PER_JOURNAL):
         if tally.done:
             return
-        number, failpoint = tally.kills, tally.generator.choice(("", *OF_JOURNAL))
+        number, failpoint = tally.kills, places[tally.kills % len(places)]
         try:
             told = _killed(context, path, number, failpoint, tally.generator, tally.clock)
             tally.count(failpoint, len(told), lost_rows(path, f"run{number}", told, checked))
@@ -163,10 +164,12 @@ def _killed(
     process = context.Process(target=_run, args=(path, number, generator.randrange(1 << 30), armed, sender))
     process.start()
     sender.close()
-    told = _read(receiver.fileno(), 8, clock.monotonic() + DIES_WITHIN, clock)
-    lives = DIES_WITHIN if failpoint else generator.uniform(0.0, LONGEST)
-    told += _read(receiver.fileno(), 0, clock.monotonic() + lives, clock)
-    process.kill()
+    try:
+        told = _read(receiver.fileno(), 8, clock.monotonic() + DIES_WITHIN, clock)
+        lives = DIES_WITHIN if failpoint else generator.uniform(0.0, LONGEST)
+        told += _read(receiver.fileno(), 0, clock.monotonic() + lives, clock)
+    finally:
+        process.kill()
     told += _read(receiver.fileno(), 0, clock.monotonic() + DIES_WITHIN, clock)
     receiver.close()
     process.join()
@@ -174,6 +177,7 @@ def _killed(
 
 
 def _run(path: Path, number: int, seed: int, armed: str, sender: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that kills this one
     write(path, f"run{number}", seed, armed, sender.fileno())
 
 

@@ -98,10 +98,12 @@ async def soak(
         operator, decisions = Operator(cell.client, random.Random(seed)), Counter[str]()
         begun = clock.monotonic()
         operating = asyncio.create_task(_operate(operator, decisions))
-        seen = await _look(cell, orders, operating, hours * 3600.0, clock, progress)
-        ended = _why_ended(operating)
-        operating.cancel()
-        await asyncio.wait([operating])
+        try:
+            seen = await _look(cell, orders, operating, hours * 3600.0, clock, progress)
+            ended = _why_ended(operating)
+        finally:
+            operating.cancel()
+            await asyncio.gather(operating, return_exceptions=True)
         return SoakReport(
             seconds=clock.monotonic() - begun,
             seed=seed,

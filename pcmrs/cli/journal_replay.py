@@ -13,7 +13,8 @@ from rich.console import RenderableType
 from rich.markup import escape
 from rich.table import Table
 
-from pcmrs.cli.options import json_option
+from pcmrs.cli.journal import of_cell, path_argument
+from pcmrs.cli.options import config_options, json_option
 from pcmrs.cli.printing import print_report
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
@@ -26,16 +27,19 @@ LONG = 2000
 
 
 @click.command()
-@click.argument("path", type=click.Path(path_type=Path))
+@path_argument
 @click.option(
     "--blueprint",
     type=click.Path(path_type=Path),
     help="Decide by this blueprint, whatever the journal was decided under.",
 )
 @json_option
+@config_options
 @readable_errors
-def replay(path: Path, blueprint: Path | None, as_json: bool) -> None:
-    """Decide everything in the journal at PATH anew, and list what comes out differently.
+def replay(
+    path: Path | None, blueprint: Path | None, as_json: bool, file: Path | None, overrides: tuple[str, ...]
+) -> None:
+    """Decide everything in the journal at PATH, or of the configured cell, anew, and list what comes out differently.
 
     PATH is a journal, or its export as JSON lines. What came from outside and what devices answered is taken from it;
     checks of arguments, data and settings, states, locks, Stop and the latch are decided by this program.
@@ -47,7 +51,12 @@ def replay(path: Path, blueprint: Path | None, as_json: bool) -> None:
 
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))  # what went wrong then
     with progress_bar(beyond=LONG, transient=True) as show:
-        replayed = decide_anew(path, SystemClock(), blueprint, lambda done, total: show("deciding anew", done, total))
+        replayed = decide_anew(
+            path or of_cell(file, overrides),
+            SystemClock(),
+            blueprint,
+            lambda done, total: show("deciding anew", done, total),
+        )
     print_report(replayed, _table(replayed), as_json=as_json)
     if not replayed.is_same:
         sys.exit(EXIT_REJECTED)

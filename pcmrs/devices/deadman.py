@@ -63,8 +63,10 @@ class Deadman:
 
     def hear(self, beat: Beat) -> None:
         """Takes a heartbeat of the daemon; one that is late does not count."""
+        if beat.number == self._number:
+            return  # the same one again says nothing new
         now = self._clock.monotonic()
-        if beat.number <= self._number:
+        if beat.number < self._number:
             self.lateness.forget()  # another daemon, perhaps of another start of its machine
         self._number = beat.number
         if self.lateness.hear(beat.sent, now) > self.limit:

@@ -97,6 +97,7 @@ class DeviceNode:
         self._deadman = Deadman(deadman, self._at_risk, self._hold_for_silence, clock)
         self.late: Counter[str] = Counter()
         self._moving = False
+        self._made_safe = 0
         self._begun = self._awake = clock.monotonic()
         self._held_up = -inf
         self._heard: dict[str, float] = {}
@@ -130,6 +131,7 @@ class DeviceNode:
 
     async def make_safe(self, why: str) -> None:
         """Holds the robot and disarms the stimulator that are here; what is not confirmed is logged."""
+        self._made_safe += 1
         async with asyncio.TaskGroup() as tasks:
             if "robot" in self._devices:
                 tasks.create_task(self._confirmed("hold", self._devices["robot"].hold, why))
@@ -151,6 +153,7 @@ class DeviceNode:
         methods = _methods(PROTOCOLS[name])
 
         async def answer(_key: str, request: DeviceRequest) -> DeviceReply:
+            self._made_safe += request.method == "hold"
             try:
                 await self._check_fresh(name, request)
                 result = await _call(device, methods, request)
@@ -195,8 +198,20 @@ class DeviceNode:
                 f"{name}.{request.method} came {late:.1f} s late and was dropped, limit {REQUEST_DELAY:g} s: ask again."
             )
             raise DeviceError(text, late=late, limit=REQUEST_DELAY)
-        if name == "robot" and request.method in BEGINS_MOTION and not await self._deadman.heard():
-            limit = self._deadman.limit
+        if name == "robot" and request.method in BEGINS_MOTION:
+            await self._check_heard()
+
+    async def _check_heard(self) -> None:
+        """Lets a motion begin only for a daemon that is there, and for none that was stopped while that was waited for.
+
+        Raises:
+            DeviceError: The daemon is not heard, or the robot was held meanwhile.
+        """
+        made_safe = self._made_safe
+        heard, limit = await self._deadman.heard(), self._deadman.limit
+        if self._made_safe != made_safe:
+            raise DeviceError("The robot does not begin to move: it was held before it could begin. Ask again.")
+        if not heard:
             text = f"The robot does not begin to move: its node has not heard the daemon for {limit:g} s. "
             text += "See that neither the network nor the machine is overloaded, and ask again."
             raise DeviceError(text, limit=limit)

@@ -60,7 +60,7 @@ class Dispatcher(Generic[C, D]):
         publish: Called in the event loop with every new snapshot, verdict and device event.
 
     Attributes:
-        in_doubt: A stop's hold has not been confirmed, and nobody has acknowledged the stop since.
+        in_doubt: The hold of a stop or a failure has not been confirmed, and nobody has acknowledged that since.
     """
 
     def __init__(
@@ -219,6 +219,8 @@ class Dispatcher(Generic[C, D]):
         stands = await self._hold.confirmed()
         self._activities.open()
         async for verdict in self._reconciliation.of_all(begun):
+            if verdict.decision == "accepted":
+                self._missed = {key: each for key, each in self._missed.items() if each.id != verdict.id}
             self._show(verdict)
         await self._recorder.event(REOPENED, self.procedure.promised())
         if self._broken is not broken:
@@ -258,7 +260,6 @@ class Dispatcher(Generic[C, D]):
         blocked = self._lanes.blocked(attempt)
         reason = self._barred(attempt) or (self._lanes.why_not_wait(attempt) if blocked else _denied(answer))
         if reason is not None:
-            self._remember_missed(attempt)
             self._reject(command, verdict, reason)
         elif blocked:
             self._lanes.waiting.append(attempt)
@@ -303,6 +304,7 @@ class Dispatcher(Generic[C, D]):
         self.in_doubt = self.in_doubt and not conclusion.unlatches
         self._unsettled.follow(conclusion.command, verdict, self._clock.wall())
         self._activities.follow(conclusion.command)
+        self._remember_missed(conclusion.command, verdict)
         loop.call_soon(self._show, verdict)  # those who asked hear of it before those who watch
         if conclusion.attempt is not None:
             self._lanes.running.remove(conclusion.attempt)
@@ -344,16 +346,19 @@ class Dispatcher(Generic[C, D]):
                 )
             )
 
-    def _remember_missed(self, attempt: Attempt) -> None:
-        """What a device has said while nothing was accepted is still true when the procedure goes on."""
-        command = attempt.command
-        if self._broken is not None and attempt.spec.event and command.source.startswith("device:"):
+    def _remember_missed(self, command: Command, verdict: Verdict) -> None:
+        """What a device has said while the journal failed is still true when the procedure goes on."""
+        if self._broken is not None and verdict.decision != "accepted" and command.source.startswith("device:"):
             self._missed[command.branch, command.operation] = command
 
     async def _submit_missed(self) -> None:
         missed, self._missed = self._missed, {}
         for command in missed.values():
             await self.submit(msgspec.structs.replace(command, id=f"{command.operation}-{uuid.uuid4().hex}"))
+
+    async def _hold_or_doubt(self) -> None:
+        if not await self._hold.confirmed():
+            await self._doubt("daemon")
 
     async def _doubt(self, source: str) -> None:
         """Tells everybody that robot or stimulator have not confirmed that they are stopped."""
@@ -385,9 +390,12 @@ class Dispatcher(Generic[C, D]):
             self._activities.close()
             for attempt in self._lanes.running:
                 attempt.stop(self._broken)
-            self._tasks.spawn(self._hold.confirmed())
+            self._tasks.spawn(self._hold_or_doubt())
             for callback in self._break_listeners:
                 callback()
+        elif self._broken.code == JournalError.code and not isinstance(error, JournalError):
+            self._broken = reason_for(error)  # worse: a journal that can be written again does not mend the program
+            log.critical("fail_stop", reason=self._broken.text)
         return self._broken
 
 

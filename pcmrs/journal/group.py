@@ -137,6 +137,8 @@ class GroupCommit:
             outcome = self._writer.reopen()
         except JournalError as error:
             outcome = error
+        except Exception as error:  # the thread has to outlive it: nothing would be committed any more
+            outcome = JournalError(f"The journal could not be reopened: {error!r}.")
         reopened.get_loop().call_soon_threadsafe(_tell, reopened, outcome)
 
 

@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from pcmrs.errors import JournalError
 from pcmrs.journal.chain import COLUMNS, follow_chain, stored_row
-from pcmrs.journal.rows import JournalRow, Kind, StoredRow
+from pcmrs.journal.rows import Kind, StoredRow
 from pcmrs.journal.schema import DATABASE_ERRORS, last_sequence, open_for_reading
 from pcmrs.messages import Verdict
 
@@ -75,15 +75,6 @@ class JournalReader:
         for stored in self._rows(query, (source, command_id)):
             return stored.row.verdict
         return None
-
-    def unfinished(self) -> list[JournalRow]:
-        """Intents without an outcome: what the daemon was doing when it was killed."""
-        query = f"""
-            SELECT {COLUMNS} FROM journal AS intent WHERE kind = 'intent' AND NOT EXISTS (
-                SELECT 1 FROM journal WHERE kind = 'outcome'
-                AND source IS intent.source AND command_id IS intent.command_id
-            ) ORDER BY sequence"""
-        return [stored.row for stored in self._rows(query, ())]
 
     def read_whole(self) -> Iterator[StoredRow]:
         """All rows, each only when it is whole and follows from the one before; a journal that is not ends in an error.

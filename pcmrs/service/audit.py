@@ -67,4 +67,5 @@ async def _verified(journal: Path) -> Verification:
     finally:
         if process.returncode is None:
             process.kill()
+            await process.wait()
     return msgspec.json.decode(output, type=Verification)

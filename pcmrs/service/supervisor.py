@@ -154,16 +154,15 @@ class Supervisor:
         task.add_done_callback(self._tasks.discard)
 
     async def _once(self, name: str, work: Coroutine[Any, Any, object]) -> None:
-        try:
-            await work
-        except Exception as error:
+        error = await self._death(work)
+        if error is not None:
             self._note(name, error)
             await self._give_up(name, error, "")
 
     async def _keep(self, status: TaskStatus, work: Work, limit: RestartLimit) -> None:
         _marked.set(lambda: setattr(status, "marked", self._clock.monotonic()))
         while True:
-            error = await self._death(work)
+            error = await self._death(work())
             self._note(status.name, error)
             if limit.reached():
                 await self._give_up(status.name, error, f" more than {limit.restarts} times within {limit.within:g} s")
@@ -171,10 +170,10 @@ class Supervisor:
             text = f"The daemon's task '{status.name}' died ({_named(error)}) and was begun anew."
             await self._tell(DeviceEvent(device="daemon", code="task_restarted", text=text))
 
-    async def _death(self, work: Work) -> BaseException | None:
+    async def _death(self, work: Coroutine[Any, Any, object]) -> BaseException | None:
         """Does the work until it dies; None when it has ended without an error."""
         try:
-            await work()
+            await work
         except asyncio.CancelledError as error:
             task = asyncio.current_task()
             if task is not None and task.cancelling():

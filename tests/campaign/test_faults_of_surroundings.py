@@ -33,8 +33,9 @@ async def test_what_arrives_at_the_socket_does_no_harm() -> None:
 async def test_every_fault_is_survived(row: str, tmp_path: Path) -> None:
     pool = Pool(tmp_path)
     try:
-        for injection in injections()[row]:
-            part = await run_injection(injection, 1, tmp_path, pool, SystemClock())
-            assert part.outcome in ("passed", "not_run"), part
+        parts = [await run_injection(injection, 1, tmp_path, pool, SystemClock()) for injection in injections()[row]]
     finally:
         await pool.close()
+    assert not [part for part in parts if part.outcome == "failed"]
+    if left_out := [part.response for part in parts if part.outcome == "not_run"]:
+        pytest.skip("; ".join(left_out))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 
@@ -422,6 +422,21 @@ async def test_no_motion_begins_while_the_daemon_is_not_heard(bench: Bench) -> N
     await bench.clock.advance(DEADMAN / 2)
     assert (await asking).outcome == "done"
     assert bench.robot_device.followed == [TRAJECTORY]
+
+
+async def test_a_motion_that_waits_for_the_daemon_does_not_begin_after_a_stop(bench: Bench) -> None:
+    """A hold of an arm that still rests is over before the heartbeat that the motion waits for has come."""
+    stops: tuple[Callable[[], Awaitable[object]], ...] = (bench.robot.hold, lambda: bench.node.make_safe("stop"))
+    for number, stop in enumerate(stops, start=1):
+        await bench.clock.advance(10.0)
+        asking = asyncio.create_task(bench.robot.follow(TRAJECTORY))
+        await settle()
+        await stop()
+        beat(bench, number)
+        await bench.clock.advance(DEADMAN / 2)
+        with pytest.raises(DeviceError, match="held before it could begin"):
+            await asking
+    assert bench.robot_device.followed == []
 
 
 async def test_a_request_that_was_held_up_on_its_way_is_dropped_unless_it_makes_safe(bench: Bench) -> None:

@@ -9,7 +9,7 @@ from clock import settle
 from dispatcher_fakes import PLACED, RETRACTED, STANDOFF, Bench
 from ratms_oracle import Joint
 
-from pcmrs.errors import PcmrsError
+from pcmrs.errors import PcmrsError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, Verdict
 
 
@@ -70,6 +70,17 @@ async def test_a_failing_recall_runs_nothing(bench: Bench) -> None:
     assert (verdict.decision, bench.script.entered, bench.holds) == ("rejected", [], 1)
     assert answered(bench, verdict)
     await check_fail_stop(bench, RETRACTED)
+
+
+async def test_an_arm_that_has_not_confirmed_to_stand_after_a_failure_is_told_of(bench: Bench) -> None:
+    """While that is in doubt the daemon does not beat either, so that the node holds by itself."""
+    await bench.go(RETRACTED)
+    bench.hold_error = UnknownOutcomeError("The robot is silent.")
+    bench.recorder.failing.add("decision")
+    await bench.do("toolplan.clear")
+    await settle()
+    assert bench.dispatcher.in_doubt
+    assert "hold_not_confirmed" in [each.code for each in bench.published if isinstance(each, DeviceEvent)]
 
 
 @pytest.mark.parametrize("danger", [True, False])
@@ -162,6 +173,26 @@ async def test_a_bug_stays_a_bug_when_the_journal_fails_after_it(bench: Bench) -
     await bench.do("toolplan.plan")
     bench.recorder.failing.add("event")
     await bench.dispatcher.stop("test:operator")
+    bench.recorder.failing.clear()
+    assert bench.dispatcher.broken is not None
+    assert bench.dispatcher.broken.code == "internal_error"
+    with pytest.raises(PcmrsError, match="Only a restart"):
+        await bench.dispatcher.resume(begun=())
+
+
+async def test_a_bug_that_shows_after_the_journal_has_failed_is_not_resumed_either(
+    worldly_bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def decision(*_: object, **__: object) -> asyncio.Future[None]:
+        raise ValueError("no such table")
+
+    bench = worldly_bench
+    bench.script.hang("toolplan.plan")
+    running = await bench.begin("toolplan.plan")
+    monkeypatch.setattr(bench.recorder, "decision", decision)
+    bench.recorder.failing.add("event")
+    await bench.dispatcher.report(DeviceEvent(device="tracker", code="occluded", text="Hidden."))
+    await running
     bench.recorder.failing.clear()
     assert bench.dispatcher.broken is not None
     assert bench.dispatcher.broken.code == "internal_error"

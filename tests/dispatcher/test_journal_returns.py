@@ -174,6 +174,44 @@ async def test_what_a_device_said_meanwhile_is_taken_in(bench: Bench) -> None:
     assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
 
 
+@pytest.mark.parametrize("failing", ["decision", "recall"])
+async def test_what_a_device_said_when_the_journal_failed_is_taken_in(bench: Bench, failing: str) -> None:
+    """Its report is durable, and the operation on it is the first thing that is not."""
+    await bench.go(STANDOFF)
+    bench.recorder.failing.add(failing)
+    await bench.dispatcher.report(DeviceEvent(device="robot", code="link_lost", text="Silent.", danger=True))
+    assert bench.dispatcher.broken is not None
+    assert bench.joint[3] == "1"
+    bench.recorder.failing.clear()
+    await bench.dispatcher.resume(begun=())
+    assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
+
+
+async def test_what_a_device_said_and_the_disk_has_after_all_is_not_taken_in_twice(bench: Bench) -> None:
+    await bench.go(STANDOFF)
+    bench.recorder.failing.add("decision")
+    await bench.do("robot.link_lost", id="l1", source="device:robot")
+    bench.recorder.failing.clear()
+    durable = Verdict(id="l1", branch="robot", operation="link_lost", decision="accepted", state="0", sequence=99)
+    bench.recorder.earlier["device:robot", "l1"] = durable
+    await bench.dispatcher.resume(begun=())
+    assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
+    assert [each.id for each in bench.verdicts() if each.operation == "link_lost"] == ["l1", "l1"]
+
+
+async def test_what_a_device_said_waits_out_a_failure_of_the_journal_in_the_queue_too(bench: Bench) -> None:
+    await bench.go(STANDOFF)
+    bench.script.hang("placement.confirm")
+    running = await bench.begin("placement.confirm")
+    waiting = await bench.begin("robot.link_lost", source="device:robot")
+    bench.recorder.failing.add("decision")
+    await bench.do("toolplan.no_such_operation")
+    assert [(await each).decision for each in (running, waiting)] == ["unknown", "rejected"]
+    bench.recorder.failing.clear()
+    await bench.dispatcher.resume(begun=())
+    assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
+
+
 async def test_what_still_runs_is_waited_for_and_the_resume_gives_up_in_time(bench: Bench) -> None:
     await bench.go(RETRACTED)
     release = asyncio.Event()

@@ -119,6 +119,17 @@ async def test_a_stop_that_fails_ends_the_daemon_safely() -> None:
     assert bench.events[-1].danger
 
 
+async def test_a_stop_whose_inner_work_was_cancelled_by_somebody_else_ends_the_daemon_safely() -> None:
+    bench = Bench()
+
+    async def stop() -> None:
+        raise asyncio.CancelledError
+
+    with pytest.raises(SupervisionError, match="stop by nurse"):
+        await asyncio.wait_for(run(bench, lambda supervisor: supervisor.spawn("stop by nurse", stop())), 10.0)
+    assert bench.events[-1].danger
+
+
 async def test_a_stop_that_hangs_does_not_keep_the_daemon_from_ending() -> None:
     bench = Bench()
 

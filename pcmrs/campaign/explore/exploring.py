@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from itertools import count, islice
 from typing import Any
 
@@ -14,7 +16,7 @@ import msgspec
 from pcmrs.campaign.explore.faults import FAULTS
 from pcmrs.campaign.explore.generate import draw_script
 from pcmrs.campaign.explore.script import Physics, Script
-from pcmrs.campaign.explore.session import Found, run_session
+from pcmrs.campaign.explore.session import Found, forget_sessions, run_session
 from pcmrs.campaign.explore.settings import workflow_of
 from pcmrs.campaign.explore.shrinking import shrink
 from pcmrs.clock import Clock, SystemClock
@@ -135,16 +137,43 @@ def _run_all(
         while some := more():
             yield run_seeds(workflow, physics, some)
         return
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with _processes(jobs) as pool:
         running: set[Future[list[Found]]] = set()
         while True:
-            while len(running) < 2 * jobs and (some := more()):
-                running.add(pool.submit(run_seeds, workflow, physics, some))
+            with _ctrl_c_blocked():  # by those that are begun now, too
+                while len(running) < 2 * jobs and (some := more()):
+                    running.add(pool.submit(run_seeds, workflow, physics, some))
             if not running:
                 return
             done, running = wait(running, return_when=FIRST_COMPLETED)
             for each in done:
                 yield each.result()
+
+
+@contextmanager
+def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes that end at once, and leave nothing behind, when this one is interrupted."""
+    others = multiprocessing.active_children()
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in multiprocessing.active_children():
+                if process not in others:
+                    process.kill()
+                    process.join()
+                    forget_sessions(process.pid)
+            raise
+
+
+@contextmanager
+def _ctrl_c_blocked() -> Iterator[None]:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _report(workflow: str, physics: Physics, seed: int, found: list[Found], seconds: float) -> Explored:

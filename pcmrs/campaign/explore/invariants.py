@@ -175,7 +175,7 @@ def rejection_changes_nothing(view: View, event: Event) -> str | None:
     """1 and 5: if any part would be rejected, nothing has happened."""
     if isinstance(event, Verdict) and event.decision == "rejected" and view.snapshot is not None:
         state = view.snapshot.branches.get(event.branch, event.state)
-        if event.sequence <= view.snapshot.sequence and event.sequence == view.snapshot.sequence != 0:
+        if event.sequence == view.snapshot.sequence != 0:
             return None if state == event.state else f"{event.branch} is {event.state} by the rejection of {event.id}."
     return None
 

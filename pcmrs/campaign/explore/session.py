@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -75,7 +77,7 @@ def run_session(script: Script, *, seconds: float = 0.0) -> Found:
     """
     begun = process_time()
     with (
-        tempfile.TemporaryDirectory(prefix="pcmrs-explore-", dir=_memory()) as folder,
+        tempfile.TemporaryDirectory(prefix=_prefix(os.getpid()), dir=_memory()) as folder,
         seeded_entropy(script.seed),
         _quiet(),
     ):
@@ -226,10 +228,20 @@ def _digest(path: Path) -> tuple[str, int]:
     return ("", 0) if last is None else (last.hash.hex(), last.sequence)
 
 
-def _memory() -> str | None:
+def forget_sessions(pid: int | None) -> None:
+    """Removes what a process that was killed in a session has left."""
+    for left in Path(_memory()).glob(f"{_prefix(pid)}*"):
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def _prefix(pid: int | None) -> str:
+    return f"pcmrs-explore-{pid}-"
+
+
+def _memory() -> str:
     """Where files are kept in memory, if anywhere: nothing of a session outlives it."""
     shared = Path("/dev/shm")
-    return str(shared) if shared.is_dir() else None
+    return str(shared) if shared.is_dir() else tempfile.gettempdir()
 
 
 def _drop(_logger: object, _method: str, _event: object) -> NoReturn:
