@@ -169,4 +169,4 @@ def _print_snapshot(snapshot: Snapshot) -> None:
     for outcome in snapshot.unknown:
         console.print(_unknown(outcome), highlight=False)
     if snapshot.latched:
-        console.print("latched by Stop until it is acknowledged (ratms: pcmrs call robot.acknowledge)")
+        console.print("latched: nothing moves until it is acknowledged (ratms: pcmrs call robot.acknowledge)")
