@@ -1,9 +1,9 @@
 """From Zenoh's threads into the event loop, without one wake-up per message.
 
-Calls wait in two places: an ordered, bounded queue for what must not be lost in silence (commands,
-requests, events: a full queue rejects), and the newest call per key for streams. One drain at a time is
-scheduled in the loop; it takes ordered calls first and gives the loop a turn between slices, so that Stop
-and timers are never behind a backlog.
+Calls wait in three places: two ordered, bounded queues for what must not be lost in silence (events; commands and
+requests: a full queue rejects), and the newest call per key for streams. One drain at a time is scheduled in the loop;
+it takes events first, streams last, and gives the loop a turn between slices, so that Stop and timers are never behind
+a backlog. Events have a queue of their own, since one of danger must not be turned away because of commands.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Final
 Call = Callable[[], None]
 
 CAPACITY: Final = 256
-"""Ordered calls that may wait for the loop."""
+"""Ordered calls that may wait for the loop, in each of the two queues."""
 
 _SLICE: Final = 8
 
@@ -27,7 +27,7 @@ class Bridge:
 
     Args:
         loop: Where the calls run.
-        capacity: Ordered calls that may wait.
+        capacity: Ordered calls that may wait, urgent ones and others.
 
     Attributes:
         refused: Ordered calls that found the queue full.
@@ -37,6 +37,7 @@ class Bridge:
     def __init__(self, loop: asyncio.AbstractEventLoop, capacity: int = CAPACITY) -> None:
         self._loop = loop
         self._capacity = capacity
+        self._urgent: deque[Call] = deque()
         self._ordered: deque[Call] = deque()
         self._newest: dict[Hashable, Call] = {}
         self._lock = threading.Lock()
@@ -47,15 +48,16 @@ class Bridge:
     @property
     def waiting(self) -> int:
         """Calls that wait for the loop."""
-        return len(self._ordered) + len(self._newest)
+        return len(self._urgent) + len(self._ordered) + len(self._newest)
 
-    def post(self, call: Call) -> bool:
-        """Queues a call; returns False, and forgets it, when the queue is full or closed."""
+    def post(self, call: Call, *, urgent: bool = False) -> bool:
+        """Queues a call; returns False, and forgets it, when its queue is full or closed."""
+        queue = self._urgent if urgent else self._ordered
         with self._lock:
-            if self._closed or len(self._ordered) >= self._capacity:
+            if self._closed or len(queue) >= self._capacity:
                 self.refused += 1
                 return False
-            self._ordered.append(call)
+            queue.append(call)
             self._schedule()
             return True
 
@@ -71,6 +73,7 @@ class Bridge:
         """Forgets what waits and takes nothing more."""
         with self._lock:
             self._closed = True
+            self._urgent.clear()
             self._ordered.clear()
             self._newest.clear()
 
@@ -92,8 +95,9 @@ class Bridge:
 
     def _next(self) -> Call | None:
         with self._lock:
-            if self._ordered:
-                return self._ordered.popleft()
+            for queue in (self._urgent, self._ordered):
+                if queue:
+                    return queue.popleft()
             if self._newest:
                 # A dict keeps the place of a replaced value, so every key gets its turn.
                 return self._newest.pop(next(iter(self._newest)))

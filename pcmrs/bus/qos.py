@@ -18,6 +18,7 @@ class DataClass:
         kept: Messages that the publisher keeps, so that lost ones are recovered; 0 for none.
         history: Kept messages that a late subscriber is given.
         express: Sent at once instead of in a batch.
+        urgent: Heard before what else waits, and not turned away because of it.
     """
 
     priority: Priority
@@ -25,11 +26,12 @@ class DataClass:
     kept: int = 0
     history: int = 0
     express: bool = False
+    urgent: bool = False
 
 
 COMMANDS: Final = DataClass(Priority.REAL_TIME, newest_only=False, express=True)
 SNAPSHOTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest_only=True, kept=1, history=1)
-EVENTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest_only=False, kept=256)
+EVENTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest_only=False, kept=256, urgent=True)
 BEATS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest_only=True, express=True)
 SETPOINTS: Final = DataClass(Priority.REAL_TIME, newest_only=True, express=True)
 POSES: Final = DataClass(Priority.INTERACTIVE_LOW, newest_only=True)

@@ -110,7 +110,7 @@ class Bus:
             call = partial(deliver, sample)
             if data.newest_only:
                 self._bridge.post_newest((deliver, str(sample.key_expr)), call)
-            elif not self._bridge.post(call):
+            elif not self._bridge.post(call, urgent=data.urgent):
                 # Here, not in the loop: nobody may keep that busy with what it has no time for.
                 refuse(self._relative(sample), busy())
 

@@ -218,13 +218,15 @@ class Dispatcher(Generic[C, D]):
         self.procedure.latch()
         stands = await self._hold.confirmed()
         self._activities.open()
-        async for verdict in self._reconciliation.of_all(begun):
-            if verdict.decision == "accepted":
-                self._missed = {key: each for key, each in self._missed.items() if each.id != verdict.id}
-            self._show(verdict)
-        await self._recorder.event(REOPENED, self.procedure.promised())
-        if self._broken is not broken:
-            return  # the daemon is ending
+        try:
+            await self._reconcile(begun)
+            await self._recorder.event(REOPENED, self.procedure.promised())
+        except BaseException:
+            self._activities.close()
+            raise
+        if self._broken is not broken:  # the daemon is ending, or memory is not to be trusted
+            self._activities.close()
+            return
         self._broken = None
         self._publish(REOPENED)
         self._show_snapshot()
@@ -233,6 +235,12 @@ class Dispatcher(Generic[C, D]):
         await self._submit_missed()
         if not stands:
             await self._doubt(REOPENED.device)
+
+    async def _reconcile(self, begun: Container[tuple[str, str]]) -> None:
+        async for verdict in self._reconciliation.of_all(begun):
+            if verdict.decision == "accepted":
+                self._missed = {key: each for key, each in self._missed.items() if each.id != verdict.id}
+            self._show(verdict)
 
     # -- from command to attempt -----------------------------------------------------------------------
 

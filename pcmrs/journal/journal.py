@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -61,7 +61,7 @@ class Journal:
         """How long the oldest of them has waited, s of the machine; 0 when none waits."""
         return 0.0 if self._group is None else self._group.oldest_wait
 
-    def append(self, rows: Sequence[JournalRow]) -> Awaitable[int]:
+    def append(self, rows: Sequence[JournalRow]) -> asyncio.Future[int]:
         """Commits the rows together, after all earlier ones.
 
         Returns:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import platform
 from collections.abc import Awaitable, Iterable, Mapping
 from importlib.metadata import version
@@ -133,7 +134,8 @@ class JournalRecorder:
         Raises:
             JournalError: It cannot be written.
         """
-        await self._journal.append([self._snapshot()])
+        if self._ledger is not None:
+            await self._journal.append([self._snapshot()])
 
     def previous(self, kept: Kept, initial: PlacementData) -> PlacementData:
         """The initial data, with what earlier runs have left for explicit operations to take back.
@@ -150,16 +152,35 @@ class JournalRecorder:
         return msgspec.structs.replace(initial, **{field: getattr(previous, field) for field in TAKEN_BACK})
 
     def _append(self, rows: list[JournalRow]) -> Awaitable[int]:
-        """Appends rows, and a snapshot in the same commit when it is time for one."""
-        if self._ledger is None:
-            return self._journal.append(rows)
+        """Appends rows, and a snapshot in the same commit when it is time for one.
+
+        After a failure the ledger may hold what the disk does not: there is no snapshot before it has been read back.
+        """
+        if self._ledger is not None:
+            rows = self._followed(rows, self._ledger)
+        try:
+            written = self._journal.append(rows)
+        except JournalError:
+            self._ledger = None
+            raise
+        if written.done():
+            self._check(written)
+        else:
+            written.add_done_callback(self._check)
+        return written
+
+    def _followed(self, rows: list[JournalRow], ledger: Ledger) -> list[JournalRow]:
         for row in rows:
-            self._ledger.take(row)
+            ledger.take(row)
         self._since_snapshot += len(rows)
         if self._since_snapshot < SNAPSHOT_EVERY:
-            return self._journal.append(rows)
+            return rows
         self._since_snapshot = 0
-        return self._journal.append([*rows, self._snapshot()])
+        return [*rows, self._snapshot()]
+
+    def _check(self, written: asyncio.Future[int]) -> None:
+        if written.cancelled() or written.exception() is not None:
+            self._ledger = None
 
     def _snapshot(self) -> JournalRow:
         procedure = self._procedure

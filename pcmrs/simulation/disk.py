@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,7 +56,7 @@ class SimulatedJournal(Journal):
     def waiting(self) -> int:
         return self._under_way
 
-    def append(self, rows: Sequence[JournalRow]) -> Awaitable[int]:
+    def append(self, rows: Sequence[JournalRow]) -> asyncio.Future[int]:
         if self._gone:
             raise JournalError("The daemon is gone: nothing can be appended.", sequence=None)
         if self._error is not None:

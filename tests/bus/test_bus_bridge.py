@@ -36,6 +36,16 @@ async def test_a_full_queue_rejects_and_recovers() -> None:
     assert ran == [0, 1, 2, 9]
 
 
+async def test_events_are_heard_before_commands_and_not_turned_away_because_of_them() -> None:
+    bridge, ran = Bridge(asyncio.get_running_loop(), capacity=2), list[str]()
+    assert [bridge.post(partial(ran.append, f"command {number}")) for number in range(3)] == [True, True, False]
+    posted = [bridge.post(partial(ran.append, f"event {number}"), urgent=True) for number in range(3)]
+    assert posted == [True, True, False]
+    assert bridge.waiting == 4
+    await until_idle()
+    assert ran == ["event 0", "event 1", "command 0", "command 1"]
+
+
 def test_the_newest_value_of_each_key_arrives_whatever_the_order() -> None:
     @given(st.lists(st.tuples(st.sampled_from("abc"), st.integers())))
     def check(values: list[tuple[str, int]]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -17,6 +18,7 @@ from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Reason
 from pcmrs.service.recorder import JournalRecorder
 from pcmrs.service.recovery import RETRY_AFTER, conclude, keep_journal
+from pcmrs.workflows import open_workflow
 
 FAILED = Reason(code=JournalError.code, text="The journal cannot be written: disk full.")
 
@@ -97,12 +99,15 @@ async def test_what_was_not_the_journal_is_left_to_a_restart(cell: Cell, code: s
     assert cell.reopened == 0
 
 
-async def test_an_end_without_a_last_row_is_an_end_too() -> None:
-    class Full:
-        async def append(self, _rows: object) -> int:
-            raise JournalError("disk full")
+async def test_an_end_without_a_last_row_is_an_end_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_rows: object) -> None:
+        raise JournalError("disk full")
 
-    recorder = JournalRecorder(cast(Journal, Full()), ManualClock(), "s1", BlueprintTag(id="", version="", hash=""))
+    journal = Journal.open(tmp_path / "ratms.sqlite", durable=False)
+    recorder = JournalRecorder(journal, ManualClock(), "s1", BlueprintTag(id="", version="", hash=""))
+    recorder.read_back(open_workflow("ratms").blueprint)
+    monkeypatch.setattr(journal, "append", full)
     with capture_logs() as logged:
         await conclude(recorder)
+    await journal.close()
     assert [line["event"] for line in logged] == ["no_last_snapshot"]

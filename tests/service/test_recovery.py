@@ -301,6 +301,28 @@ async def until(clock: ManualClock, condition: Callable[[], bool]) -> None:
     raise AssertionError("it did not come true in 20 s")
 
 
+async def test_a_snapshot_never_has_what_the_disk_has_lost(
+    journal: Journal, configured: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "SNAPSHOT_EVERY", 10)
+    flaky: Any = Flaky(journal)
+    recorder = JournalRecorder(flaky, ManualClock(), "s1", TAG)
+    await recover(flaky, recorder, WORKFLOW, configured)
+    flaky.failing = "lost"
+    with pytest.raises(JournalError):
+        await write(recorder, "toolplan.plan", previous_plan=PLANNED)
+    flaky.failing = None
+    for _ in range(20):  # before it has been read back
+        await write(recorder, "registration.clear_landmarks", "rejected")
+    await recorder.conclude()
+    assert list(journal.reader.read(kind="snapshot")) == []
+    assert recorder.read_back(RATMS).taken_back == {}
+    await recorder.conclude()
+    (snapshot,) = journal.reader.read(kind="snapshot")
+    assert snapshot.row.result is not None
+    assert snapshot.row.result["taken_back"] == {}
+
+
 @pytest.mark.parametrize(("way", "state"), [("lost", "0"), ("written", "1")])
 async def test_after_a_failure_the_procedure_is_what_the_disk_says(
     journal: Journal, configured: Settings, way: str, state: str
