@@ -14,7 +14,7 @@ from pcmrs.clock import SystemClock
 
 CLASSES = ("network", "process", "storage", "clock", "adversary")
 ROWS = [row for row in choose(CLASSES) if not row.access_control]
-QUICK = ("N5", "N8", "A7")
+QUICK = ("N5", "A7")
 """On one daemon, in seconds."""
 
 

@@ -14,6 +14,7 @@ from contextlib import aclosing, contextmanager
 from pathlib import Path
 
 import msgspec
+import pytest
 from click.testing import CliRunner, Result
 from daemon_process import (
     PATIENCE,
@@ -180,6 +181,7 @@ def pcmrs(*words: str) -> Result:
     return CliRunner().invoke(main, words)
 
 
+@pytest.mark.nightly
 async def test_a_session_is_recorded_whatever_becomes_of_its_recorder_and_exported_as_one_folder(
     tmp_path: Path,
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from daemon_process import PLAN, ServeProcess, own_settings, running_daemon
 
 from pcmrs.campaign.driving import accept, landmarks, register, showing, start_anew, until
@@ -48,6 +49,7 @@ async def test_swapped_landmarks_are_named(daemon: ServeProcess, client: Client)
     assert f"{first['name']} and {second['name']} are exchanged" in verdict.reason.text
 
 
+@pytest.mark.nightly
 async def test_a_bumped_reference_latches_and_the_noise_learned_outlives_the_daemon(tmp_path: Path) -> None:
     settings = own_settings(tmp_path)
     with running_daemon(settings, tmp_path) as daemon:
