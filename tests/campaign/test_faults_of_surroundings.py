@@ -22,6 +22,7 @@ def test_every_row_that_needs_no_access_control_can_be_injected() -> None:
     assert not [row.id for row in ROWS if not injections().get(row.id)]
 
 
+@pytest.mark.nightly
 async def test_what_arrives_at_the_socket_does_no_harm() -> None:
     report = await run_campaign(choose((), QUICK), [0])
     assert {result.id: result.response for result in report.faults if result.outcome != "passed"} == {}

@@ -25,6 +25,7 @@ def run_experiment(*words: str) -> dict[str, Any]:
     return report
 
 
+@pytest.mark.nightly
 def test_placements_are_as_accurate_as_promised() -> None:
     report = run_experiment("placements", "--trials", "3", "--seed", "4")
     summary = report["summary"]

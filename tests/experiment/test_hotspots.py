@@ -63,6 +63,7 @@ def test_far_below_the_threshold_nothing_is_found_and_that_is_said() -> None:
         assert result.error_mm.median is None
 
 
+@pytest.mark.nightly
 def test_the_command_prints_and_draws(tmp_path: Path) -> None:
     picture = tmp_path / "hotspots.png"
     words = ["experiment", "hotspots", "--subjects", "2", "--seed", "4"]

@@ -173,6 +173,7 @@ def unaccepted(report: TourReport) -> dict[str, int]:
     return {left.command: left.joint_states for left in found}
 
 
+@pytest.mark.nightly
 async def test_everything_that_a_cell_can_show_is_seen() -> None:
     report = await toured(DiceCell(RATMS))
     assert report.passed
@@ -185,6 +186,7 @@ async def test_everything_that_a_cell_can_show_is_seen() -> None:
     assert report.stops > 100
 
 
+@pytest.mark.nightly
 async def test_joint_states_that_do_not_come_by_themselves_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live, "REPORTED_WITHIN", 0.01)
     cell = DiceCell(RATMS)
@@ -198,6 +200,7 @@ async def test_joint_states_that_do_not_come_by_themselves_are_named(monkeypatch
     assert report.coverage["pairs"].covered > report.coverage["pairs"].total * 0.9
 
 
+@pytest.mark.nightly
 async def test_what_is_decided_at_once_is_not_stopped() -> None:
     report = await toured(DiceCell(RATMS, outside=False, refusing=0.0))
     assert report.passed
@@ -214,6 +217,7 @@ async def test_what_is_decided_at_once_is_not_stopped() -> None:
         ("toolplan", "reinit", {"requires": {}}),
     ],
 )
+@pytest.mark.nightly
 async def test_a_cell_that_runs_something_else_deviates(branch: str, operation: str, fields: dict[str, Any]) -> None:
     report = await toured(DiceCell(with_operation(RATMS, branch, operation, **fields)))
     assert not report.passed
@@ -227,6 +231,7 @@ async def test_time_that_is_up_is_no_success() -> None:
     assert any(left.reason == live.OUT_OF_TIME for left in report.left)
 
 
+@pytest.mark.nightly
 async def test_operations_without_arguments_are_named() -> None:
     report = await toured(DiceCell(RATMS), {"landmarks": {}, "landmark_index": {}, "tool_pose": {}})
     missing = {left.command for left in report.left if "give nudge with --arguments" in left.reason}

@@ -404,6 +404,7 @@ async def test_a_session_from_landmarks_to_threshold(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 async def test_an_interrupted_session_keeps_what_was_recorded(tmp_path: Path) -> None:
     asked = setup(seed=4, budget=3, overrides=QUICK)
     task = asyncio.current_task()

@@ -125,7 +125,10 @@ def _declared(spec: OperationSpec) -> Iterator[tuple[str, dict[str, Any]]]:
     yield "steps in another order", {"steps": spec.steps[::-1]}
 
 
-@pytest.mark.parametrize("name", mutants())
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.nightly if number % 5 else ()) for number, name in enumerate(mutants())],
+)
 def test_every_mutant_is_found_and_named(name: str) -> None:
     differences = compare(RATMS, mutants()[name])
     operation = name.partition(":")[0]
@@ -176,6 +179,7 @@ def test_workflows_that_are_too_large_are_refused() -> None:
         compare(free(5, 8), RATMS)
 
 
+@pytest.mark.nightly
 def test_the_command_says_what_differs_and_how_it_ends(tmp_path: Any) -> None:
     text = BLUEPRINT.read_text()
     same, other, broken = (tmp_path / f"{name}.toml" for name in ("same", "other", "broken"))

@@ -65,6 +65,7 @@ def expected(model: Model, done: set[str], spec_flags: list[str], operation: str
 
 @settings(max_examples=40)
 @given(RANDOMS)
+@pytest.mark.nightly
 def test_the_joint_states_of_level_1_are_the_downward_closed_sets(rng: Random) -> None:
     table = random_table(rng, levels=1, steps=6)
     result, blueprint = designed(table)

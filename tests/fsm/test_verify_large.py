@@ -12,6 +12,7 @@ from pcmrs.fsm.verify import verify
 
 
 @pytest.mark.parametrize("blueprint", [free(20, 2), free(10, 4), entangled(10, 4)], ids=["20x2", "10x4", "entangled"])
+@pytest.mark.nightly
 def test_a_million_joint_states_are_searched(blueprint: Blueprint) -> None:
     calls: list[tuple[int, int]] = []
     found = verify(blueprint, progress=lambda looked_at, known: calls.append((looked_at, known)))

@@ -50,6 +50,7 @@ def levels(blueprint: Blueprint) -> dict[Joint, int]:
 
 @settings(max_examples=60)
 @given(blueprints())
+@pytest.mark.nightly
 def test_finds_each_joint_state_on_its_level_and_counts_every_transition(blueprint: Blueprint) -> None:
     expected = levels(blueprint)
     space = Space(blueprint, 10_000)
@@ -64,6 +65,7 @@ def test_finds_each_joint_state_on_its_level_and_counts_every_transition(bluepri
 
 @settings(max_examples=40)
 @given(blueprints(), st.data())
+@pytest.mark.nightly
 def test_the_way_back_is_the_way_there(blueprint: Blueprint, data: st.DataObject) -> None:
     space = Space(blueprint, 10_000)
     reached = levels(blueprint)
@@ -123,6 +125,7 @@ def test_more_combinations_than_an_integer_holds_are_refused(branches: int) -> N
     assert "more than 2^62 combinations" in finding.text
 
 
+@pytest.mark.nightly
 def test_branches_that_have_a_single_state_ask_nothing_however_many_there_are() -> None:
     """Each of them is looked at by the revocations of all others."""
     rules = [RevocationSpec(by=[f"b{n + 1}"], from_=["s0"], to="s0") for n in range(199)]

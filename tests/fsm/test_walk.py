@@ -150,6 +150,7 @@ def test_lines_that_are_no_commands_are_told_so() -> None:
 
 @given(st.binary(max_size=300))
 @settings(max_examples=15)
+@pytest.mark.nightly
 def test_any_bytes_can_be_typed(lines: bytes) -> None:
     run = simulate("ratms", lines=lines)
     assert run.exit_code == 0

@@ -46,6 +46,7 @@ def person(daemon: ServeProcess, kind: str) -> Iterator[None]:
         acting.wait()
 
 
+@pytest.mark.nightly
 async def test_the_tip_is_found_where_the_simulation_has_it(
     daemon: ServeProcess, client: Client, tmp_path: Path
 ) -> None:

@@ -88,6 +88,7 @@ async def bedside(pressing_daemon: ServeProcess) -> AsyncIterator[Bedside]:
         yield bedside
 
 
+@pytest.mark.nightly
 async def test_the_coil_presses_as_asked(bedside: Bedside) -> None:
     verdict = await accept(bedside.client, "placement.press", force=3.0)
     assert verdict.result is not None

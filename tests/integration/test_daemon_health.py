@@ -119,6 +119,7 @@ async def test_a_task_that_hangs_is_not_fed_for_and_the_health_says_which(
         assert [task["name"] for task in health["tasks"] if not task["answers"]] == ["reference watch"]
 
 
+@pytest.mark.nightly
 def test_the_command_says_what_is_wrong_and_what_to_do(tmp_path: Path) -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))

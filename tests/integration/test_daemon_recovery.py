@@ -76,6 +76,7 @@ async def test_after_a_kill_in_a_motion_nothing_moves_until_the_operator_has_loo
                 assert verdict.reason.code == "other_patient"
 
 
+@pytest.mark.nightly
 async def test_damage_of_long_ago_is_told_after_the_start_and_holds_nothing(tmp_path: Path) -> None:
     settings = own_settings(tmp_path)
     with running_daemon(settings, tmp_path) as daemon:

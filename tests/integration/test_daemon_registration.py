@@ -14,6 +14,7 @@ from pcmrs.planner import Planner
 POINTS = 25
 
 
+@pytest.mark.nightly
 async def test_the_wire_refines_a_registration_by_the_surface(
     daemon: ServeProcess, client: Client, planner: Planner
 ) -> None:

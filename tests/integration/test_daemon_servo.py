@@ -6,6 +6,7 @@ import asyncio
 from pathlib import Path
 
 import numpy as np
+import pytest
 from daemon_process import ServeProcess, own_settings, run_pcmrs, running_daemon
 
 from pcmrs.campaign.driving import accept, until
@@ -47,6 +48,7 @@ async def heard_alarm(daemon: ServeProcess, client: Client, code: str) -> None:
     await accept(client, "robot.acknowledge")
 
 
+@pytest.mark.nightly
 async def test_the_robots_own_alarms_stop_and_latch(tmp_path: Path) -> None:
     place = head_before_tool()
     settings = [

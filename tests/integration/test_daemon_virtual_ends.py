@@ -62,6 +62,7 @@ async def until_accepted(client: Client, *names: str) -> None:
 
 
 @pytest.mark.parametrize("driver", ["kst", "sim"])  # the driver's own node, and the one that serves the cabinet
+@pytest.mark.nightly
 async def test_a_node_that_is_killed_in_motion_is_a_lost_robot(daemon: ServeProcess, driver: str) -> None:
     async with daemon.client() as client:
         await lose_robot(daemon, client, driver, signal.SIGKILL)
@@ -75,6 +76,7 @@ async def coil(client: Client) -> Floats:
     return np.array(truth["tracker_from_coil"]["position"])
 
 
+@pytest.mark.nightly
 async def test_a_frozen_node_is_a_lost_robot_that_does_not_go_on_when_it_thaws(daemon: ServeProcess) -> None:
     async with daemon.client() as client:
         await lose_robot(daemon, client, "kst", signal.SIGSTOP)

@@ -61,6 +61,7 @@ def harmless(name: str, without: str) -> Mutant:
     )
 
 
+@pytest.mark.nightly
 def test_a_removed_guard_is_caught_and_what_takes_none_out_is_not() -> None:
     mutants = [
         *(mutant for mutant in MUTANTS if mutant.name in SHOWN),

@@ -52,6 +52,7 @@ def test_the_head_is_reached_when_nothing_is_wrong() -> None:
     assert found.seen["accepted placement.confirm"] == 1
 
 
+@pytest.mark.nightly
 def test_a_pulse_is_given_when_nothing_is_wrong() -> None:
     """What is explored must come to what matters: rates that are too low for a pulse would hide all that follows."""
     stimulation = [Act(6.0, name, "anna", arguments) for name, arguments in WITH_STIMULATOR]
@@ -90,6 +91,7 @@ def test_exploring_finds_and_shrinks_every_mutant(name: str, monkeypatch: pytest
 
 
 @pytest.mark.parametrize("first", range(1001, 1021, 5))
+@pytest.mark.nightly
 def test_sessions_hold(first: int) -> None:
     found = run_seeds("ratms", "kinematic", list(range(first, first + 5)))
     assert {each.seed: (each.invariant, each.text) for each in found if each.invariant} == {}

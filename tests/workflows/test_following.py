@@ -82,6 +82,7 @@ async def ended(bench: WorkflowBench) -> None:
     assert bench.states["placement"] == "held"
 
 
+@pytest.mark.nightly
 async def test_the_tool_follows_breathing_to_a_fraction_of_its_amplitude() -> None:
     async with open_bench(sim=DYNAMICS) as bench:
         await follow(bench)
@@ -92,6 +93,7 @@ async def test_the_tool_follows_breathing_to_a_fraction_of_its_amplitude() -> No
         assert aligned(bench)
 
 
+@pytest.mark.nightly
 async def test_a_tool_that_stands_meets_no_such_bounds() -> None:
     async with open_bench() as bench:
         await bench.to_placed()
@@ -133,6 +135,7 @@ async def test_a_head_quicker_than_the_tool_closes_the_gate_until_the_tool_is_th
 
 
 @pytest.mark.parametrize("compensated", [True, False])
+@pytest.mark.nightly
 async def test_latency_is_compensated(compensated: bool) -> None:
     """What is 60 ms behind a head at 10 mm/s is 0.6 mm behind; the integral has been given no time."""
     slow = {"compensated": compensated, "correction_time": 1e3}

@@ -105,6 +105,7 @@ async def test_a_point_at_which_the_coil_is_not_stops_the_next(three_points: Wor
         await bench.refuse("toolplan.aim", "no_next_point")
 
 
+@pytest.mark.nightly
 async def test_a_nudged_coil_is_measured_against_the_point_not_against_the_nudge(
     three_points: Workflow[Cell, PlacementData],
 ) -> None:
@@ -119,6 +120,7 @@ async def test_a_nudged_coil_is_measured_against_the_point_not_against_the_nudge
         assert (await bench.accept("mapping.perform")).state == "point_2"
 
 
+@pytest.mark.nightly
 async def test_a_map_of_skipped_points_says_so_and_the_next_begins_with_none(
     three_points: Workflow[Cell, PlacementData],
 ) -> None:
@@ -166,6 +168,7 @@ async def test_no_point_is_performed_while_stop_is_latched(three_points: Workflo
         assert (await bench.accept("mapping.perform")).state == "point_2"
 
 
+@pytest.mark.nightly
 async def test_the_commands_of_the_documentation_map_every_point(three_points: Workflow[Cell, PlacementData]) -> None:
     (section,) = re.findall(r"^## Grid mapping$(.*?)^## ", PAGE, re.MULTILINE | re.DOTALL)
     shown = re.findall(r"^\$ pcmrs call (\S+)", section.rpartition("```console")[2], re.MULTILINE)
@@ -229,6 +232,7 @@ async def test_a_new_plan_at_the_point_takes_the_tool_from_it(three_points: Work
         await bench.refuse("mapping.perform", "not_at_point")
 
 
+@pytest.mark.nightly
 async def test_after_a_restart_a_grid_must_be_planned_anew(
     three_points: Workflow[Cell, PlacementData], tmp_path: Path
 ) -> None:
@@ -253,6 +257,7 @@ async def test_after_a_restart_a_grid_must_be_planned_anew(
     await journal.close()
 
 
+@pytest.mark.nightly
 def test_the_shipped_grid_knows_its_points_from_the_blueprint() -> None:
     initial = open_workflow("grid_mapping").initial
     assert isinstance(initial, Data)
@@ -266,6 +271,7 @@ REQUIRED = 'requires = { registration = ["111"], toolplan = ["1"], robot = ["1"]
     "weaker",
     ["", REQUIRED.replace('"placed"', '"placed", "standoff"'), REQUIRED.replace(', placement = ["placed"]', "")],
 )
+@pytest.mark.nightly
 def test_the_verifier_notices_points_that_could_be_performed_elsewhere(weaker: str) -> None:
     file = find_workflow("grid_mapping").blueprint
     text = file.read_text().replace("count = 9", "count = 1")

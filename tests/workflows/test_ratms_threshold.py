@@ -373,6 +373,7 @@ WEAKER = {
 
 
 @pytest.mark.parametrize("promise", WEAKER)
+@pytest.mark.nightly
 def test_the_verifier_notices_a_weaker_rule(promise: str) -> None:
     text = BLUEPRINT.read_text()
     changes = WEAKER[promise]
