@@ -15,6 +15,7 @@ from pcmrs.dispatcher.activities import Activities
 from pcmrs.dispatcher.admission import check_fresh, find_operation, read_payload
 from pcmrs.dispatcher.attempt import Attempt, locks_for
 from pcmrs.dispatcher.decisions import Conclusion, Decisions, reason_for
+from pcmrs.dispatcher.events import DAEMON, REOPENED, SHUTDOWN, failed, not_confirmed, stopped
 from pcmrs.dispatcher.hold import Hold
 from pcmrs.dispatcher.lanes import Lanes
 from pcmrs.dispatcher.memory import Memory
@@ -34,18 +35,10 @@ from pcmrs.messages import Command, DeviceEvent, Reason, Snapshot, UnknownOutcom
 
 log = structlog.get_logger(__name__)
 
-SHUTDOWN = "shutdown"
-"""Source of the Stop with which a daemon ends in order: it leaves nothing to be acknowledged."""
 ENDING = "ending"
 """Code of the reason why a dispatcher that is being closed accepts nothing more: no failure."""
 ENDING_TIME = 10.0
 """What was stopped when the journal failed has so long to end before the procedure goes on, s."""
-REOPENED = DeviceEvent(
-    device="journal",
-    code="journal_reopened",
-    text="The journal can be written again: look at what has gone on, then acknowledge.",
-    danger=True,
-)
 
 
 class Dispatcher(Generic[C, D]):
@@ -162,7 +155,7 @@ class Dispatcher(Generic[C, D]):
             attempt.stop(reason)
         for attempt in self._lanes.turn_away():
             self._reject(attempt.command, attempt.verdict, reason)
-        event = DeviceEvent(device=source, code=reason.code, text=reason.text, danger=True, fields=reason.fields)
+        event = stopped(source, reason)
         self._publish(event)
         self._show_snapshot()
         await self._record_event(event)
@@ -188,6 +181,33 @@ class Dispatcher(Generic[C, D]):
     def report_later(self, event: DeviceEvent) -> None:
         """Reports an event without waiting until it is durable."""
         self._tasks.spawn(self.report(event))
+
+    def fail(self, reason: Reason) -> Reason:
+        """Fail-stop: the robot is held, Stop is latched, nothing is accepted any more; Stop and status still work.
+
+        Returns:
+            Why nothing is accepted: `reason`, unless something else has failed before that is not less.
+        """
+        before = self._broken
+        # A journal that can be written again does not mend the program, so that any other failure counts for more.
+        if before is not None and not before.code == JournalError.code != reason.code:
+            return before
+        self._broken = reason
+        log.critical("fail_stop", reason=reason.text)
+        self.procedure.latch()
+        if before is None:
+            self._activities.close()
+            for attempt in self._lanes.running:
+                attempt.stop(reason)
+            self._tasks.spawn(self._hold_or_doubt())
+            for callback in self._break_listeners:
+                callback()
+        event = failed(reason)
+        self._publish(event)
+        self._show_snapshot()
+        if reason.code != JournalError.code:
+            self._tasks.spawn(self._record_event(event))
+        return reason
 
     async def close(self) -> None:
         """Ends the procedure: the robot is held, whatever runs is stopped, and nothing more is accepted."""
@@ -366,14 +386,12 @@ class Dispatcher(Generic[C, D]):
 
     async def _hold_or_doubt(self) -> None:
         if not await self._hold.confirmed():
-            await self._doubt("daemon")
+            await self._doubt(DAEMON)
 
     async def _doubt(self, source: str) -> None:
         """Tells everybody that robot or stimulator have not confirmed that they are stopped."""
         self.in_doubt = True
-        text = "Robot or stimulator have not confirmed that they are stopped: look, and use their own emergency stop."
-        event = DeviceEvent(device=source, code="hold_not_confirmed", text=text, danger=True)
-        await self._tell(event)
+        await self._tell(not_confirmed(source))
 
     def _publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
         for publish in self._publishers:
@@ -391,20 +409,7 @@ class Dispatcher(Generic[C, D]):
             self._break(error)
 
     def _break(self, error: BaseException) -> Reason:
-        """Fail-stop: the robot is held and nothing is accepted any more; Stop and status still work."""
-        if self._broken is None:
-            self._broken = reason_for(error)
-            log.critical("fail_stop", reason=self._broken.text)
-            self._activities.close()
-            for attempt in self._lanes.running:
-                attempt.stop(self._broken)
-            self._tasks.spawn(self._hold_or_doubt())
-            for callback in self._break_listeners:
-                callback()
-        elif self._broken.code == JournalError.code and not isinstance(error, JournalError):
-            self._broken = reason_for(error)  # worse: a journal that can be written again does not mend the program
-            log.critical("fail_stop", reason=self._broken.text)
-        return self._broken
+        return self.fail(reason_for(error))
 
 
 def _denied(answer: Closure | Denial) -> Reason | None:

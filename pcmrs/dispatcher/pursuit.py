@@ -9,6 +9,7 @@ from typing import Any, Generic
 import structlog
 
 from pcmrs.dispatcher.activity import Activity
+from pcmrs.dispatcher.events import NOT_CONFIRMED
 from pcmrs.dispatcher.perform import reason_of
 from pcmrs.dispatcher.run import C, D
 from pcmrs.dispatcher.stage import Stage, performing
@@ -125,7 +126,7 @@ class Pursuit(Generic[C, D]):
         if await self._stage.hold.confirmed():
             return None
         text = f"The robot has not confirmed that it stands after {self.act.name}: look at it."
-        return Reason(code="hold_not_confirmed", text=text)
+        return Reason(code=NOT_CONFIRMED, text=text)
 
     def _event(self, code: str, text: str) -> DeviceEvent:
         act = self.act

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections import deque
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from pcmrs.clock import SystemClock
@@ -31,13 +32,15 @@ class GroupCommit:
 
     Args:
         writer: Used by the thread only from now on.
+        failed: Called in the event loop of who has appended when the writer has failed.
 
     Attributes:
         waiting: Rows that are queued or being written.
     """
 
-    def __init__(self, writer: JournalWriter) -> None:
+    def __init__(self, writer: JournalWriter, failed: Callable[[], None]) -> None:
         self.waiting = 0
+        self._failed = failed
         self._clock = SystemClock()
         self._since: deque[float] = deque()
         self._writer = writer
@@ -95,6 +98,8 @@ class GroupCommit:
             if group:
                 self._commit(group)
                 self._writer.checkpoint_when_due()
+                if self._writer.error is not None:
+                    group[0].durable.get_loop().call_soon_threadsafe(self._failed)
             elif isinstance(job, _Reopening):
                 self._reopen(job.reopened)
             else:

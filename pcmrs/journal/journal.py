@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -23,11 +23,12 @@ class Journal:
         reader: Reads what has been committed.
     """
 
-    def __init__(self, writer: JournalWriter, group: GroupCommit | None, reader: JournalReader) -> None:
+    def __init__(self, writer: JournalWriter, reader: JournalReader, *, durable: bool) -> None:
         self.reader = reader
         self._writer = writer
-        self._group = group
+        self._group = GroupCommit(writer, self._tell_of_failure) if durable else None
         self._closed = False
+        self._failure_listeners: list[Callable[[JournalError], None]] = []
 
     @classmethod
     def open(cls, path: Path, *, durable: bool = True) -> Journal:
@@ -44,12 +45,19 @@ class Journal:
                 or does not hold all that its signed head names. Nothing in it was changed then.
         """
         writer = JournalWriter(path, durable=durable)
-        return cls(writer, GroupCommit(writer) if durable else None, JournalReader(path))
+        return cls(writer, JournalReader(path), durable=durable)
 
     @property
     def broken(self) -> JournalError | None:
         """Why nothing can be appended any more, until `reopen` succeeds."""
         return self._writer.error
+
+    def on_failure(self, callback: Callable[[JournalError], None]) -> None:
+        """Has `callback` called when the journal cannot be written any more, also where no row is there to tell of it.
+
+        A log that cannot be carried over into the database is found after the rows in it are acknowledged.
+        """
+        self._failure_listeners.append(callback)
 
     @property
     def waiting(self) -> int:
@@ -86,6 +94,7 @@ class Journal:
         committed: asyncio.Future[int] = asyncio.get_running_loop().create_future()
         sequence = self._writer.write(encoded)
         self._writer.checkpoint_when_due()
+        self._tell_of_failure()
         failpoint("journal.before_acknowledge")
         committed.set_result(sequence)
         return committed
@@ -117,3 +126,8 @@ class Journal:
             await asyncio.get_running_loop().run_in_executor(None, self._group.close)
         self.reader.close()  # first, since the last one to close carries the log over, and a reader cannot
         self._writer.close()
+
+    def _tell_of_failure(self) -> None:
+        if self._writer.error is not None:
+            for callback in self._failure_listeners:
+                callback(self._writer.error)

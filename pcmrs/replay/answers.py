@@ -5,13 +5,12 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 
+from pcmrs.dispatcher.events import NOT_CONFIRMED
 from pcmrs.errors import DeviceError, RefusalError
 from pcmrs.journal import JournalRow
 from pcmrs.messages import Reason
 from pcmrs.replay.keys import is_danger
 from pcmrs.replay.recorded import Pursued
-
-NOT_CONFIRMED = "hold_not_confirmed"
 
 
 class Holds:

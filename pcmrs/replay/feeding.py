@@ -8,10 +8,11 @@ from functools import partial
 from typing import Any
 
 from pcmrs.dispatcher import Dispatcher, Workflow
+from pcmrs.dispatcher.events import DAEMON, FAIL_STOP, NOT_CONFIRMED, SHUTDOWN
 from pcmrs.fsm import Closure, Denial
 from pcmrs.journal import JournalRow, StoredRow
 from pcmrs.messages import DeviceEvent, Reason
-from pcmrs.replay.answers import NOT_CONFIRMED, Holds, end_by_itself, quieten
+from pcmrs.replay.answers import Holds, end_by_itself, quieten
 from pcmrs.replay.book import Book
 from pcmrs.replay.durability import WINDOW, busy_with, name_of, turned_away
 from pcmrs.replay.keys import command_of, is_danger, is_followed_by_report, same_reason
@@ -149,6 +150,11 @@ class Feeding:
         source, result = row.source or "", row.result or {}
         if row.operation == NOT_CONFIRMED:
             return  # what a hold leads to
+        if (source, row.operation) == (DAEMON, FAIL_STOP):
+            fields = result.get("fields", {})
+            self.dispatcher.fail(Reason(code=fields.get("reason", ""), text=result.get("text", "")))
+            await self._idle()
+            return
         reason = Reason(code=row.operation or "", text=result.get("text", ""), fields=result.get("fields", {}))
         await self._end_what_had_ended(reason)
         activity = source.removeprefix("activity:")
@@ -156,7 +162,7 @@ class Feeding:
             while self.book.release_event(index):
                 await self._idle()  # it has begun
             end_by_itself(self._recorded.pursued, activity, reason)
-        elif source == "shutdown":
+        elif source == SHUTDOWN:
             self._spawn(self.dispatcher.close())
         elif source.startswith("device:"):
             device = source.removeprefix("device:")

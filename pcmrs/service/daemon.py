@@ -98,7 +98,7 @@ class Daemon:
             clocks = Clocks(clock, machine)
             procedure = RunningProcedure(bus, settings, recovered.workflow, recorder, clocks, supervisor)
             dispatcher = procedure.dispatcher
-            recovered.give_to(dispatcher)
+            recovered.give_to(dispatcher, journal)
             recorder.attach(dispatcher.procedure)
             recording = RecorderProcess(settings, session, dispatcher.report_later, machine)
             stack.push_async_callback(recording.stop)  # after the nodes: it writes what they have said last

@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from pcmrs.dispatcher.dispatcher import SHUTDOWN
+from pcmrs.dispatcher.events import NOT_CONFIRMED, SHUTDOWN
 from pcmrs.dispatcher.unsettled import Unsettled
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.blueprint import OperationSpec
@@ -72,8 +72,8 @@ class Ledger:
             self._begin(row)
         elif row.kind == "outcome":
             self._end(row)
-        elif row.kind == "device" and (row.result or {}).get("danger") and row.source != SHUTDOWN:
-            self._latched = True
+        elif row.kind == "device" and (row.result or {}).get("danger"):
+            self._latched = self._latched or row.source != SHUTDOWN or _left_in_doubt(row)
 
     def _begin(self, row: JournalRow) -> None:
         source, command, branch = row.source or "", row.command_id or "", row.branch or ""
@@ -119,3 +119,8 @@ class Ledger:
         """None of an operation that this version of the workflow does not have."""
         branch = self._blueprint.branches.get(row.branch or "")
         return None if branch is None else branch.operations.get(row.operation or "")
+
+
+def _left_in_doubt(row: JournalRow) -> bool:
+    """Whether a connected robot had not confirmed that it stood when its daemon ended."""
+    return row.operation == NOT_CONFIRMED and (row.states or {}).get("robot") == "1"

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from pcmrs.clock import Clock
+from pcmrs.dispatcher.events import DAEMON
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.errors import JournalError
 from pcmrs.fsm import Blueprint
@@ -21,8 +22,6 @@ from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Verdict
 from pcmrs.service.ledger import ENDED, TAKEN_BACK, Begun, Kept, Ledger
 from pcmrs.workflows.data import PlacementData
 
-DAEMON = "daemon"
-"""Source of the rows that the daemon writes about itself."""
 AT_ONCE = 100
 """Rows of what had begun that are written in one commit."""
 SNAPSHOT_EVERY = 1000

@@ -11,6 +11,7 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.dispatcher import Dispatcher, Workflow
+from pcmrs.dispatcher.decisions import reason_for
 from pcmrs.errors import JournalError, PcmrsError
 from pcmrs.journal import Journal
 from pcmrs.messages import UnknownOutcome
@@ -41,9 +42,10 @@ class Recovered:
     latched: bool
     unknown: tuple[UnknownOutcome, ...]
 
-    def give_to(self, dispatcher: Dispatcher[Cell, PlacementData]) -> None:
-        """Has the dispatcher begin with it; before anything is submitted."""
+    def give_to(self, dispatcher: Dispatcher[Cell, PlacementData], journal: Journal) -> None:
+        """Has the dispatcher begin with it, and fail with its journal; before anything is submitted."""
         dispatcher.take_up(latched=self.latched, unknown=self.unknown)
+        journal.on_failure(lambda error: dispatcher.fail(reason_for(error)))
 
 
 async def recover(

@@ -119,7 +119,7 @@ class SimulatedDaemon:
                 self.link, settings, recovered.workflow, recorder, Clocks(clock, clock), supervisor
             )
             self.procedure, dispatcher = procedure, procedure.dispatcher
-            recovered.give_to(dispatcher)
+            recovered.give_to(dispatcher, journal)
             recorder.attach(dispatcher.procedure)
             self._observe(dispatcher)
             await stack.enter_async_context(supervisor)

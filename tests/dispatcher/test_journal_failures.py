@@ -58,6 +58,10 @@ async def test_a_rejection_that_cannot_be_written(bench: Bench) -> None:
     bench.recorder.failing.add("decision")
     verdict = await bench.do("registration.register")
     assert (verdict.decision, bench.holds) == ("rejected", 1)
+    await settle()
+    assert [each.code for each in bench.published if isinstance(each, DeviceEvent)] == ["fail_stop"]
+    assert [kind for kind, *_ in bench.recorder.rows if kind == "event"] == []  # its row comes when it is reopened
+    assert bench.snapshots()[-1].latched
     await check_fail_stop(bench, ("000", "0", "0", "0", "unknown", "0"))
 
 
@@ -90,7 +94,7 @@ async def test_an_event_that_cannot_be_written(bench: Bench, danger: bool) -> No
     await bench.dispatcher.report(DeviceEvent(device="tracker", code="reference_moved", text="Moved.", danger=danger))
     await settle()
     assert bench.holds >= 1
-    assert bench.dispatcher.snapshot().latched == danger
+    assert bench.dispatcher.snapshot().latched
     await check_fail_stop(bench, PLACED)
 
 
@@ -146,6 +150,12 @@ async def test_a_bug_in_the_data_of_a_commit_is_fail_stop(bench: Bench) -> None:
     assert (verdict.decision, bench.joint[2], bench.holds) == ("unknown", "0", 1)
     assert verdict.reason is not None
     assert verdict.reason.code == "internal_error"
+    told = [each for each in bench.published if isinstance(each, DeviceEvent)]
+    assert [(each.device, each.code, each.danger, each.fields) for each in told] == [
+        ("daemon", "fail_stop", True, {"reason": "internal_error"})
+    ]
+    assert [name for kind, name, _, _ in bench.recorder.rows if kind == "event"] == ["fail_stop"]
+    assert bench.snapshots()[-1].latched
 
 
 async def test_a_motion_that_has_become_forbidden_under_way_is_fail_stop(bench: Bench) -> None:

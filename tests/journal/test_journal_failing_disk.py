@@ -34,7 +34,8 @@ writer._CHECKPOINT_AFTER = 6
 
 async def main():
     journal = Journal.open(Path(sys.argv[1]))
-    acknowledged, failed, reopened, waited = [], None, None, 0.0
+    acknowledged, failed, reopened, waited, told = [], None, None, 0.0, []
+    journal.on_failure(lambda error: told.append(error.text))
     for number in range(16):
         appended = asyncio.ensure_future(journal.append([row(result={"number": number})]))
         while not appended.done():
@@ -49,6 +50,8 @@ async def main():
         if journal.broken is not None:
             break
     if journal.broken is not None:
+        while not told:
+            await asyncio.sleep(0.001)
         try:
             await journal.append([row()])
             raise SystemExit("appended to a broken journal")

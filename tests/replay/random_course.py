@@ -113,6 +113,9 @@ class Course:
         event = DeviceEvent(device="robot", code=code, text=f"It says {code}.", danger=danger)
         self._spawn(self.dispatcher.report(event))
 
+    def fail(self) -> None:
+        self.dispatcher.fail(Reason(code="internal_error", text="Something that cannot be."))
+
     def flush(self, count: int) -> None:
         for durable in [each for each in self._durable if not each.done()][:count]:
             durable.set_result(len(self.rows))

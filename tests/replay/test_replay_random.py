@@ -33,6 +33,7 @@ actions: st.SearchStrategy[Action] = st.one_of(
     st.tuples(st.just("idle"), st.just(())),
     st.tuples(st.just("stop"), st.just(("bus:test",))),
     st.tuples(st.just("report"), st.tuples(st.sampled_from(["link_lost", "warm", "force_limit"]), st.booleans())),
+    st.tuples(st.just("fail"), st.just(())),
     st.tuples(st.just("confirm"), st.tuples(st.sampled_from([True, True, True, False]))),
     st.tuples(st.just("joints"), st.tuples(st.sampled_from([0.0, 1.0]))),
 )
@@ -52,6 +53,9 @@ async def perform(course: Course, todo: list[Action]) -> None:
         elif name == "report":
             await settled(course)
             course.report(*arguments)
+        elif name == "fail":
+            await settled(course)
+            course.fail()
         elif name == "confirm":
             course.confirm(stands=arguments[0])
         elif name == "joints":

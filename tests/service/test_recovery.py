@@ -16,7 +16,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from pcmrs.dispatcher import Dispatcher
-from pcmrs.dispatcher.dispatcher import SHUTDOWN
+from pcmrs.dispatcher.events import NOT_CONFIRMED, SHUTDOWN
 from pcmrs.errors import ConfigurationError, JournalError
 from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.journal import Journal, JournalRow
@@ -150,6 +150,15 @@ def test_the_latch_outlives_a_run_until_somebody_acknowledges(rows: list[Any], l
     ledger = Ledger(RATMS, Kept())
     for row in rows:
         ledger.take(as_row(*row))
+    assert ledger.kept.latched == latched
+
+
+@pytest.mark.parametrize(("robot", "latched"), [("1", True), ("0", False)])
+def test_a_connected_robot_that_nobody_saw_stand_at_an_orderly_end_is_latched(robot: str, latched: bool) -> None:
+    ledger = Ledger(RATMS, Kept())
+    ledger.take(as_row("device", f"{SHUTDOWN}.stopped", True, None))
+    unsure = as_row("device", f"{SHUTDOWN}.{NOT_CONFIRMED}", True, None)
+    ledger.take(msgspec.structs.replace(unsure, states={"robot": robot}))
     assert ledger.kept.latched == latched
 
 
@@ -342,7 +351,7 @@ async def test_after_a_failure_the_procedure_is_what_the_disk_says(
     recovered = await recover(flaky, recorder, workflow, configured)
     cell: Any = None
     dispatcher = Dispatcher(recovered.workflow, cell, clock, recorder, hold, published.append)
-    recovered.give_to(dispatcher)
+    recovered.give_to(dispatcher, journal)
     recorder.attach(dispatcher.procedure)
     keeping = asyncio.create_task(keep_journal(flaky, recorder, dispatcher, clock))
     await settle()

@@ -1,0 +1,36 @@
+"""What the dispatcher itself tells everybody, and the journal, beside its verdicts."""
+
+from __future__ import annotations
+
+from pcmrs.messages import DeviceEvent, Reason
+
+DAEMON = "daemon"
+"""Source of what the daemon says about itself."""
+SHUTDOWN = "shutdown"
+"""Source of the Stop with which a daemon ends in order: it leaves nothing to be acknowledged."""
+FAIL_STOP = "fail_stop"
+"""Code of the event that nothing is accepted any more; its field ``reason`` is the code of why."""
+NOT_CONFIRMED = "hold_not_confirmed"
+"""Code of the event that nobody knows whether the robot stands."""
+REOPENED = DeviceEvent(
+    device="journal",
+    code="journal_reopened",
+    text="The journal can be written again: look at what has gone on, then acknowledge.",
+    danger=True,
+)
+
+
+def stopped(source: str, reason: Reason) -> DeviceEvent:
+    """Everything was stopped by `source`."""
+    return DeviceEvent(device=source, code=reason.code, text=reason.text, danger=True, fields=reason.fields)
+
+
+def failed(reason: Reason) -> DeviceEvent:
+    """The dispatcher accepts nothing any more."""
+    return DeviceEvent(device=DAEMON, code=FAIL_STOP, text=reason.text, danger=True, fields={"reason": reason.code})
+
+
+def not_confirmed(source: str) -> DeviceEvent:
+    """Robot or stimulator have not confirmed that they are stopped, as `source` has asked."""
+    text = "Robot or stimulator have not confirmed that they are stopped: look, and use their own emergency stop."
+    return DeviceEvent(device=source, code=NOT_CONFIRMED, text=text, danger=True)
