@@ -45,6 +45,7 @@ from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers import kst, lsl
 from pcmrs.devices.kst.cabinet import Cabinet
 from pcmrs.devices.node import DeviceNode
+from pcmrs.experiment.process import free_port
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointTrajectory
 
@@ -452,12 +453,6 @@ def run(coroutine: Any) -> Any:
     """In the loop that device nodes and daemon have."""
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         return runner.run(coroutine)
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def summary(times: Floats) -> dict[str, float]:

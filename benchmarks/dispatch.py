@@ -35,6 +35,7 @@ from pcmrs.clock import SystemClock
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.remote import RemotePointer, RemoteRobot
 from pcmrs.dispatcher import Dispatcher
+from pcmrs.experiment.process import free_port
 from pcmrs.gateway.grammar import format_command
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
@@ -185,12 +186,6 @@ def row(name: str, times: list[float], base: list[float] | None = None) -> None:
     p99 = ordered[int(0.99 * (len(ordered) - 1))]
     ratio = f"{median(times) / median(base):6.2f}" if base else "  1.00"
     print(f"  {name:<44} {median(times):8.0f} {p99:8.0f} {ordered[-1]:8.0f} {ratio}")
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def compare(durable: bool, count: int) -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -19,32 +19,20 @@ import msgspec
 import zenoh
 
 from pcmrs.bus import Bus, BusSettings
+from pcmrs.campaign.lab import QUICK
 from pcmrs.client import Client
+from pcmrs.experiment.process import free_port
 from pcmrs.planner import Planner
 from pcmrs.service import Ready
 
 PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "ratms_plan.json").read_text())
-AT_REST = 1e-3
-"""Joint velocity below which the simulated arm counts as standing, rad/s."""
+LOOK, DRIFT = 0.25, 1e-3
+"""An arm that stands moves by less than so many rad in so many seconds; in the slowest motion it moves by more."""
 START_TIME = 60.0
 """Seconds in which a daemon is ready on a machine that does much else."""
 PATIENCE = 20.0
 """Seconds that anything may take before a test gives up."""
 
-TUNED = (
-    "cell.rate=5",
-    "robot.deadman=0.5",  # the deadman has tests of its own; a busy machine delays heartbeats by more than its 0.1 s
-    "procedure.max_pose_age=3",  # a test machine that does much else may leave a process alone for so long
-    "procedure.motion.joint_speed_fraction=1.0",
-    "procedure.motion.joint_acceleration=5.0",
-    "procedure.motion.linear_velocity=0.5",
-    "procedure.placement.frames=5",
-    "procedure.placement.tolerance_mm=0.5",  # of so few frames the mean is no better
-    "procedure.placement.tolerance_deg=0.2",
-    "procedure.registration.samples=5",
-    "sim.digitization.reach_time=0.1",
-    "sim.digitization.rest_time=0.1",
-)
 SLOW = ("procedure.motion.linear_velocity=0.03",)
 """Settings under which every motion lasts for seconds of the machine, so that a test can act in the middle of it."""
 
@@ -137,7 +125,7 @@ def own_settings(folder: Path) -> list[str]:
         "gateway.mep={port=0}",
         "gateway.tcp_port=0",
         "recording.enabled=false",
-        *TUNED,
+        *QUICK,
     ]
 
 
@@ -187,9 +175,12 @@ def running_daemon(settings: Sequence[str], folder: Path) -> Iterator[ServeProce
 
 
 async def stands_still(client: Client) -> bool:
-    """Whether the robot itself, asked past the daemon, measures no motion."""
-    state = await client.request_device("robot", "joints")
-    return bool(max(map(abs, state["velocities"])) < AT_REST)
+    """Whether the robot itself, asked past the daemon, is twice found where it was."""
+    before = await client.request_device("robot", "joints")
+    await asyncio.sleep(LOOK)
+    after = await client.request_device("robot", "joints")
+    moved = (abs(there - here) for there, here in zip(after["positions"], before["positions"], strict=True))
+    return max(moved) < DRIFT and after["captured"] > before["captured"]
 
 
 def is_running(pid: int) -> bool:
@@ -209,15 +200,6 @@ def wait_until(condition: Callable[[], bool], within: float = PATIENCE) -> bool:
             return False
         time.sleep(0.02)
     return True
-
-
-def free_port() -> int:
-    """A port that nobody listens on, TCP and UDP."""
-    with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
-        tcp.bind(("127.0.0.1", 0))
-        port: int = tcp.getsockname()[1]
-        udp.bind(("127.0.0.1", port))
-        return port
 
 
 @asynccontextmanager

@@ -6,7 +6,9 @@ import json
 from pathlib import Path
 
 import pytest
-from daemon_process import ServeProcess, as_words, free_port, own_settings, run_pcmrs
+from daemon_process import ServeProcess, as_words, own_settings, run_pcmrs
+
+from pcmrs.experiment.process import free_port
 
 
 def test_call_prints_the_verdict_and_its_status_tells_it(daemon: ServeProcess) -> None:

@@ -9,7 +9,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from daemon_process import PATIENCE, first_line, free_port
+from daemon_process import PATIENCE, first_line
+
+from pcmrs.experiment.process import free_port
 
 
 class VirtualCell:
