@@ -16,6 +16,7 @@ import msgspec
 
 from pcmrs.errors import DeviceError
 from pcmrs.service import Ready
+from pcmrs.service.children import end_child
 
 START_TIME = 60.0
 """The daemon must say that it is ready within this, s."""
@@ -108,12 +109,7 @@ async def _end(process: asyncio.subprocess.Process, family: Sequence[int]) -> No
         _send(pid, signal.SIGCONT)
     if process.returncode is None:
         process.terminate()
-    try:
-        async with asyncio.timeout(END_TIME):
-            await process.wait()
-    except TimeoutError:
-        process.kill()
-        await process.wait()
+    await end_child(process, END_TIME)
     for pid in family:
         if _is_ours(pid):
             _send(pid, signal.SIGKILL)

@@ -28,7 +28,7 @@ class Journal:
         self._writer = writer
         self._group = GroupCommit(writer, self._tell_of_failure) if durable else None
         self._closed = False
-        self._failure_listeners: list[Callable[[JournalError], None]] = []
+        self._failure_listeners: list[Callable[[JournalError], object]] = []
 
     @classmethod
     def open(cls, path: Path, *, durable: bool = True) -> Journal:
@@ -52,7 +52,7 @@ class Journal:
         """Why nothing can be appended any more, until `reopen` succeeds."""
         return self._writer.error
 
-    def on_failure(self, callback: Callable[[JournalError], None]) -> None:
+    def on_failure(self, callback: Callable[[JournalError], object]) -> None:
         """Has `callback` called when the journal cannot be written any more, also where no row is there to tell of it.
 
         A log that cannot be carried over into the database is found after the rows in it are acknowledged.

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import sys
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 
-import msgspec
 import structlog
 
 from pcmrs.clock import Clock
-from pcmrs.errors import DeviceError
 from pcmrs.messages import DeviceEvent
+from pcmrs.service.children import end_child, open_child
 from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 from pcmrs.settings import Settings
 
@@ -66,18 +64,14 @@ class NodeProcesses:
             with suppress(ProcessLookupError):
                 process.terminate()
         for driver, process in self._processes.items():
-            try:
-                async with asyncio.timeout(TERMINATION_TIME):
-                    await process.wait()
-            except TimeoutError:
+            if not await end_child(process, TERMINATION_TIME):
                 log.warning("node_killed", driver=driver)
-                process.kill()
-                await process.wait()
 
     async def _keep(self, driver: str, devices: list[str]) -> None:
         limit = RestartLimit(RESTARTS, WITHIN, self._clock)
         while True:
-            process = self._processes[driver] = await self._open(driver, devices)
+            process = await open_child("node", driver, *devices, settings=self._settings)
+            self._processes[driver] = process
             status = await process.wait()
             log.error("node_ended", driver=driver, devices=devices, status=status)
             wanted = self._on_end(devices)
@@ -90,23 +84,6 @@ class NodeProcesses:
             text = f"The node of {', '.join(devices)} ended by itself (status {status}) and is begun anew."
             fields = {"driver": driver, "devices": devices, "status": status}
             self._report(DeviceEvent(device="daemon", code="node_restarted", text=text, fields=fields))
-
-    async def _open(self, driver: str, devices: list[str]) -> asyncio.subprocess.Process:
-        process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-m",
-            "pcmrs.cli",
-            "node",
-            driver,
-            *devices,
-            stdin=asyncio.subprocess.PIPE,
-            start_new_session=True,  # a Ctrl-C at the terminal is the daemon's to handle
-        )
-        if process.stdin is None:
-            raise DeviceError(f"The node of {driver} has no standard input.", driver=driver)
-        # The pipe stays open: its end tells the node that the daemon is gone, however it went.
-        process.stdin.write(msgspec.json.encode(self._settings) + b"\n")
-        return process
 
 
 def _given_up(driver: str, devices: list[str]) -> DeviceEvent:

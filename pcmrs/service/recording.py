@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import datetime
-import sys
 from collections.abc import Callable
-from contextlib import suppress
 
-import msgspec
 import structlog
 
 from pcmrs.clock import Clock
-from pcmrs.errors import DeviceError
 from pcmrs.messages import DeviceEvent
 from pcmrs.recording.settings import FOLDER
+from pcmrs.service.children import end_child, open_child
 from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 from pcmrs.settings import Settings
 
@@ -60,14 +57,8 @@ class RecorderProcess:
             return
         if process.stdin is not None:
             process.stdin.close()
-        try:
-            async with asyncio.timeout(ENDING_TIME):
-                await process.wait()
-        except TimeoutError:
+        if not await end_child(process, ENDING_TIME):
             log.warning("recorder_killed")
-            with suppress(ProcessLookupError):
-                process.kill()
-            await process.wait()
 
     async def _keep(self) -> None:
         limit = RestartLimit(RESTARTS, WITHIN, self._clock)
@@ -90,24 +81,8 @@ class RecorderProcess:
         folder.mkdir(exist_ok=True)
         begun = datetime.datetime.fromtimestamp(self._clock.wall(), datetime.UTC)
         name = f"{begun:%Y%m%dT%H%M%SZ}-{self._session[:8]}.mcap"
-        process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-m",
-            "pcmrs.cli",
-            "record",
-            str(folder / name),
-            "--lifeline",
-            "--session",
-            self._session,
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.DEVNULL,
-            start_new_session=True,  # a Ctrl-C at the terminal is the daemon's to handle
-        )
-        if process.stdin is None:
-            raise DeviceError("The recorder has no standard input.")
-        # The pipe stays open: its end tells the recorder that the daemon is gone, however it went.
-        process.stdin.write(msgspec.json.encode(self._settings) + b"\n")
-        return process
+        words = ("record", str(folder / name), "--lifeline", "--session", self._session)
+        return await open_child(*words, settings=self._settings, stdout=asyncio.subprocess.DEVNULL)
 
 
 def _ended(why: str, *, given_up: bool) -> DeviceEvent:

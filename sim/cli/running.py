@@ -12,8 +12,8 @@ from typing import Any
 
 import click
 import msgspec
-import structlog
 
+from pcmrs.cli.log import log_to_stderr
 from pcmrs.clock import SystemClock
 from pcmrs.errors import DeviceError
 from sim.cell import Cell, running_cell
@@ -34,7 +34,7 @@ async def serve(
         ConfigurationError: A setting or a line of the schedule is wrong.
         DeviceError: A port is taken.
     """
-    _log_to_stderr()
+    log_to_stderr()
     planned = read_schedule(schedule) if schedule else []
     ended = _ended()
     async with AsyncExitStack() as stack:
@@ -77,14 +77,3 @@ def _ended() -> asyncio.Event:
 def _text(addresses: Mapping[str, Address]) -> str:
     places = (f"{name} on {at if isinstance(at, str) else f'{at[0]}:{at[1]}'}" for name, at in addresses.items())
     return f"serving {', '.join(places)}"
-
-
-def _log_to_stderr() -> None:
-    structlog.configure(
-        processors=[
-            structlog.processors.add_log_level,
-            structlog.processors.TimeStamper(fmt="iso"),
-            structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty()),
-        ],
-        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
-    )

@@ -180,7 +180,7 @@ async def stands_still(client: Client) -> bool:
     await asyncio.sleep(LOOK)
     after = await client.request_device("robot", "joints")
     moved = (abs(there - here) for there, here in zip(after["positions"], before["positions"], strict=True))
-    return max(moved) < DRIFT and after["captured"] > before["captured"]
+    return bool(max(moved) < DRIFT and after["captured"] > before["captured"])
 
 
 def is_running(pid: int) -> bool:
