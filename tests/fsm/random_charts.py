@@ -142,8 +142,13 @@ def as_drawio(root: Drawn, *, compressed: bool) -> str:
 
 def packed(raw: bytes) -> str:
     """A diagram as draw.io compresses it."""
+    return deflated(quote(raw).encode())
+
+
+def deflated(quoted: bytes) -> str:
+    """The last two steps of draw.io's compression, of a diagram that is quoted already."""
     deflate = zlib.compressobj(9, zlib.DEFLATED, -15)
-    return base64.b64encode(deflate.compress(quote(raw).encode()) + deflate.flush()).decode()
+    return base64.b64encode(deflate.compress(quoted) + deflate.flush()).decode()
 
 
 def _drawio(node: Drawn) -> Iterator[str]:

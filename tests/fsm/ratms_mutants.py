@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from pcmrs.fsm.files.load import read_blueprint
 FILE = Path(pcmrs.workflows.__file__).parent / "ratms.toml"
 
 
+@cache
 def ratms() -> Blueprint:
     """The workflow as it is, sound or not."""
     blueprint, findings = read_blueprint(FILE.read_bytes(), FILE.name)

@@ -8,7 +8,7 @@ from random import Random
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from random_charts import as_drawio, as_mermaid, as_scxml, packed, random_chart
+from random_charts import as_drawio, as_mermaid, as_scxml, deflated, random_chart
 
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.codes import CODES, EXCHANGE
@@ -101,7 +101,7 @@ LAUGHS = (
     + "]><scxml><state id='&t;'/></scxml>"
 ).encode()
 DEEP = 5_000
-BOMB = f"<mxfile><diagram>{packed(b'<mxGraphModel>' + b'a' * 50_000_000)}</diagram></mxfile>".encode()
+BOMB = f"<mxfile><diagram>{deflated(b'%3CmxGraphModel%3E' + b'a' * 50_000_000)}</diagram></mxfile>".encode()
 
 
 REFUSED: list[tuple[Importer, bytes, str]] = [
