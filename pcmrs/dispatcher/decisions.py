@@ -123,12 +123,13 @@ class Decisions(Generic[C, D]):
             self.doubtful.append(conclusion)
 
     def commit_recorded(self, conclusion: Conclusion[C, D], recorded: Verdict) -> None:
-        """Commits what is durable after all; Stop's latch stays.
+        """Commits what is durable after all, while nothing else is being journalled; Stop's latch stays.
 
         Raises:
             BlueprintError: Memory is not to be trusted.
         """
         self._procedure.commit(recorded.sequence, conclusion.change, conclusion.changes, unlatch=False)
+        self._procedure.forget_promises()
 
     def _commit(self, conclusion: Conclusion[C, D], verdict: Verdict, durable: asyncio.Future[Any]) -> None:
         try:

@@ -84,7 +84,7 @@ class Procedure(Generic[C, D]):
         self.sequence = self.reserve()
 
     def forget_promises(self) -> None:
-        """What was being journalled when the journal failed is not promised any more."""
+        """Nothing is being journalled: no row shows other states than the present ones."""
         self._promised = self.joint()
 
     def snapshot(self, running: list[Running], activities: list[Ongoing], unknown: list[UnknownOutcome]) -> Snapshot:

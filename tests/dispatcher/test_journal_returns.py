@@ -55,6 +55,8 @@ async def test_a_decision_that_the_disk_has_after_all_is_committed(bench: Bench)
     bench.recorder.earlier["test:user", "clear-1"] = durable
     await bench.dispatcher.resume(begun=())
     assert bench.joint[2] == "0"
+    (reopened,) = [states for _, name, states, _ in bench.recorder.rows if name == "journal_reopened"]
+    assert reopened == bench.dispatcher.procedure.joint(), "later rows show what the disk has, too"
     assert await bench.do("toolplan.clear", id="clear-1") == durable
     assert durable in bench.published
     assert bench.dispatcher.snapshot().unknown == []
