@@ -7,10 +7,11 @@ itself works with relative keys.
 from __future__ import annotations
 
 import re
-from typing import Literal
+from typing import Final, Literal
 
 from pcmrs.errors import PayloadError
 from pcmrs.messages import Message
+from pcmrs.messages.roles import Role
 
 _CHUNK = re.compile(r"[a-z0-9][a-z0-9._-]*")
 
@@ -21,16 +22,20 @@ class KeyInfo(Message, frozen=True, kw_only=True, omit_defaults=False):
     """One row of the key table, as seen by somebody outside the daemon.
 
     Attributes:
-        key: Relative key; ``<name>`` stands for one chunk.
+        key: Relative key; ``<name>`` stands for one chunk, ``<user>`` for the name of who uses it.
         use: What a client does with it.
         payload: What is sent and, after an arrow, what comes back.
         text: What it is for.
+        users: Roles that may do so.
+        owners: Roles that serve or publish it.
     """
 
     key: str
     use: Use
     payload: str
     text: str
+    users: tuple[Role, ...]
+    owners: tuple[Role, ...]
 
 
 class KeyTable(Message, frozen=True, kw_only=True, omit_defaults=False):
@@ -40,8 +45,17 @@ class KeyTable(Message, frozen=True, kw_only=True, omit_defaults=False):
     keys: list[KeyInfo]
 
 
-def _row(key: str, use: Use, payload: str, text: str) -> KeyInfo:
-    return KeyInfo(key=key, use=use, payload=payload, text=text)
+EVERYBODY: Final[tuple[Role, ...]] = ("operator", "planner", "viewer", "device", "teleoperator", "daemon")
+READERS: Final[tuple[Role, ...]] = ("operator", "planner", "viewer", "teleoperator", "daemon")
+COMMANDING: Final[tuple[Role, ...]] = ("operator", "planner", "teleoperator")
+DAEMON: Final[tuple[Role, ...]] = ("daemon",)
+DEVICE: Final[tuple[Role, ...]] = ("device",)
+
+
+def _row(
+    key: str, use: Use, payload: str, text: str, users: tuple[Role, ...], owners: tuple[Role, ...] = DAEMON
+) -> KeyInfo:
+    return KeyInfo(key=key, use=use, payload=payload, text=text, users=users, owners=owners)
 
 
 KEYS = [
@@ -50,24 +64,45 @@ KEYS = [
         "put or query",
         '{"id"?, "sent"?, "ttl"?, "arguments"?} -> Verdict',
         "Asks for an operation. A query is answered with the verdict; that of a put appears on state/event.",
+        COMMANDING,
     ),
-    _row("stop/<user>", "put or query", "anything -> Stopping", "Stops every motion and latches."),
-    _row("state/fsm", "subscribe", "Snapshot", "State of all branches after each commit; the last one is kept."),
-    _row("state/event", "subscribe", "Verdict | DeviceEvent", "Decisions and device events as they happen."),
-    _row("state/joints", "subscribe", "JointState", "Measured joints of the arm."),
-    _row("state/pose/<body>", "subscribe", "BodyPose", "Pose of a tracked body in the tracker frame."),
-    _row("state/flags", "subscribe", "Flags", "The flags that mirror the states, for displays."),
-    _row("state/target", "subscribe", "Target", "Planned pose of the tool in the image, and the registration."),
-    _row("svc/snapshot", "query", "nothing -> Snapshot", "The present state, for those who join late."),
-    _row("svc/health", "query", "nothing -> Health", "How the daemon is, and why it is not well."),
-    _row("svc/journal", "query", '{"after"?, "limit"?} -> JournalPage', "What was decided, a page at a time."),
-    _row("svc/keys", "query", "nothing -> KeyTable", "This table."),
-    _row("dev/<device>/cmd", "query", "DeviceRequest -> DeviceReply", "Calls a method of a device node; daemon only."),
-    _row("dev/<device>/state", "subscribe", "DeviceHealth", "Whether a device node and its device are well."),
-    _row("dev/<device>/beat", "subscribe", "heartbeat", "Beats of the daemon and of the device node."),
-    _row("dev/robot/setpoint", "subscribe", "JointSetpoint", "Set points of a servo session; daemon only."),
-    _row("dev/<device>/event", "subscribe", "DeviceEvent", "What a device reports by itself to the daemon."),
-    _row("alive/<component>", "subscribe", "liveliness token", "Which processes of the cell are connected."),
+    _row("stop/<user>", "put or query", "anything -> Stopping", "Stops every motion and latches.", EVERYBODY),
+    _row("state/fsm", "subscribe", "Snapshot", "State of all branches after each commit; the last is kept.", READERS),
+    _row("state/event", "subscribe", "Verdict | DeviceEvent", "Decisions and device events as they happen.", READERS),
+    _row("state/joints", "subscribe", "JointState", "Measured joints of the arm.", READERS, DEVICE),
+    _row("state/pose/<body>", "subscribe", "BodyPose", "Pose of a tracked body in the tracker frame.", READERS, DEVICE),
+    _row("state/flags", "subscribe", "Flags", "The flags that mirror the states, for displays.", READERS),
+    _row("state/target", "subscribe", "Target", "Planned tool pose in the image, and the registration.", READERS),
+    _row("svc/snapshot", "query", "nothing -> Snapshot", "The present state, for those who join late.", READERS),
+    _row("svc/health", "query", "nothing -> Health", "How the daemon is, and why it is not well.", READERS),
+    _row(
+        "svc/journal",
+        "query",
+        '{"after"?, "limit"?} -> JournalPage',
+        "What was decided, a page at a time.",
+        ("operator", "viewer", "daemon"),
+    ),
+    _row("svc/keys", "query", "nothing -> KeyTable", "This table.", READERS),
+    _row("dev/<device>/cmd", "query", "DeviceRequest -> DeviceReply", "Calls a method of a device.", DAEMON, DEVICE),
+    _row("dev/<device>/state", "subscribe", "DeviceHealth", "Whether a device is well.", READERS, DEVICE),
+    _row(
+        "dev/<device>/beat",
+        "subscribe",
+        "heartbeat",
+        "Beats of the daemon and of the device node.",
+        ("daemon", "device"),
+        ("daemon", "device"),
+    ),
+    _row("dev/robot/setpoint", "subscribe", "JointSetpoint", "Set points of a servo session.", DEVICE),
+    _row("dev/<device>/event", "subscribe", "DeviceEvent", "What a device reports by itself.", DAEMON, DEVICE),
+    _row(
+        "alive/<component>",
+        "subscribe",
+        "liveliness token",
+        "Which processes of the cell are connected.",
+        READERS,
+        EVERYBODY,
+    ),
 ]
 
 

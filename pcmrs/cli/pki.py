@@ -1,0 +1,161 @@
+"""`pcmrs pki`: certificates for everybody who takes part over a network."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+import msgspec
+
+from pcmrs.cli.lazy import LazyGroup
+from pcmrs.cli.options import json_option
+from pcmrs.cli.running import readable_errors
+from pcmrs.messages.roles import ROLES, Role
+
+if TYPE_CHECKING:
+    # For annotations only: asking for help must not load a library for certificates.
+    from pcmrs.pki import Identity
+
+COMMANDS = {name: f"pcmrs.cli.pki:{name}" for name in ("init", "issue", "revoke")} | {"list": "pcmrs.cli.pki:list_"}
+
+folder_option = click.option(
+    "--folder",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("pki"),
+    envvar="PCMRS_PKI",
+    show_default=True,
+    help="Of the authority.",
+)
+
+
+@click.group(cls=LazyGroup, commands=COMMANDS)
+def pki() -> None:
+    """Make and keep the certificates of a lab: its own authority, and one identity for each person and process.
+
+    Keep the authority's folder on a machine of its own, with a copy: whoever has its key can be anybody.
+    """
+
+
+@click.command()
+@click.option("--site", default="lab", envvar="PCMRS_SITE", show_default=True, help="Name of the lab.")
+@folder_option
+@json_option
+@readable_errors
+def init(site: str, folder: Path, as_json: bool) -> None:
+    """Make the authority of a lab; it is good for ten years.
+
+    Exit status: 0 made, 2 the folder cannot be written, 4 there is one already.
+
+    Example: pcmrs pki init --folder ~/pki
+    """
+    from pcmrs.pki import Authority
+
+    authority = Authority.init(folder, site, _now())
+    if as_json:
+        click.echo(msgspec.json.encode({"folder": str(authority.folder)}).decode())
+    else:
+        click.echo(f"{folder} is the authority of {site}. Now issue: pcmrs pki issue operator NAME --folder {folder}")
+
+
+@click.command()
+@click.argument("role", type=click.Choice(ROLES))
+@click.argument("name")
+@click.option("--days", type=float, default=30.0, show_default=True, help="Until it has to be issued anew.")
+@click.option(
+    "--host", "hosts", multiple=True, help="Name or address at which a daemon or router is dialled; may be repeated."
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path(),
+    show_default="the working directory",
+    help="The folder NAME with certificate, key and authority is made here.",
+)
+@folder_option
+@json_option
+@readable_errors
+def issue(
+    role: Role, name: str, days: float, hosts: tuple[str, ...], output: Path, folder: Path, as_json: bool
+) -> None:
+    """Give NAME a certificate for ROLE, with a new key; again for one that ends soon.
+
+    NAME stands in the bus keys that are this identity's own, such as cmd/NAME/**. Exit status: 0 issued, 2 the files
+    cannot be written, 4 name, role or hosts are not possible.
+
+    Example: pcmrs pki issue operator anna --days 7
+    """
+    from pcmrs.pki import Authority
+
+    issued = Authority(folder).issue(role, name, _now(), days=days, hosts=hosts, into=output)
+    if as_json:
+        click.echo(msgspec.json.encode(issued).decode())
+    else:
+        click.echo(
+            f"{issued.folder}: certificate and key of the {role} {name}, valid until {_day(issued.identity.ends)}."
+        )
+        click.echo("Carry the folder over a safe way to the machine that uses it, and delete it here.")
+
+
+@click.command()
+@click.argument("name")
+@folder_option
+@json_option
+@readable_errors
+def revoke(name: str, folder: Path, as_json: bool) -> None:
+    """Take the rights of NAME away for good; in force when the routers are started again with the new register.
+
+    Exit status: 0 revoked, 2 the register cannot be written, 4 nobody has this name, or it is revoked already.
+
+    Example: pcmrs pki revoke anna
+    """
+    from pcmrs.pki import Authority
+
+    identity = Authority(folder).revoke(name, _now())
+    if as_json:
+        click.echo(msgspec.json.encode(identity).decode())
+    else:
+        click.echo(f"{name} is revoked. Give routers and daemons the new register, and start them again.")
+
+
+@click.command("list")
+@folder_option
+@json_option
+@readable_errors
+def list_(folder: Path, as_json: bool) -> None:
+    """List everybody who has been given a certificate.
+
+    Example: pcmrs pki list
+    """
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    from pcmrs.pki import Authority
+
+    identities = Authority(folder).identities()
+    if as_json:
+        click.echo(msgspec.json.encode(identities).decode())
+        return
+    table, now = Table("name", "role", "until", "state", box=SIMPLE_HEAD), _now()
+    for each in identities:
+        table.add_row(each.name, each.role, _day(each.ends), _state(each, now))
+    Console().print(table)
+
+
+def _state(identity: Identity, now: float) -> str:
+    if identity.revoked is not None:
+        return f"revoked {_day(identity.revoked)}"
+    return "valid" if identity.valid(now) else "expired"
+
+
+def _day(wall: float) -> str:
+    return f"{datetime.datetime.fromtimestamp(wall, datetime.UTC):%Y-%m-%d %H:%M} UTC"
+
+
+def _now() -> float:
+    from pcmrs.clock import SystemClock
+
+    return SystemClock().wall()

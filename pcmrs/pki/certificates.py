@@ -1,0 +1,108 @@
+"""The certificates themselves: X.509, signed by the authority's key."""
+
+from __future__ import annotations
+
+import datetime
+import ipaddress
+from collections.abc import Sequence
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey, EllipticCurvePublicKey
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from pcmrs.pki.identity import Identity
+
+CLOCKS_DIFFER = 300.0
+"""A certificate is valid so long before it was issued, s: the clocks of two machines differ."""
+AUTHORITY_DAYS = 3650
+
+
+def authority_certificate(key: EllipticCurvePrivateKey, site: str, now: float) -> x509.Certificate:
+    """The authority's own certificate, which it signs itself.
+
+    Args:
+        key: The authority's.
+        site: Stands in its name.
+        now: Wall time, s.
+    """
+    name = _name(f"pcmrs {site} authority")
+    return (
+        _begun(name, name, key.public_key(), x509.random_serial_number(), now, now + AUTHORITY_DAYS * 86400.0)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(_usage(sign=True), critical=True)
+        .sign(key, hashes.SHA256())
+    )
+
+
+def certificate(
+    identity: Identity,
+    public: EllipticCurvePublicKey,
+    hosts: Sequence[str],
+    authority: x509.Certificate,
+    key: EllipticCurvePrivateKey,
+) -> x509.Certificate:
+    """The certificate of an identity.
+
+    Args:
+        identity: Its name, serial and times.
+        public: Its key.
+        hosts: Names and addresses under which it is dialled; empty for those that only dial.
+        authority: The authority's certificate.
+        key: The authority's key.
+    """
+    # Who is dialled also dials: a daemon meets its router, a router another one.
+    uses = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if hosts else [])]
+    builder = (
+        _begun(
+            _name(identity.name), authority.subject, public, int(identity.serial, 16), identity.begins, identity.ends
+        )
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(_usage(sign=False), critical=True)
+        .add_extension(x509.ExtendedKeyUsage(uses), critical=False)
+    )
+    names = [_general_name(host) for host in (hosts or (identity.name,))]
+    return builder.add_extension(x509.SubjectAlternativeName(names), critical=False).sign(key, hashes.SHA256())
+
+
+def _begun(
+    name: x509.Name, issuer: x509.Name, public: EllipticCurvePublicKey, serial: int, begins: float, ends: float
+) -> x509.CertificateBuilder:
+    return (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(issuer)
+        .public_key(public)
+        .serial_number(serial)
+        .not_valid_before(_time(begins))
+        .not_valid_after(_time(ends))
+    )
+
+
+def _usage(*, sign: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not sign,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=sign,
+        crl_sign=sign,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _name(common: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
+
+
+def _time(wall: float) -> datetime.datetime:
+    return datetime.datetime.fromtimestamp(wall, datetime.UTC)
+
+
+def _general_name(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        return x509.DNSName(host)

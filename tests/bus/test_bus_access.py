@@ -1,0 +1,238 @@
+"""An attack per role: what the table of keys does not give is tried through a real router, and has no effect."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from pcmrs.bus import KEYS
+from pcmrs.bus.access import Member, access_control
+from pcmrs.bus.declare import declare_publisher, declare_subscriber
+from pcmrs.bus.qos import class_of
+from pcmrs.clock import SystemClock
+from pcmrs.experiment.process import free_port
+from pcmrs.messages.roles import ROLES, Role
+from pcmrs.pki import Authority
+
+NAMES: dict[str, Role] = {f"{role[:3]}1": role for role in ROLES if role != "router"}
+HERE, ELSEWHERE = "pcmrs/lab/c1", "pcmrs/lab/c2"
+PATIENCE = 10.0
+QUIET = 1.0
+"""Nothing that is allowed takes so long on loopback, s: what has not come by then does not come."""
+
+Tried = set[tuple[str, str, str]]
+"""Name, action, key."""
+
+
+def concrete(key: str, user: str) -> str:
+    for part in ("branch", "operation", "device", "body", "component"):
+        key = key.replace(f"<{part}>", "x")
+    return key.replace("<user>", user)
+
+
+def allowed() -> Tried:
+    """What the table says, once more: a user asks, sends or hears; an owner answers, hears or sends."""
+    found: Tried = set()
+    for row in KEYS:
+        for name, role in NAMES.items():
+            as_user = {"query": ("query",), "put or query": ("put", "query"), "subscribe": ("hear",)}[row.use]
+            as_owner = {"query": ("serve",), "put or query": ("hear", "serve"), "subscribe": ("put",)}[row.use]
+            if row.key.startswith("alive/"):
+                as_user, as_owner = (), ("live",)
+            if role in row.users:
+                found |= {(name, action, f"{HERE}/{concrete(row.key, name)}") for action in as_user}
+            if role in row.owners:
+                for user in NAMES:
+                    found |= {(name, action, f"{HERE}/{concrete(row.key, user)}") for action in as_owner}
+    return found
+
+
+def keys() -> list[str]:
+    """Every key for every user, in this cell and another, and some that are in no table."""
+    rows = sorted({concrete(row.key, user) for row in KEYS for user in NAMES})
+    others = ["state/secret", "svc/other", "dev/robot", "cmd/ope1/robot", "video/room", "@/router/local"]
+    return [f"{cell}/{key}" for cell in (HERE, ELSEWHERE) for key in (*rows, *others)]
+
+
+class Lab:
+    """A router with access control, and one session for each role."""
+
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
+        now = SystemClock().wall()
+        authority = Authority.init(folder / "pki", "lab", now)
+        for name, role in {**NAMES, "gate": "router"}.items():
+            hosts = ("127.0.0.1",) if role in ("daemon", "router") else ()
+            authority.issue(role, name, now, hosts=hosts, into=folder)  # type: ignore[arg-type]
+        self._folder, self._endpoint = folder, f"tls/127.0.0.1:{free_port()}"
+        members = [Member(name=name, role=role, cells=("lab/c1",)) for name, role in NAMES.items()]
+        self.router = self._open("gate", "router", access_control(members))
+        stack.callback(self.router.close)
+        self.sessions = {name: self._open(name, "client") for name in NAMES}
+        for session in self.sessions.values():
+            stack.callback(session.close)
+
+    def _open(self, name: str, mode: str, access: dict[str, Any] | None = None) -> zenoh.Session:
+        own = self._folder / name
+        files = {"certificate": str(own / f"{name}.pem"), "private_key": str(own / f"{name}.key")}
+        pair = {f"{way}_{what}": file for way in ("listen", "connect") for what, file in files.items()}
+        values = {
+            "mode": mode,
+            "listen/endpoints": [self._endpoint] if mode == "router" else [],
+            "connect/endpoints": [] if mode == "router" else [self._endpoint],
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            "scouting/delay": 0,
+            "transport/shared_memory/enabled": False,
+            "transport/link/tls": {"root_ca_certificate": str(own / "ca.pem"), "enable_mtls": True, **pair},
+        }
+        if access is not None:
+            values["access_control"] = access
+        config = zenoh.Config()
+        for key, value in values.items():
+            config.insert_json5(key, json.dumps(value))
+        return zenoh.open(config)
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
+    with ExitStack() as stack:
+        yield Lab(tmp_path_factory.mktemp("lab"), stack)
+
+
+def gather(found: Tried, wanted: Callable[[], Tried]) -> Tried:
+    """Waits until all that is wanted has come, and then for what should not come."""
+    end = time.monotonic() + PATIENCE
+    while not wanted() <= found and time.monotonic() < end:
+        time.sleep(0.02)
+    time.sleep(QUIET)
+    return set(found)
+
+
+def check(tried: str, found: Tried) -> None:
+    expected = {each for each in allowed() if each[1] == tried}
+    assert gather(found, lambda: expected) == expected
+
+
+def test_who_may_send(lab: Lab) -> None:
+    found: Tried = set()
+    heard: Any = lab.router.declare_subscriber(
+        "pcmrs/**", lambda sample: found.add((sample.payload.to_string(), "put", str(sample.key_expr)))
+    )
+    for name, session in lab.sessions.items():
+        for key in keys():
+            session.put(key, name)
+    check("put", found)
+    heard.undeclare()
+
+
+def test_who_may_ask(lab: Lab) -> None:
+    found: Tried = set()
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            query.reply(query.key_expr, b"yes")
+
+    serving: Any = lab.router.declare_queryable("pcmrs/**", answer, complete=True)
+    for name, session in lab.sessions.items():
+        for key in keys():
+
+            def take(reply: zenoh.Reply, name: str = name, key: str = key) -> None:
+                if reply.ok is not None:
+                    found.add((name, "query", key))
+
+            session.get(key, take, timeout=PATIENCE)
+    check("query", found)
+    serving.undeclare()
+
+
+def test_who_may_hear(lab: Lab) -> None:
+    found: Tried = set()
+    hearing: list[Any] = []
+    for name, session in lab.sessions.items():
+        for key in (*keys(), "**", f"{HERE}/**", "pcmrs/lab/*/state/fsm"):
+
+            def take(sample: zenoh.Sample, name: str = name) -> None:
+                found.add((name, "hear", str(sample.key_expr)))
+
+            hearing.append(session.declare_subscriber(key, take))
+    expected = {each for each in allowed() if each[1] == "hear"}
+    end = time.monotonic() + PATIENCE
+    while not expected <= found and time.monotonic() < end:  # until the last declaration has arrived
+        for key in keys():
+            lab.router.put(key, b"news")
+        time.sleep(0.1)
+    check("hear", found)
+    for each in hearing:
+        each.undeclare()
+
+
+def test_who_may_serve(lab: Lab) -> None:
+    found: Tried = set()
+    serving: list[Any] = []
+    for name, session in lab.sessions.items():
+        for key in keys():
+
+            def answer(query: zenoh.Query, name: str = name) -> None:
+                with query:
+                    query.reply(query.key_expr, name.encode())
+
+            serving.append(session.declare_queryable(key, answer))
+    expected = {each for each in allowed() if each[1] == "serve"}
+    end = time.monotonic() + PATIENCE
+    while not expected <= found and time.monotonic() < end:
+        for key in keys():
+            for reply in lab.router.get(key, target=zenoh.QueryTarget.ALL, timeout=2.0):
+                if reply.ok is not None:
+                    found.add((reply.ok.payload.to_string(), "serve", key))
+    check("serve", found)
+    for each in serving:
+        each.undeclare()
+
+
+def test_who_may_say_that_it_is_there(lab: Lab) -> None:
+    tokens: list[Any] = [
+        session.liveliness().declare_token(f"{cell}/alive/x")
+        for cell in (HERE, ELSEWHERE)
+        for session in lab.sessions.values()
+    ]
+    expected = {key for _, action, key in allowed() if action == "live"}
+    seen: set[str] = set()
+    end = time.monotonic() + PATIENCE
+    while not expected <= seen and time.monotonic() < end:  # until the last token has arrived
+        seen = {str(reply.ok.key_expr) for reply in lab.router.liveliness().get("pcmrs/**", timeout=2.0) if reply.ok}
+    assert seen == expected
+    for token in tokens:
+        token.undeclare()
+
+
+def test_a_viewer_who_comes_late_is_given_the_last_snapshot(lab: Lab) -> None:
+    key = f"{HERE}/state/fsm"
+    publisher: Any = declare_publisher(lab.sessions["dae1"], key, class_of("state/fsm"))
+    publisher.put(b"last")
+    found: Tried = set()
+
+    def take(sample: zenoh.Sample) -> None:
+        found.add(("vie1", "hear", sample.payload.to_string()))
+
+    late: Any = declare_subscriber(lab.sessions["vie1"], key, class_of("state/fsm"), take)
+    assert gather(found, lambda: {("vie1", "hear", "last")}) == {("vie1", "hear", "last")}
+    late.undeclare()
+    publisher.undeclare()
+
+
+def test_what_the_table_must_never_give() -> None:
+    """The table itself could be wrong: a viewer only looks, and nobody but the daemon speaks to devices."""
+    given = {(NAMES[name], action, key.removeprefix(f"{HERE}/")) for name, action, key in allowed()}
+    viewer = {key.partition("/")[0] for role, action, key in given if role == "viewer" and action in ("put", "query")}
+    assert viewer == {"stop", "svc"}
+    to_devices = {
+        role for role, action, key in given if key in ("dev/x/cmd", "dev/robot/setpoint") and action in ("put", "query")
+    }
+    assert to_devices == {"daemon"}
