@@ -69,7 +69,7 @@ class Lab:
         authority = Authority.init(folder / "pki", "lab", now)
         for name, role in {**NAMES, "gate": "router"}.items():
             hosts = ("127.0.0.1",) if role in ("daemon", "router") else ()
-            authority.issue(role, name, now, hosts=hosts, into=folder)  # type: ignore[arg-type]
+            authority.issue(role, name, now, hosts=hosts, into=folder)
         self._folder, self._endpoint = folder, f"tls/127.0.0.1:{free_port()}"
         members = [Member(name=name, role=role, cells=("lab/c1",)) for name, role in NAMES.items()]
         self.router = self._open("gate", "router", access_control(members))
