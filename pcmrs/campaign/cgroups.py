@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from pcmrs.campaign.fault import NotRun
-from pcmrs.campaign.tools import require_root
+from pcmrs.campaign.needs import ROOT, Need
 
-ROOT = Path("/sys/fs/cgroup")
+MOUNTED = Path("/sys/fs/cgroup")
 PERIOD_US = 100_000
 
 
@@ -33,13 +33,8 @@ def memory_limit(pids: Sequence[int], limit: int) -> Iterator[None]:
 @contextmanager
 def _group(controller: str, first: dict[str, str], second: dict[str, str], pids: Sequence[int]) -> Iterator[None]:
     """A group of its own with its settings, those of version 1 or those of version 2; empty and gone at the end."""
-    require_root("A control group")
-    if (ROOT / controller).is_dir():
-        parent, settings = ROOT / controller, first
-    elif controller in _controllers(ROOT):
-        parent, settings = ROOT, second
-    else:
-        raise NotRun(f"This machine has no control groups for {controller}.")
+    own = MOUNTED / controller
+    parent, settings = (own, first) if own.is_dir() else (MOUNTED, second)
     folder = parent / f"pcmrs-{uuid.uuid4().hex[:8]}"
     try:
         folder.mkdir()
@@ -64,8 +59,16 @@ def _dissolve(folder: Path, parent: Path) -> None:
         folder.rmdir()
 
 
-def _controllers(root: Path) -> list[str]:
+def _is_there(controller: str) -> bool:
+    """Whether the kernel has groups for this, of version 1 or of version 2."""
+    if (MOUNTED / controller).is_dir():
+        return True
     try:
-        return (root / "cgroup.controllers").read_text().split()
+        return controller in (MOUNTED / "cgroup.controllers").read_text().split()
     except OSError:
-        return []
+        return False
+
+
+PROCESSOR = (Need("control groups for the processor", lambda: _is_there("cpu")), ROOT)
+MEMORY = (Need("control groups for memory", lambda: _is_there("memory")), ROOT)
+"""What the two limits need."""

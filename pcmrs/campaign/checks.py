@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable
+import math
+from collections.abc import AsyncIterator, Iterable
+from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-import numpy as np
 
 from pcmrs.campaign.driving import PATIENCE, accept, said, until
 from pcmrs.campaign.fault import Unmet
@@ -84,12 +85,33 @@ async def stands(cell: LabCell) -> float:
         Unmet: It moves.
     """
     await asyncio.sleep(BRAKING)
-    before = await cell.scene.truth()
+    before = await tool_position(cell)
     await asyncio.sleep(LOOK)
-    after = await cell.scene.truth()
-    way = float(np.linalg.norm(np.subtract(after.tracker_from_coil.position, before.tracker_from_coil.position)))
+    return await _still_at(before, cell)
+
+
+@asynccontextmanager
+async def unmoved(cell: LabCell) -> AsyncIterator[None]:
+    """Checks by the simulation's truth that an arm at rest is after `LOOK` where it was when the context began.
+
+    Raises:
+        Unmet: It is not.
+    """
+    before = await tool_position(cell)
+    yield
+    await asyncio.sleep(LOOK)
+    await _still_at(before, cell)
+
+
+async def tool_position(cell: LabCell) -> tuple[float, float, float]:
+    """Where the tool truly is, in the tracker's frame, m."""
+    return (await cell.scene.truth()).tracker_from_coil.position
+
+
+async def _still_at(before: tuple[float, float, float], cell: LabCell) -> float:
+    way = math.dist(before, await tool_position(cell))
     if way > STANDS_WITHIN:
-        raise Unmet(f"The arm moves: {way * 1e3:.2f} mm in {LOOK:g} s.")
+        raise Unmet(f"The arm has moved by {way * 1e3:.2f} mm.")
     return way
 
 

@@ -6,16 +6,18 @@ import asyncio
 import random
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
 
-from pcmrs.campaign.recorded import after_power_cut, record
+from pcmrs.campaign.damage import damages
+from pcmrs.campaign.fault import Unmet
+from pcmrs.campaign.powerless import power_cuts
+from pcmrs.campaign.recorded import record
+from pcmrs.campaign.taking_up import NAME, check_sound, missing_rows, place, taken_up
 from pcmrs.campaign.writing import row
 from pcmrs.clock import Clock
-from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalReader, StoredRow
 
 ROWS = 60
@@ -23,13 +25,6 @@ ROWS = 60
 
 COMMITS = 400
 """Of the writer whose power is cut: enough for the write-ahead log to be taken into the database."""
-
-TAIL = 2048
-"""So many bytes at the end of database and log are cut at every byte."""
-
-NAME = "journal.sqlite"
-HEAD = f"{NAME}.head"
-DAMAGED = (NAME, f"{NAME}-wal", HEAD)
 
 ShowProgress = Callable[[str, int, int], None]
 
@@ -66,28 +61,6 @@ class CutReport(msgspec.Struct, frozen=True):
         return bool(self.silent or self.broken or self.lost)
 
 
-class Damage(msgspec.Struct, frozen=True):
-    """One change of one file: it ends before `place`, or the bit `flip` of the byte there is another one."""
-
-    file: str
-    place: int
-    flip: int | None = None
-
-    def apply(self, folder: Path) -> None:
-        """Changes the file in the folder."""
-        path = folder / self.file
-        content = bytearray(path.read_bytes())
-        if self.flip is None:
-            del content[self.place :]
-        else:
-            content[self.place] ^= 1 << self.flip
-        path.write_bytes(content)
-
-    def __str__(self) -> str:
-        what = "cut at byte" if self.flip is None else f"bit {self.flip} flipped in byte"
-        return f"{self.file} {what} {self.place}"
-
-
 def cut_and_flip(
     cuts: int | None,
     flips: int | None,
@@ -100,7 +73,7 @@ def cut_and_flip(
     """Damages copies of the journal of a killed process, one at a time, and opens them.
 
     Args:
-        cuts: So many random ones; None for every byte of the head's slots, and of the last `TAIL` of the others.
+        cuts: So many random ones, in any file; None for every byte of the head's slots, and of the tails of the others.
         flips: So many random bits; None for one bit of every byte there.
         seed: Of what is random.
         clock: The machine's.
@@ -111,13 +84,13 @@ def cut_and_flip(
     with tempfile.TemporaryDirectory(prefix="pcmrs-cuts-") as name:
         killed, closed = Path(name) / "killed", Path(name) / "closed"
         rows = _written(Path(name) / "written", killed, closed)
-        damages = [
+        chosen = [
             (whole, damage)
             for count, flips_bits in ((cuts, False), (flips, True))
-            for whole, damage in _damages((killed, closed), count, generator, flips=flips_bits)
+            for whole, damage in damages((killed, closed), count, generator, flips=flips_bits)
         ]
         tally = _Tally("cut or bent", seed, len(rows))
-        for number, (whole, damage) in enumerate(damages):
+        for number, (whole, damage) in enumerate(chosen):
             if minutes is not None and clock.monotonic() - begun >= minutes * 60.0:
                 break
             scratch = Path(name) / "scratch"
@@ -125,7 +98,7 @@ def cut_and_flip(
             damage.apply(scratch)
             tally.judge(f"{whole.name}: {damage}", scratch, rows)
             shutil.rmtree(scratch)
-            progress(str(damage), number + 1, len(damages))
+            progress(str(damage), number + 1, len(chosen))
     return tally.report(clock.monotonic() - begun)
 
 
@@ -141,7 +114,7 @@ def cut_power(
 ) -> CutReport:
     """Cuts the power of a journal's writer at random instants, between two system calls of a recording.
 
-    What was synchronised stays; of what was written since, a random part is there, whole or torn at a sector.
+    What was synchronised stays; of what was written since, any sectors and any first changes of names are there.
 
     Args:
         times: So many cuts.
@@ -158,16 +131,17 @@ def cut_power(
     begun, generator = clock.monotonic(), random.Random(seed)
     tally = _Tally("power cut", seed, 0)
     with tempfile.TemporaryDirectory(prefix="pcmrs-cuts-") as name:
-        base = Path(name) / "base"
-        _written(Path(name) / "written", base, Path(name) / "closed")
-        operations, rows = record(base, Path(name) / "recorded", commits, seed, durable=durable)
-        for number in range(times):
+        written = Path(name) / "written"
+        calls = record(written, commits, seed, durable=durable)
+        with JournalReader(written / NAME) as reader:
+            rows = {stored.sequence: stored for stored in reader.read()}
+        for number, cut in enumerate(power_cuts(written, calls, times, generator)):
             if minutes is not None and clock.monotonic() - begun >= minutes * 60.0:
                 break
-            place = generator.randrange(len(operations) + 1)
             scratch = Path(name) / "scratch"
-            acknowledged = after_power_cut(base, operations[:place], scratch, generator)
-            tally.judge_power_cut(f"cut {number} before call {place}", scratch, rows[:acknowledged])
+            place(cut.files, scratch)
+            acknowledged = [rows[sequence] for sequence in cut.acknowledged]
+            tally.judge_power_cut(f"cut {number} before call {cut.call}", scratch, acknowledged)
             shutil.rmtree(scratch)
             progress("power cuts", number + 1, times)
     return tally.report(clock.monotonic() - begun)
@@ -186,22 +160,22 @@ class _Tally:
         """A damaged journal: reported, or without effect."""
         self._tried += 1
         try:
-            missing = asyncio.run(_missing(folder / NAME, rows))
-        except JournalError:
-            self._reported += 1
+            whole = taken_up(folder / NAME, rows)
+        except Unmet as error:
+            self._silent.append(f"{what}: {error.text}")
         except Exception as error:  # whatever it is, nobody could tell a user what to do
             self._broken.append(f"{what}: {type(error).__name__}: {error}")
         else:
-            self._unaffected += not missing
-            if missing:
-                self._silent.append(f"{what}: {missing} rows are missing or others")
+            self._unaffected += whole
+            self._reported += not whole
 
     def judge_power_cut(self, what: str, folder: Path, rows: Sequence[StoredRow]) -> None:
-        """Power was cut: everything acknowledged must be there, and the journal must open."""
+        """Power was cut: everything acknowledged must be there, and the journal must open, and be sound then."""
         self._tried += 1
         self._acknowledged += len(rows)
         try:
-            missing = asyncio.run(_missing(folder / NAME, rows))
+            missing = asyncio.run(missing_rows(folder / NAME, rows))
+            check_sound(folder / NAME)
         except Exception as error:  # the next daemon would not start
             self._broken.append(f"{what}: {type(error).__name__}: {error}")
         else:
@@ -230,37 +204,3 @@ async def _write(folder: Path, killed: Path, closed: Path) -> list[StoredRow]:
     await journal.close()
     shutil.copytree(folder, closed, ignore=shutil.ignore_patterns("*-shm"))
     return rows
-
-
-async def _missing(path: Path, rows: Iterable[StoredRow]) -> int:
-    """How many rows are missing or others, once the journal was opened for writing, as a daemon does.
-
-    Raises:
-        JournalError: It was refused, then or when reading it.
-    """
-    journal = Journal.open(path)
-    try:
-        await journal.append([row("after", 0, 0)])
-        with JournalReader(path) as reader:
-            found = {stored.sequence: stored for stored in reader.read()}
-    finally:
-        with suppress(JournalError):
-            await journal.close()
-    return sum(found.get(stored.sequence) != stored for stored in rows)
-
-
-def _damages(
-    wholes: Sequence[Path], count: int | None, generator: random.Random, *, flips: bool
-) -> list[tuple[Path, Damage]]:
-    places = [(whole, file, place) for whole in wholes for file, place in _places(whole)]
-    chosen = places if count is None else [generator.choice(places) for _ in range(count)]
-    return [(whole, Damage(file, place, generator.randrange(8) if flips else None)) for whole, file, place in chosen]
-
-
-def _places(folder: Path) -> Iterator[tuple[str, int]]:
-    for name in DAMAGED:
-        content = (folder / name).read_bytes() if (folder / name).exists() else b""
-        if name == HEAD:
-            yield from ((name, place) for place, byte in enumerate(content) if byte)  # the rest is padding
-        else:
-            yield from ((name, place) for place in range(max(0, len(content) - TAIL), len(content)))

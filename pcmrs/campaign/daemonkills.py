@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+import signal
 import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
@@ -14,6 +15,7 @@ from pcmrs.campaign.lab import LabCell, open_cell
 from pcmrs.campaign.operating import Operator
 from pcmrs.clock import Clock
 from pcmrs.errors import BusError, DeviceError, JournalError, UnknownOutcomeError
+from pcmrs.experiment.process import last_words
 from pcmrs.failpoints import FAILPOINTS, VARIABLE
 from pcmrs.journal import JournalReader
 from pcmrs.messages import Verdict
@@ -66,45 +68,60 @@ async def _one_folder(folder: Path, tally: Tally) -> None:
             return
         place = places[tally.kills % len(places)]
         try:
-            new = await _killed(folder, place, tally.generator)
+            new, reached = await _killed(folder, place, tally.generator)
         except (DeviceError, BusError) as error:
             tally.refused.append(error.text)
             return
         answered |= new
         try:
-            tally.count("" if place == RANDOM else place, len(new), _lost(folder / "ratms.sqlite", answered))
+            tally.count(place, len(new), _lost(folder / "ratms.sqlite", answered), reached=reached)
         except JournalError as error:
             tally.refused.append(error.text)
             return
 
 
-async def _killed(folder: Path, place: str, generator: random.Random) -> dict[str, Verdict]:
-    """Operates a daemon until it is killed; returns what it has answered."""
+async def _killed(folder: Path, place: str, generator: random.Random) -> tuple[dict[str, Verdict], bool]:
+    """Operates a daemon until it is killed; returns what it has answered, and whether it was killed at `place`.
+
+    Raises:
+        DeviceError: It did not start, or ended by itself.
+    """
+    at_random = place == RANDOM
     first = AT_START if place.startswith("journal.") else 1
-    armed = {} if place == RANDOM else {VARIABLE: f"{place}:{generator.randrange(first, first + LATEST)}"}
+    armed = {} if at_random else {VARIABLE: f"{place}:{generator.randrange(first, first + LATEST)}"}
     operator: Operator | None = None
+    ended = None
     # A daemon that is killed takes its bus along, and some client of it may say so at the end of the context.
     with suppress(UnknownOutcomeError):
         async with open_cell(folder, (*SETTINGS, f"sim.seed={generator.randrange(1000)}"), environment=armed) as cell:
             operator = Operator(cell.client, generator)
-            await _operate(cell, operator, generator.uniform(0.0, LONGEST) if place == RANDOM else DIES_WITHIN)
-    return operator.verdicts if operator is not None else {}
+            ended = await _operate(cell, operator, generator.uniform(0.0, LONGEST) if at_random else DIES_WITHIN)
+    if ended is not None and (at_random or ended != -signal.SIGKILL):
+        words = last_words(folder / "log")
+        raise DeviceError(f"A daemon in operation ended by itself, with exit status {ended}: {words}")
+    if operator is None:
+        return {}, False
+    return operator.verdicts, at_random or ended is not None
 
 
-async def _operate(cell: LabCell, operator: Operator, longest: float) -> None:
+async def _operate(cell: LabCell, operator: Operator, longest: float) -> int | None:
+    """Operates a daemon until it ends, or is killed after so long; returns how it ended if it did so by itself."""
+
     async def go_on() -> None:
         while True:
             await operator.step()
 
     going_on, dying = asyncio.create_task(go_on()), asyncio.create_task(cell.process.wait())
-    await asyncio.wait((going_on, dying), timeout=longest, return_when=asyncio.FIRST_COMPLETED)
-    if not dying.done():
+    await asyncio.wait((dying,), timeout=longest)  # who asks may learn of its end before it has ended
+    ended = cell.process.returncode
+    if ended is None:
         with suppress(ProcessLookupError):
             cell.process.kill()
     await dying
     going_on.cancel()
     with suppress(asyncio.CancelledError, UnknownOutcomeError):
         await going_on
+    return ended
 
 
 def _lost(journal: Path, answered: Mapping[str, Verdict]) -> int:

@@ -218,15 +218,22 @@ async def until(client: Client, condition: Callable[[Snapshot], bool], within: f
 
 
 @asynccontextmanager
-async def moving(client: Client, name: str = "placement.approach") -> AsyncIterator[asyncio.Task[Verdict]]:
+async def moving(
+    client: Client, name: str = "placement.approach", id: str | None = None
+) -> AsyncIterator[asyncio.Task[Verdict]]:
     """A motion in the middle of which the arm moves; its verdict has come when the context ends.
+
+    Args:
+        client: Of the cell.
+        name: ``branch.operation`` that moves it.
+        id: Of the command; one of its own by default.
 
     Raises:
         Unmet: The arm did not move, or no verdict came within `PATIENCE`.
     """
     await asyncio.sleep(SEEN)
     moves, end = await _motion(client)
-    verdict = asyncio.create_task(client.call(name, timeout=PATIENCE))
+    verdict = asyncio.create_task(client.call(name, id=id, timeout=PATIENCE))
     try:
         await asyncio.wait((verdict, moves), timeout=PATIENCE, return_when=asyncio.FIRST_COMPLETED)
         if not moves.done() or verdict.done():

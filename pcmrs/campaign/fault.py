@@ -7,7 +7,6 @@ async def pose_nan(lab: Lab) -> Evidence:
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from pcmrs.campaign import faults
 from pcmrs.campaign.catalogue import catalogue
+from pcmrs.campaign.needs import Need
 from pcmrs.errors import ConfigurationError, PcmrsError
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class Injection:
         fault: Id of the catalogue.
         name: Of the function.
         how: By what means.
-        tools: Programs it needs; without one of them it is not run.
+        needs: What it needs of the machine; without one of them it is not run.
         deadline: It has failed when it has not ended within this, s of the machine.
         run: Injects the fault, checks the response; raises `Unmet` or `NotRun`.
     """
@@ -69,27 +69,23 @@ class Injection:
     fault: str
     name: str
     how: str
-    tools: tuple[str, ...]
+    needs: tuple[Need, ...]
     deadline: float
     run: Injector
-
-    def missing(self) -> list[str]:
-        """Tools that this machine does not have."""
-        return [tool for tool in self.tools if shutil.which(tool) is None]
 
 
 _injections: dict[str, list[Injection]] = {}
 
 
 def fault(
-    fault_id: str, *, how: str, tools: Iterable[str] = (), deadline: float = DEADLINE
+    fault_id: str, *, how: str, needs: Iterable[Need] = (), deadline: float = DEADLINE
 ) -> Callable[[Injector], Injector]:
     """Registers a way to inject a fault; several may be registered under one id, and all must pass.
 
     Args:
         fault_id: Of the catalogue.
         how: By what means it is injected, for the report.
-        tools: Programs it needs.
+        needs: What it needs of the machine.
         deadline: It has failed when it has not ended within this, s of the machine.
 
     Raises:
@@ -100,7 +96,7 @@ def fault(
 
     def register(run: Injector) -> Injector:
         name = getattr(run, "__name__", fault_id)
-        _injections.setdefault(fault_id, []).append(Injection(fault_id, name, how, tuple(tools), deadline, run))
+        _injections.setdefault(fault_id, []).append(Injection(fault_id, name, how, tuple(needs), deadline, run))
         return run
 
     return register

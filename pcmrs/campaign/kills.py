@@ -49,10 +49,11 @@ class KillReport(msgspec.Struct, frozen=True):
     Attributes:
         what: Was killed.
         kills: Processes killed.
-        at: How many of them at which failpoint, and at random instants.
+        at: How many of them died at which failpoint by the failpoint itself, and how many at random instants.
+        not_reached: How many were armed for which failpoint and killed since they had not come there in time.
         acknowledged: Rows, or decisions of a daemon, that were acknowledged before.
         lost: Of these, how many were not there afterwards, or not as they had been.
-        refused: Journals that could not be opened afterwards, in their own words.
+        refused: Journals that could not be opened afterwards, in their own words; processes that ended by themselves.
         seed: Of the instants.
         seconds: s of the machine.
     """
@@ -60,6 +61,7 @@ class KillReport(msgspec.Struct, frozen=True):
     what: str
     kills: int
     at: dict[str, int]
+    not_reached: dict[str, int]
     acknowledged: int
     lost: int
     refused: list[str]
@@ -102,6 +104,7 @@ class Tally:
         self.clock = clock
         self.generator = random.Random(seed)
         self.at: Counter[str] = Counter()
+        self.not_reached: Counter[str] = Counter()
         self.acknowledged = self.lost = 0
         self.refused: list[str] = []
         self._seed, self._times, self._progress = seed, times, progress
@@ -110,36 +113,42 @@ class Tally:
 
     @property
     def kills(self) -> int:
-        return self.at.total()
+        return self.at.total() + self.not_reached.total()
 
     @property
     def done(self) -> bool:
         return self.kills >= self._times or self.clock.monotonic() >= self._end
 
-    def count(self, failpoint: str, acknowledged: int, lost: int) -> None:
-        self.at[failpoint or RANDOM] += 1
+    def count(self, place: str, acknowledged: int, lost: int, *, reached: bool) -> None:
+        """A process was killed: at that place, or elsewhere since it had not come there."""
+        (self.at if reached else self.not_reached)[place] += 1
         self.acknowledged += acknowledged
         self.lost += lost
-        self._progress(f"killed at {failpoint or RANDOM}", self.kills, self._times)
+        self._progress(f"killed at {place}" if reached else f"{place} not reached", self.kills, self._times)
 
     def report(self, what: str) -> KillReport:
         seconds = self.clock.monotonic() - self._begun
-        at = {name: self.at[name] for name in (*FAILPOINTS, RANDOM) if name in self.at}
-        return KillReport(what, self.kills, at, self.acknowledged, self.lost, self.refused, self._seed, seconds)
+        at, not_reached = (
+            {name: counted[name] for name in (*FAILPOINTS, RANDOM) if name in counted}
+            for counted in (self.at, self.not_reached)
+        )
+        return KillReport(
+            what, self.kills, at, not_reached, self.acknowledged, self.lost, self.refused, self._seed, seconds
+        )
 
 
 def _one_journal(context: ForkServerContext, path: Path, tally: Tally) -> None:
     """One process after the other writes the same journal and is killed, until one cannot open it."""
-    checked, places = Checked(), ("", *OF_JOURNAL)
+    checked, places = Checked(), (RANDOM, *OF_JOURNAL)
     for _ in range(PER_JOURNAL):
         if tally.done:
             return
-        number, failpoint = tally.kills, places[tally.kills % len(places)]
+        number, place = tally.kills, places[tally.kills % len(places)]
         try:
-            told = _killed(context, path, number, failpoint, tally.generator, tally.clock)
-            tally.count(failpoint, len(told), lost_rows(path, f"run{number}", told, checked))
+            told, reached = _killed(context, path, number, place, tally.generator, tally.clock)
+            tally.count(place, len(told), lost_rows(path, f"run{number}", told, checked), reached=reached)
         except JournalError as error:
-            tally.count(failpoint, 0, 0)
+            tally.count(place, 0, 0, reached=False)
             tally.refused.append(error.text)
             return
 
@@ -152,28 +161,34 @@ class Checked(msgspec.Struct):
 
 
 def _killed(
-    context: ForkServerContext, path: Path, number: int, failpoint: str, generator: random.Random, clock: Clock
-) -> list[int]:
-    """Has a process write until it is killed; returns the sequences that it was acknowledged.
+    context: ForkServerContext, path: Path, number: int, place: str, generator: random.Random, clock: Clock
+) -> tuple[list[int], bool]:
+    """Has a process write until it is killed; returns what it was acknowledged, and whether it was killed at `place`.
 
     Raises:
-        JournalError: It could not open the journal.
+        JournalError: It could not open the journal, or ended by itself.
     """
-    armed = f"{failpoint}:{generator.randrange(1, LATEST)}" if failpoint else ""
+    at_random = place == RANDOM
+    armed = "" if at_random else f"{place}:{generator.randrange(1, LATEST)}"
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_run, args=(path, number, generator.randrange(1 << 30), armed, sender))
     process.start()
     sender.close()
     try:
         told = _read(receiver.fileno(), 8, clock.monotonic() + DIES_WITHIN, clock)
-        lives = DIES_WITHIN if failpoint else generator.uniform(0.0, LONGEST)
-        told += _read(receiver.fileno(), 0, clock.monotonic() + lives, clock)
+        lives = clock.monotonic() + (generator.uniform(0.0, LONGEST) if at_random else DIES_WITHIN)
+        told += _read(receiver.fileno(), 0, lives, clock)
+        process.join(max(0.0, lives - clock.monotonic()))  # what it was told by has closed before it has ended
+        ended = process.exitcode
     finally:
         process.kill()
     told += _read(receiver.fileno(), 0, clock.monotonic() + DIES_WITHIN, clock)
     receiver.close()
     process.join()
-    return _acknowledged(told)
+    acknowledged = _acknowledged(told)
+    if ended is not None and (at_random or ended != -signal.SIGKILL):
+        raise JournalError(f"A process that writes the journal ended by itself, with exit status {ended}.")
+    return acknowledged, at_random or ended is not None
 
 
 def _run(path: Path, number: int, seed: int, armed: str, sender: Connection) -> None:

@@ -12,7 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pcmrs.campaign.fault import NotRun
-from pcmrs.campaign.tools import require_root, tool
+from pcmrs.campaign.needs import ROOT, Need, program
+from pcmrs.campaign.tools import tool
+
+NEEDS = (
+    *map(program, ("mkfs.ext4", "mount", "umount")),
+    Need("loop devices", lambda: Path("/dev/loop-control").exists()),
+    ROOT,
+)
 
 MEBIBYTES = 24
 """Size of the disk; the smallest that ext4 gives a journal of its own."""
@@ -81,7 +88,6 @@ async def loop_disk(folder: Path) -> AsyncIterator[LoopDisk]:
     Raises:
         NotRun: This machine does not let this process mount one.
     """
-    require_root("A disk of its own")
     disk = _prepared(folder)
     await tool(["mkfs.ext4", "-q", "-O", "has_journal", "-m", "0", str(disk.image)])
     await tool(["mount", "-o", "loop,errors=remount-ro", str(disk.image), str(disk.path)])
@@ -92,8 +98,6 @@ async def loop_disk(folder: Path) -> AsyncIterator[LoopDisk]:
 
 
 def _prepared(folder: Path) -> LoopDisk:
-    if not Path("/dev/loop-control").exists():
-        raise NotRun("This machine has no loop devices.")
     disk = LoopDisk(folder / "disk", folder / "disk.ext4")
     disk.path.mkdir()
     with disk.image.open("wb") as image:

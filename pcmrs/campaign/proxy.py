@@ -78,7 +78,7 @@ async def _pass_on(source: asyncio.StreamReader, sink: asyncio.StreamWriter, wea
             sink.write(data)
             await sink.drain()
     except ConnectionError:
-        pass
+        pass  # one end has gone: that is nothing of the proxy's, and the other end learns of it, as over a wire
     finally:
         sink.close()
 

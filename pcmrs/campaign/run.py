@@ -13,6 +13,7 @@ from pcmrs.campaign.catalogue import NO_ACCESS_CONTROL, Row
 from pcmrs.campaign.fault import Injection, NotRun, Unmet, injections
 from pcmrs.campaign.lab import Lab, Pool
 from pcmrs.campaign.report import CampaignReport, FaultResult, Part, result_of, summarize
+from pcmrs.campaign.tools import require
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.errors import PcmrsError
 
@@ -81,13 +82,11 @@ def why_not(row: Row) -> str:
 
 async def run_injection(injection: Injection, seed: int, folder: Path, pool: Pool, clock: Clock) -> Part:
     """Injects a fault in one way, in a folder that goes away."""
-    missing = injection.missing()
-    if missing:
-        return Part(injection.name, injection.how, "not_run", f"not installed: {', '.join(missing)}", 0.0)
     begun = clock.monotonic()
     with tempfile.TemporaryDirectory(dir=folder, ignore_cleanup_errors=True) as own:
         lab = Lab(seed, Path(own), pool)
         try:
+            require(injection.needs)
             async with clock.timeout(injection.deadline):
                 evidence = await injection.run(lab)
         except NotRun as error:

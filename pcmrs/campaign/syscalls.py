@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import shutil
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from pcmrs.campaign.fault import NotRun
-from pcmrs.campaign.tools import require_root
+from pcmrs.campaign.needs import ROOT, program
+
+NEEDS = (program("strace"), ROOT)
 
 ATTACHES_WITHIN = 10.0
 """The tracer holds all threads within this, s of the machine."""
@@ -40,11 +41,8 @@ async def injected(
         How many have been; complete when the context has ended.
 
     Raises:
-        NotRun: strace is missing, or may not attach.
+        NotRun: strace may not attach.
     """
-    if shutil.which("strace") is None:
-        raise NotRun("There is no strace; `make tools` installs what faults need.")
-    require_root("Tracing another process")
     paths = [word for file in files for word in ("-P", str(file))]
     words = [*(["-f"] if threads else []), "-p", str(pid), *paths, "-e", f"trace={','.join(calls)}"]
     tracer = await asyncio.create_subprocess_exec(

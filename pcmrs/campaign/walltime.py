@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from pcmrs.campaign.fault import NotRun
+from pcmrs.campaign.needs import Need
 
 LIBRARY = "faketime/libfaketimeMT.so.1"
 CACHED = 1
@@ -40,26 +40,18 @@ class WallClock:
         self.file.write_text("2026-01-01 12:00:00\n")
 
     def environment(self) -> dict[str, str]:
-        """Variables for a process whose wall clock this is.
-
-        Raises:
-            NotRun: libfaketime is missing.
-        """
+        """Variables for a process whose wall clock this is."""
         return {
-            "LD_PRELOAD": str(library()),
+            "LD_PRELOAD": str(_libraries()[0]),
             "FAKETIME_TIMESTAMP_FILE": str(self.file),
             "FAKETIME_CACHE_DURATION": str(CACHED),
             "FAKETIME_DONT_FAKE_MONOTONIC": "1",
         }
 
 
-def library() -> Path:
-    """Where libfaketime is.
+def _libraries() -> list[Path]:
+    """Where libfaketime is."""
+    return [path for place in LIBRARIES for folder in ("", "*/") for path in sorted(place.glob(folder + LIBRARY))]
 
-    Raises:
-        NotRun: It is missing.
-    """
-    for place in LIBRARIES:
-        for path in sorted(place.glob(f"*/{LIBRARY}")) + sorted(place.glob(LIBRARY)):
-            return path
-    raise NotRun("There is no libfaketime; `make tools` installs what faults need.")
+
+NEEDS = (Need("libfaketime", lambda: bool(_libraries())),)

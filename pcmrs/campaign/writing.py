@@ -1,4 +1,4 @@
-"""A process that writes a journal until it is killed, and tells every row that was acknowledged to it."""
+"""A process that writes a journal, until it is killed or has done its part, and tells every row acknowledged to it."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ REFUSED = (1 << 64) - 1
 """Told in place of a sequence when the journal cannot be opened; the error's text follows."""
 PARALLEL = 3
 """So many write at the same time, as parallel branches do."""
+SESSIONS = 2
+"""A journal that is recorded is closed and opened again so often."""
 
 TAG = BlueprintTag(id="campaign", version="1", hash="0" * 16)
 
@@ -72,22 +74,27 @@ async def _write(path: Path, run: str, generator: random.Random, told: int) -> N
     await asyncio.gather(*map(one, range(PARALLEL)))
 
 
-async def _write_some(folder: Path, commits: int, generator: random.Random, *, durable: bool) -> None:
-    """Commits groups of rows and writes a byte to a file for every row that was acknowledged."""
-    journal = Journal.open(folder / "journal.sqlite", durable=durable)
-    with (folder / "told").open("wb", buffering=0) as told:
-        for number in range(commits):
-            groups = [[row("some", writer, number)] * generator.randrange(1, 3) for writer in range(PARALLEL)]
-            for written in [journal.append(group) for group in groups]:
-                await written
-            told.write(b"." * sum(map(len, groups)))
+async def _write_some(path: Path, commits: int, generator: random.Random, *, durable: bool) -> None:
+    """Commits groups of rows, and writes the sequence of every row that was acknowledged to standard output."""
+    for run in range(SESSIONS):
+        journal = Journal.open(path, durable=durable)
+
+        async def one(writer: int, journal: Journal = journal, run: int = run) -> None:
+            for number in range(commits // (SESSIONS * PARALLEL)):
+                group = [row(f"run{run}", writer, number)] * generator.randrange(1, 3)
+                last = await journal.append(group)
+                lines = [b"%d\n" % sequence for sequence in range(last - len(group) + 1, last + 1)]
+                os.write(1, b"".join(lines))
+
+        await asyncio.gather(*map(one, range(PARALLEL)))
+        await journal.close()
 
 
 def main() -> None:
-    """Writes on the journal in a folder: ``FOLDER COMMITS SEED durable|careless``."""
+    """Writes a journal in a folder: ``FOLDER COMMITS SEED durable|careless``."""
     folder, commits, seed, care = sys.argv[1:]
-    asyncio.run(_write_some(Path(folder), int(commits), random.Random(int(seed)), durable=care == "durable"))
-    os._exit(0)  # nothing is closed: what a power cut leaves is looked at
+    path = Path(folder) / "journal.sqlite"
+    asyncio.run(_write_some(path, int(commits), random.Random(int(seed)), durable=care == "durable"))
 
 
 if __name__ == "__main__":

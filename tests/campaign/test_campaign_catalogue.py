@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from typing import Any
+
 import pytest
+from click.testing import CliRunner
 
 from pcmrs.campaign.catalogue import CLASSES, RESPONSES, catalogue, choose
 from pcmrs.campaign.fault import fault, injections
+from pcmrs.cli import main
 from pcmrs.errors import ConfigurationError
 
 COUNTS = {"O": 13, "S": 14, "B": 14, "N": 14, "P": 13, "T": 12, "C": 6, "A": 18}
@@ -63,6 +68,37 @@ def test_rows_are_chosen_by_class_and_id() -> None:
 def test_what_the_catalogue_does_not_have_is_named(classes: list[str], ids: list[str], word: str) -> None:
     with pytest.raises(ConfigurationError, match=word):
         choose(classes, ids)
+
+
+TRACED = {"strace", "root"}
+DISK = {"mkfs.ext4", "mount", "umount", "loop devices", "root"}
+NEEDS = {
+    **dict.fromkeys(("N14", "T2", "T3", "T8"), TRACED),
+    **dict.fromkeys(("T1", "T9"), DISK),
+    "T5": {*DISK, "strace"},
+    **{row: {"libfaketime"} for row in ("C1", "C2", "C3")},
+    "P6": {"control groups for memory", "root"},
+    "P8": {"control groups for the processor", "root"},
+}
+
+
+def listed(*words: str) -> list[dict[str, Any]]:
+    listing = CliRunner().invoke(main, ["faults", "list", "--json", *words])
+    faults: list[dict[str, Any]] = json.loads(listing.stdout)["faults"]
+    return faults
+
+
+def test_the_list_names_everything_that_a_row_needs() -> None:
+    assert {row["id"]: set(row["needs"]) for row in listed() if row["needs"]} == NEEDS
+
+
+def test_the_list_says_which_rows_cannot_run_here_for_want_of_what(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.geteuid", lambda: 1000)
+    monkeypatch.setattr("shutil.which", lambda name: None if name == "strace" else f"/bin/{name}")
+    found = {row["id"]: (set(row["missing"]) & {"root", "strace"}, row["runs"]) for row in listed("--class", "storage")}
+    assert found["T2"] == ({"root", "strace"}, False)
+    assert found["T1"] == ({"root"}, False)
+    assert found["T4"] == (set(), True)
 
 
 def test_nothing_is_registered_for_a_fault_that_does_not_exist() -> None:

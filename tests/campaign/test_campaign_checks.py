@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any, cast
 
 import msgspec
 import pytest
 
-from pcmrs.campaign.checks import refused
+from pcmrs.campaign.checks import STANDS_WITHIN, refused, unmoved
 from pcmrs.campaign.fault import Unmet
 from pcmrs.campaign.lab import LabCell
 from pcmrs.journal import JournalRow
@@ -62,6 +63,20 @@ class ScriptedCell:
 
 
 @dataclass
+class ScriptedScene:
+    """A scene whose tool is at these places, one after the other."""
+
+    places: list[tuple[float, float, float]]
+
+    @property
+    def scene(self) -> ScriptedScene:
+        return self
+
+    async def truth(self) -> Any:
+        return SimpleNamespace(tracker_from_coil=SimpleNamespace(position=self.places.pop(0)))
+
+
+@dataclass
 class Recorded:
     verdict: Verdict
 
@@ -97,3 +112,15 @@ async def test_a_refusal_that_changes_nothing_and_is_journalled_passes() -> None
 async def test_anything_else_does_not(changed: dict[str, Any], word: str) -> None:
     with pytest.raises(Unmet, match=word):
         await judge(**changed)
+
+
+@pytest.mark.parametrize("way", [0.0, STANDS_WITHIN / 2])
+async def test_an_arm_that_stays_where_it_was_is_unmoved(way: float) -> None:
+    async with unmoved(cast(LabCell, ScriptedScene([(0.1, 0.2, 0.3), (0.1 + way, 0.2, 0.3)]))):
+        pass
+
+
+async def test_an_arm_that_went_anywhere_is_not() -> None:
+    with pytest.raises(Unmet, match=r"moved by 1\.00 mm"):
+        async with unmoved(cast(LabCell, ScriptedScene([(0.1, 0.2, 0.3), (0.1, 0.201, 0.3)]))):
+            pass

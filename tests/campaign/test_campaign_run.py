@@ -9,12 +9,14 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from answered import check_answered
 from click.testing import CliRunner, Result
 
 from pcmrs.campaign import fault as registry
 from pcmrs.campaign.catalogue import NO_ACCESS_CONTROL, choose
 from pcmrs.campaign.fault import Evidence, NotRun, Unmet, fault
 from pcmrs.campaign.lab import Lab
+from pcmrs.campaign.needs import program
 from pcmrs.campaign.page import JSON_NAME, PAGE_NAME
 from pcmrs.campaign.report import CampaignReport, FaultResult
 from pcmrs.campaign.run import NO_INJECTION, run_campaign
@@ -30,6 +32,7 @@ def _scripted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "_injections", {})
     monkeypatch.setattr(registry, "injections", lambda: registry._injections)
     monkeypatch.setattr("pcmrs.campaign.run.injections", lambda: registry._injections)
+    monkeypatch.setattr("answered.injections", lambda: registry._injections)
 
     @fault("S1", how="well")
     async def well(lab: Lab) -> Evidence:
@@ -44,7 +47,7 @@ def _scripted(monkeypatch: pytest.MonkeyPatch) -> None:
     async def no_tool(lab: Lab) -> Evidence:
         raise NotRun("this machine has no moon")
 
-    @fault("S4", how="a tool that nobody has", tools=("sh", "no-such-tool-anywhere"))
+    @fault("S4", how="a tool that nobody has", needs=(program("sh"), program("no-such-tool-anywhere")))
     async def missing(lab: Lab) -> Evidence:
         raise AssertionError("must not be run")
 
@@ -100,7 +103,7 @@ async def test_what_was_seen_is_said() -> None:
     said = {result.id: result.response for result in report.faults}
     assert said["S2"] == f"It moved. {NASTY}"
     assert said["S3"] == "this machine has no moon"
-    assert said["S4"] == "not installed: no-such-tool-anywhere"
+    assert said["S4"] == "missing here: no-such-tool-anywhere; `make tools` installs what can be installed"
     assert said["S5"] == "not ended within 0.05 s"
     assert said["S6"] == "DeviceError: The daemon is gone."
     assert of(report, "S6").parts[0].details["where"].startswith("test_campaign_run.py:")
@@ -129,6 +132,20 @@ async def test_every_fault_gets_every_seed_and_the_same_one_draws_the_same() -> 
     assert [result.seed for result in report.faults] == [4, 2]
     drawn = [result.parts[0].details["drawn"] for result in report.faults]
     assert drawn[1] == again.faults[0].parts[0].details["drawn"] != drawn[0]
+
+
+@pytest.mark.parametrize("fault_id", ["S2", "S3", "S5", "S6", "S7", "S8"])
+async def test_a_test_passes_for_no_fault_that_failed_or_was_not_run(fault_id: str) -> None:
+    with pytest.raises(AssertionError, match=fault_id):
+        check_answered((await campaign([fault_id], [1])).faults)
+
+
+async def test_a_test_is_skipped_for_a_need_that_is_missing_and_for_nothing_else() -> None:
+    check_answered((await campaign(["S1"], [1])).faults)
+    with pytest.raises(pytest.skip.Exception, match="S4 missing: no no-such-tool-anywhere"):
+        check_answered((await campaign(["S1", "S4"], [1])).faults)
+    with pytest.raises(AssertionError, match="S2"):
+        check_answered((await campaign(["S2", "S4"], [1])).faults)
 
 
 def run_faults(*words: str) -> Result:

@@ -6,17 +6,19 @@ import asyncio
 import os
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager, suppress
 from pathlib import Path
 
 import pytest
 
+from pcmrs.campaign import cgroups, loopdisk, syscalls, walltime
 from pcmrs.campaign.cgroups import processor_quota
 from pcmrs.campaign.fault import NotRun
 from pcmrs.campaign.loopdisk import loop_disk
+from pcmrs.campaign.needs import Need, program
 from pcmrs.campaign.syscalls import injected
-from pcmrs.campaign.tools import tool
+from pcmrs.campaign.tools import require, tool
 from pcmrs.campaign.walltime import WallClock
 
 WRITER = """
@@ -55,7 +57,7 @@ async def _write(process: asyncio.subprocess.Process, answers: int) -> list[str]
 
 
 async def test_only_the_calls_on_the_file_named_fail_and_only_meanwhile(tmp_path: Path) -> None:
-    with _runs_here():
+    with _runs_here(syscalls.NEEDS):
         async with _writer(tmp_path / "meant", tmp_path / "other") as process:
             async with injected(process.pid, ("write",), "error=EIO", files=[tmp_path / "meant"]) as tampered:
                 assert await _write(process, 2) == ["Input/output error", "written"]
@@ -64,7 +66,7 @@ async def test_only_the_calls_on_the_file_named_fail_and_only_meanwhile(tmp_path
 
 
 async def test_a_disk_keeps_through_a_power_cut_what_was_synchronised_and_no_more(tmp_path: Path) -> None:
-    with _runs_here():
+    with _runs_here(loopdisk.NEEDS):
         async with loop_disk(tmp_path) as disk:
             await asyncio.to_thread(_half_synchronised, disk.path / "file")
             disk.cut_power()
@@ -83,7 +85,7 @@ def _half_synchronised(path: Path) -> None:
 
 
 async def test_a_disk_is_full_until_it_is_released_and_read_only_until_mounted(tmp_path: Path) -> None:
-    with _runs_here():
+    with _runs_here(loopdisk.NEEDS):
         async with loop_disk(tmp_path) as disk:
             disk.fill()
             with pytest.raises(OSError, match="No space left"):
@@ -98,7 +100,7 @@ async def test_a_disk_is_full_until_it_is_released_and_read_only_until_mounted(t
 
 
 def test_a_wall_clock_is_set_and_the_monotonic_one_is_not(tmp_path: Path) -> None:
-    with _runs_here():
+    with _runs_here(walltime.NEEDS):
         clock = WallClock.right(tmp_path)
         environment = {**os.environ, **clock.environment()}
         program = "import time; print(time.time(), time.monotonic())"
@@ -120,7 +122,7 @@ def test_a_wall_clock_is_set_and_the_monotonic_one_is_not(tmp_path: Path) -> Non
 
 
 def test_a_process_gets_no_more_than_its_share() -> None:
-    with _runs_here():
+    with _runs_here(cgroups.PROCESSOR):
         burner = "import os\nwhile True: pass"
         with subprocess.Popen([sys.executable, "-c", burner]) as process:
             with processor_quota([process.pid], 0.1):
@@ -137,17 +139,22 @@ def _processor_time(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-async def test_a_tool_that_is_missing_or_fails_is_not_run() -> None:
-    with pytest.raises(NotRun, match="cannot be run"):
-        await tool(["no-such-program"])
+async def test_a_tool_that_fails_is_not_run() -> None:
     with pytest.raises(NotRun, match="failed here"):
         await tool(["false"])
 
 
+def test_what_is_missing_is_named() -> None:
+    require([program("sh")])
+    with pytest.raises(NotRun, match="missing here: no-such-program, moon;"):
+        require([program("sh"), program("no-such-program"), Need("moon", lambda: False)])
+
+
 @contextmanager
-def _runs_here() -> Iterator[None]:
-    """Skips a test where this machine does not let it use its tool."""
+def _runs_here(needs: Sequence[Need]) -> Iterator[None]:
+    """Skips a test where this machine has not what its tool needs, or does not let it use that."""
     try:
+        require(needs)
         yield
     except NotRun as error:
         pytest.skip(error.text)

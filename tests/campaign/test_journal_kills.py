@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
 
-from pcmrs.campaign.cuts import cut_and_flip, cut_power
+from pcmrs.campaign import kills
+from pcmrs.campaign.cuts import cut_and_flip
 from pcmrs.campaign.kills import OF_JOURNAL, RANDOM, Checked, kill_writers, lost_rows
 from pcmrs.campaign.writing import row
 from pcmrs.clock import SystemClock
@@ -20,7 +20,26 @@ def test_nothing_acknowledged_is_lost_at_any_failpoint_or_instant() -> None:
     assert (found.kills, found.lost, found.refused) == (14, 0, [])
     assert found.acknowledged > 14
     assert set(found.at) == {*OF_JOURNAL, RANDOM}
+    assert found.not_reached == {}
     assert not found.violated
+
+
+def test_a_failpoint_that_is_not_reached_counts_as_such_and_not_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kills, "LATEST", 1 << 40)
+    monkeypatch.setattr(kills, "DIES_WITHIN", 3.0)
+    found = kill_writers(3, 3, SystemClock())
+    assert (found.kills, found.at) == (3, {RANDOM: 1})
+    assert found.not_reached == dict.fromkeys(OF_JOURNAL[:2], 1)
+    assert found.acknowledged > 3
+    assert not found.violated
+
+
+def test_a_process_that_ends_by_itself_was_not_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kills, "OF_JOURNAL", ("journal.nowhere",))
+    found = kill_writers(2, 3, SystemClock())
+    assert found.at == {RANDOM: 1}
+    assert found.refused == ["A process that writes the journal ended by itself, with exit status 1."]
+    assert found.violated
 
 
 @pytest.mark.nightly
@@ -63,19 +82,3 @@ def test_no_cut_and_no_flipped_bit_is_a_silent_loss() -> None:
 def test_no_cut_at_any_byte_and_no_flip_is_a_silent_loss() -> None:
     found = cut_and_flip(None, None, 6, SystemClock(), minutes=20.0)
     assert not found.violated
-
-
-needs_strace = pytest.mark.skipif(shutil.which("strace") is None, reason="needs strace")
-
-
-@needs_strace
-def test_a_power_cut_at_any_instant_loses_nothing_acknowledged() -> None:
-    found = cut_power(15, 7, SystemClock(), commits=60)
-    assert (found.lost, found.broken) == (0, [])
-    assert found.acknowledged > 15
-
-
-@needs_strace
-def test_a_writer_that_waits_for_no_disk_is_seen_to_lose() -> None:
-    found = cut_power(15, 8, SystemClock(), commits=60, durable=False)
-    assert found.violated

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from damaged import HEAD, NAME, place, sample
 from journal_rows import row
+from whole_journal import sample
 
+from pcmrs.campaign.taking_up import HEAD, NAME, place
 from pcmrs.errors import JournalError
 from pcmrs.journal import copy, copy_journal, verify
 from pcmrs.journal.head import read_head

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from damaged import HEAD, place, sample
 from journal_rows import row
+from whole_journal import sample
 
+from pcmrs.campaign.taking_up import HEAD, place
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalReader, verify
 from pcmrs.journal.chain import stored_row

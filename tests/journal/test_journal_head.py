@@ -8,9 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from damaged import HEAD, LOG, NAME, Sample, place, sample
 from journal_rows import row
+from whole_journal import LOG, Sample, sample
 
+from pcmrs.campaign.taking_up import HEAD, NAME, place
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalReader, copy_journal, verify
 from pcmrs.journal.rows import Place, chain_hash, encode_row
@@ -63,7 +64,7 @@ async def test_a_journal_set_back_is_told(path: Path, killed: Sample) -> None:
     await journal.append([row()] * 3)
     await journal.close()
     kept = path.with_name(HEAD).read_bytes()
-    later = place({**killed.files, HEAD: kept}, path.parent)
+    later = place({**killed.files, HEAD: kept}, path.parent.with_name("set back"))
     with pytest.raises(JournalError, match="3 acknowledged rows are lost"):
         Journal.open(later)
 
@@ -75,7 +76,7 @@ async def test_a_head_kept_elsewhere_shows_that_all_was_set_back_together(path: 
     kept = path.parent.parent / "kept.head"
     kept.write_bytes(path.with_name(HEAD).read_bytes())
     assert verify(path, kept=kept).sound
-    set_back = place(killed.files, path.parent)
+    set_back = place(killed.files, path.parent.with_name("set back"))
     assert verify(set_back).sound
     assert not verify(set_back, kept=kept).sound
     kept.write_bytes(killed.files[HEAD])

@@ -8,7 +8,7 @@ import sqlite3
 from contextlib import closing, suppress
 from pathlib import Path
 
-from pcmrs.campaign.checks import confirmed, expect, held, shape
+from pcmrs.campaign.checks import confirmed, expect, held, refused, shape, unmoved
 from pcmrs.campaign.datagrams import Raw, raw_socket, refused_all
 from pcmrs.campaign.driving import PATIENCE, accept, digitized, moving, register, start_anew, until
 from pcmrs.campaign.fault import Evidence, fault
@@ -72,16 +72,16 @@ async def unknown_commands_and_bad_numbers(lab: Lab) -> Evidence:
     wrong += [b"target_tslxxxxxx_1_2;", b"target_tslxxxxxx_1_2_3_4;", b"target_tslxxxxxx_1_2_x;"]
     async with lab.cell() as cell:
         await digitized(cell.client)
-        details = await refused_all(cell, wrong)
-        for name, arguments in (
-            ("registration.no_such_operation", {}),
-            ("no_such_branch.reinit", {}),
-            ("toolplan.plan", {"position": [1, 2], "quat_xyzw": [0, 0, 0, 1]}),
-            ("toolplan.plan", {"position": ["1", "2", "x"], "quat_xyzw": [0, 0, 0, 1]}),
-        ):
-            verdict = await cell.client.call(name, arguments)
-            expect(verdict.decision == "rejected", f"{name} {arguments} was {verdict.decision}.")
-            details[f"{name} {arguments}"] = verdict.reason.code if verdict.reason is not None else ""
+        async with unmoved(cell):
+            details = await refused_all(cell, wrong)
+            for name, arguments, code in (
+                ("registration.no_such_operation", {}, "unknown_operation"),
+                ("no_such_branch.reinit", {}, "unknown_branch"),
+                ("toolplan.plan", {"position": [1, 2], "quat_xyzw": [0, 0, 0, 1]}, "bad_arguments"),
+                ("toolplan.plan", {"position": ["1", "2", "x"], "quat_xyzw": [0, 0, 0, 1]}, "bad_arguments"),
+            ):
+                await refused(cell, name, arguments, codes=(code,))
+                details[f"{name} {arguments}"] = code
     return Evidence("refused, nothing changed", details)
 
 
@@ -92,12 +92,17 @@ async def numbers_that_only_some_parsers_read(lab: Lab) -> Evidence:
     wrong += [f"img_fid_numxxxxx_{number};".encode() for number in WRONG_NUMBERS]
     async with lab.cell() as cell:
         await register(cell.client)
-        details = await refused_all(cell, wrong)
-        for number in (float("nan"), float("inf"), "1", None):
-            pose = {"position": [0.0, 0.0, number], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
-            verdict = await cell.client.call("toolplan.plan", pose)
-            expect(verdict.decision == "rejected", f"A position of {number} was {verdict.decision}.")
-            details[str(number)] = verdict.reason.code if verdict.reason is not None else ""
+        async with unmoved(cell):
+            details = await refused_all(cell, wrong)
+            for number, code in (
+                (float("nan"), "malformed"),
+                (float("inf"), "malformed"),
+                ("1", "bad_arguments"),
+                (None, "bad_arguments"),
+            ):
+                pose = {"position": [0.0, 0.0, number], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
+                await refused(cell, "toolplan.plan", pose, codes=(code,))
+                details[str(number)] = code
     return Evidence("refused, nothing changed", details)
 
 

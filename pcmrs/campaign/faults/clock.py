@@ -10,6 +10,7 @@ from typing import Any
 
 from pcmrs.bus.envelope import Envelope
 from pcmrs.bus.keys import command_key
+from pcmrs.campaign import walltime
 from pcmrs.campaign.checks import confirmed, expect, held, shape
 from pcmrs.campaign.driving import PATIENCE, moving, plan, register, state, until
 from pcmrs.campaign.fault import Evidence, NotRun, fault
@@ -30,19 +31,19 @@ SLEEP = 6.0
 """The machine sleeps for so long; longer than every deadline of a link."""
 
 
-@fault("C1", how=FAKETIME)
+@fault("C1", how=FAKETIME, needs=walltime.NEEDS)
 async def the_wall_clock_goes_back(lab: Lab) -> Evidence:
     """By an hour, in the middle of a motion."""
     return await _set_in_motion(lab, -HOUR)
 
 
-@fault("C2", how=FAKETIME)
+@fault("C2", how=FAKETIME, needs=walltime.NEEDS)
 async def the_wall_clock_leaps_ahead(lab: Lab) -> Evidence:
     """By ten days, in the middle of a motion."""
     return await _set_in_motion(lab, 10 * DAY)
 
 
-@fault("C3", how=FAKETIME)
+@fault("C3", how=FAKETIME, needs=walltime.NEEDS)
 async def the_wall_clock_stands(lab: Lab) -> Evidence:
     """From the middle of a motion on."""
     return await _set_in_motion(lab, None)

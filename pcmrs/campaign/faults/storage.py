@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager, closing
 from pathlib import Path
 
+from pcmrs.campaign import loopdisk, recorded, syscalls
 from pcmrs.campaign.checks import expect
 from pcmrs.campaign.cuts import cut_and_flip, cut_power
 from pcmrs.campaign.driving import accept, landmarks
@@ -22,7 +23,6 @@ from pcmrs.messages import Snapshot
 
 WRITES = ("pwrite64", "write", "pwritev", "writev")
 SYNCS = ("fsync", "fdatasync")
-DISK_TOOLS = ("mkfs.ext4", "mount", "umount")
 SEVERAL = 300.0
 """Deadline of a fault with several daemons, one after the other, s of the machine."""
 COMMANDS = 5
@@ -31,7 +31,7 @@ STALL = 2.0
 POWER_CUTS = 3
 
 
-@fault("T1", how="a real ext4 disk, full", tools=DISK_TOOLS, deadline=SEVERAL)
+@fault("T1", how="a real ext4 disk, full", needs=loopdisk.NEEDS, deadline=SEVERAL)
 async def the_disk_is_full(lab: Lab) -> Evidence:
     """All space is taken while the daemon runs, and given back."""
     async with _on_disk(lab) as (disk, asked):
@@ -41,7 +41,7 @@ async def the_disk_is_full(lab: Lab) -> Evidence:
         return await _afterwards(lab, asked, details)
 
 
-@fault("T1", how="a real ext4 disk with journal and log of the daemon, full", tools=DISK_TOOLS, deadline=SEVERAL)
+@fault("T1", how="a real ext4 disk with journal and log of the daemon, full", needs=loopdisk.NEEDS, deadline=SEVERAL)
 async def the_disk_of_the_log_is_full(lab: Lab) -> Evidence:
     """What cannot be logged is lost; no command fails for it, and none waits."""
     async with loop_disk(lab.folder) as disk, lab.daemon(folder=disk.path / "cell") as cell:
@@ -53,13 +53,13 @@ async def the_disk_of_the_log_is_full(lab: Lab) -> Evidence:
         return await _afterwards(lab, asked, details)
 
 
-@fault("T2", how="strace: write of the journal's files gives EIO", tools=("strace",), deadline=SEVERAL)
+@fault("T2", how="strace: write of the journal's files gives EIO", needs=syscalls.NEEDS, deadline=SEVERAL)
 async def writing_fails(lab: Lab) -> Evidence:
     """The disk does not take what is written."""
     return await _with_failing(lab, WRITES, "EIO")
 
 
-@fault("T3", how="strace: fsync of the journal's files gives EIO", tools=("strace",), deadline=SEVERAL)
+@fault("T3", how="strace: fsync of the journal's files gives EIO", needs=syscalls.NEEDS, deadline=SEVERAL)
 async def synchronising_fails(lab: Lab) -> Evidence:
     """Nobody knows what the disk has: nothing is acknowledged until the file was opened and read again."""
     async with lab.daemon() as cell:
@@ -84,7 +84,9 @@ async def a_torn_write(lab: Lab) -> Evidence:
     return await _reported(lab, cell, "torn")
 
 
-@fault("T5", how="a real ext4 disk whose file system is cut off without flushing", tools=DISK_TOOLS, deadline=SEVERAL)
+@fault(
+    "T5", how="a real ext4 disk whose file system is cut off without flushing", needs=loopdisk.NEEDS, deadline=SEVERAL
+)
 async def the_power_is_cut(lab: Lab) -> Evidence:
     """Everything acknowledged before is there when the disk is mounted again."""
     kept = 0
@@ -102,7 +104,7 @@ async def the_power_is_cut(lab: Lab) -> Evidence:
 @fault(
     "T5",
     how="recorded system calls of a writer: only what was synchronised is kept, and a part of the rest",
-    tools=("strace",),
+    needs=recorded.NEEDS,
 )
 async def the_power_is_cut_at_any_write(lab: Lab) -> Evidence:
     """At instants between any two writes, with torn and reordered sectors."""
@@ -127,7 +129,7 @@ async def the_tail_is_cut(lab: Lab) -> Evidence:
     return Evidence("reported, never silent", {"cuts": found.tried, "reported": found.reported})
 
 
-@fault("T8", how="strace: fsync of the journal's files takes 2 s", tools=("strace",))
+@fault("T8", how="strace: fsync of the journal's files takes 2 s", needs=syscalls.NEEDS)
 async def the_disk_stalls(lab: Lab) -> Evidence:
     """Commands wait or are refused; Stop and status do not wait for the disk."""
     async with lab.daemon() as cell:
@@ -152,7 +154,7 @@ async def the_disk_stalls(lab: Lab) -> Evidence:
     )
 
 
-@fault("T9", how="a real ext4 disk that goes read-only by itself", tools=DISK_TOOLS, deadline=SEVERAL)
+@fault("T9", how="a real ext4 disk that goes read-only by itself", needs=loopdisk.NEEDS, deadline=SEVERAL)
 async def the_disk_is_read_only(lab: Lab) -> Evidence:
     """As a damaged file system does."""
     async with _on_disk(lab) as (disk, asked):

@@ -21,6 +21,7 @@ COMMANDS = {
 def faults() -> None:
     """Inject faults into simulated cells, and check that nothing is lost and nothing moves unasked.
 
-    Every command starts daemons of its own; a running cell is never touched. Exit status: 0 every response was as
-    required, 1 one was not, 2 usage.
+    Every command starts daemons of its own; a running cell is never touched. Exit status of them all: 0 every response
+    was as required, 1 one was not, 2 usage, or it could not be carried out, 4 a workflow or script that cannot be used,
+    130 after Ctrl-C.
     """

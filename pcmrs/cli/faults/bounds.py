@@ -1,10 +1,12 @@
-"""Options and endings that the long fault commands share."""
+"""Options and endings that fault commands share."""
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 import msgspec
@@ -15,9 +17,34 @@ from pcmrs.cli.running import EXIT_REJECTED
 if TYPE_CHECKING:
     from rich.table import Table
 
+F = TypeVar("F", bound=Callable[..., Any])
+
 seed_option = click.option(
     "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of all randomness."
 )
+
+
+class OutputFolder(click.Path):
+    """A folder that is made at once: minutes of work are not lost to one that cannot be made."""
+
+    def __init__(self) -> None:
+        super().__init__(file_okay=False, writable=True)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path, or a usage error."""
+        path = Path(os.fsdecode(super().convert(value, param, ctx)))
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            self.fail(f"{path} cannot be made: {error.strerror}.", param, ctx)
+        return path
+
+
+def output_option(what: str) -> Callable[[F], F]:
+    """Adds -o; the command gets it as `folder`. `what` is written there, for the help."""
+    text = f"{what} here; the folder is made."
+    return click.option("-o", "--output", "folder", type=OutputFolder(), metavar="FOLDER", help=text)
+
 
 minutes_option = click.option("--minutes", type=POSITIVE, help="End after so long, done or not.")
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcmrs.cli.faults.bounds import minutes_option, output_option, seed_option
 from pcmrs.cli.options import json_option
 from pcmrs.cli.printing import print_report
 from pcmrs.cli.progress import progress_bar
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
 
 @click.command("explore")
 @click.option("--sessions", type=click.IntRange(min=1), help="How many; 500 unless --minutes is given.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the first session.")
-@click.option("--minutes", type=click.FloatRange(min=0.0, min_open=True), help="Begin no session after this time.")
+@seed_option
+@minutes_option
 @click.option("--jobs", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
 @click.option("--workflow", default="ratms", show_default=True, help="Name of a workflow.")
 @click.option(
@@ -40,14 +41,7 @@ if TYPE_CHECKING:
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Run this one session only, as written by -o.",
 )
-@click.option(
-    "-o",
-    "--output",
-    "folder",
-    type=click.Path(file_okay=False, writable=True, path_type=Path),
-    metavar="FOLDER",
-    help="Write the shrunk script of each broken session here; the folder is made.",
-)
+@output_option("Write the shrunk script of each broken session")
 @json_option
 @readable_errors
 def explore(
@@ -64,8 +58,8 @@ def explore(
     """Run random procedures under random faults, and check the invariants after every event.
 
     The whole cell runs in simulated time: daemon, device node, devices, and the network between them. A session is
-    fixed by its seed; one in which an invariant does not hold is shrunk to a short script. Exit status 0: everything
-    held, 1: something did not.
+    fixed by its seed, which is --seed for the first and one more for each that follows; one in which an invariant does
+    not hold is shrunk to a short script. Exit status 1: an invariant did not hold.
 
     Example: pcmrs faults explore --sessions 500 --seed 1 -o broken
     """
@@ -77,8 +71,6 @@ def explore(
         found = run_session(read_script(script_file))
         print_report(found, _told(found), as_json=as_json)
         sys.exit(EXIT_REJECTED if found.invariant else 0)
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)  # minutes of work are not lost to a folder that cannot be made
     many = sessions if sessions is not None or minutes is not None else 500
     with progress_bar() as progress:
         report = exploring.explore(workflow, seed, many, minutes=minutes, jobs=jobs, physics=physics, progress=progress)

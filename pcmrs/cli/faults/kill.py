@@ -22,7 +22,9 @@ from pcmrs.cli.running import readable_errors, run
 def kill(times: int, daemons: int, seed: int, minutes: float | None, as_json: bool) -> None:
     """Kill processes with SIGKILL, at every failpoint and at random instants; nothing acknowledged may be lost.
 
-    --minutes bounds each of the two parts. Exit status 1: something was lost, or a journal cannot be opened.
+    A process counts as killed at a failpoint when the failpoint itself has killed it; one that was armed and did not
+    come there in time is killed all the same, and counts as not reached. --minutes bounds each of the two parts.
+    Exit status 1: something was lost, or a journal cannot be opened.
 
     Example: pcmrs faults kill --times 10000 --daemons 200
     """
@@ -32,6 +34,7 @@ def kill(times: int, daemons: int, seed: int, minutes: float | None, as_json: bo
     from pcmrs.campaign.daemonkills import kill_daemons
     from pcmrs.campaign.kills import kill_writers
     from pcmrs.clock import SystemClock
+    from pcmrs.failpoints import FAILPOINTS
 
     reports = []
     with progress_bar() as progress:
@@ -39,9 +42,11 @@ def kill(times: int, daemons: int, seed: int, minutes: float | None, as_json: bo
             reports.append(kill_writers(times, seed, SystemClock(), minutes=minutes, progress=progress))
         if daemons:
             reports.append(run(kill_daemons(daemons, seed, SystemClock(), minutes=minutes, progress=progress)))
-    table = Table("killed", "times", "at failpoints", "acknowledged", "lost", "refused", "s", box=SIMPLE_HEAD)
+    columns = ("killed", "times", "at failpoints", "not reached", "acknowledged", "lost", "refused", "s")
+    table = Table(*columns, box=SIMPLE_HEAD)
     for report in reports:
-        at = sum(count for name, count in report.at.items() if "." in name)
-        numbers = (report.kills, at, report.acknowledged, report.lost, len(report.refused))
+        at = sum(count for name, count in report.at.items() if name in FAILPOINTS)
+        missed = sum(report.not_reached.values())
+        numbers = (report.kills, at, missed, report.acknowledged, report.lost, len(report.refused))
         table.add_row(report.what, *map(str, numbers), f"{report.seconds:.0f}")
     print_findings(reports, [report.violated for report in reports], table, as_json=as_json)

@@ -23,7 +23,8 @@ class Listed(msgspec.Struct, frozen=True, rename={"fault_class": "class"}):
 
     Attributes:
         how: By what means it is injected; empty where it is not.
-        missing: Tools for it that this machine does not have.
+        needs: What that needs of a machine: programs, rights, parts of the kernel.
+        missing: What of it this machine does not have.
         runs: Whether it can be injected here in all ways there are.
     """
 
@@ -33,6 +34,7 @@ class Listed(msgspec.Struct, frozen=True, rename={"fault_class": "class"}):
     required: str
     reference: str
     how: list[str]
+    needs: list[str]
     missing: list[str]
     runs: bool
 
@@ -48,7 +50,7 @@ class Listing(msgspec.Struct, frozen=True):
 @json_option
 @readable_errors
 def list_(classes: tuple[str, ...], ids: tuple[str, ...], as_json: bool) -> None:
-    """List the faults of the catalogue: what is required, how each is injected, and which tools are missing here.
+    """List the faults of the catalogue: what is required, how each is injected, and what that needs.
 
     Example: pcmrs faults list --class storage
     """
@@ -60,7 +62,8 @@ def _listed(row: Row) -> Listed:
     from pcmrs.campaign.fault import injections
 
     ways = injections().get(row.id, [])
-    missing = sorted({tool for way in ways for tool in way.missing()})
+    needs = {need.name: need for way in ways for need in way.needs}
+    missing = [name for name, need in needs.items() if not need.is_met()]
     how = list(dict.fromkeys(way.how for way in ways))
     return Listed(
         row.id,
@@ -69,6 +72,7 @@ def _listed(row: Row) -> Listed:
         row.required,
         row.reference,
         how,
+        list(needs),
         missing,
         runs=bool(ways) and not missing,
     )
@@ -83,9 +87,11 @@ def _table(listing: Listing) -> Table:
     from pcmrs.campaign.run import why_not
 
     caption = "; ".join(f"{letter}: {meaning}" for letter, meaning in RESPONSES.items())
-    table = Table("", "class", "fault", "required response", "how it is injected", box=SIMPLE_HEAD, caption=caption)
+    table = Table(
+        "", "class", "fault", "required response", "how it is injected", "needs", box=SIMPLE_HEAD, caption=caption
+    )
     for row in listing.faults:
         how = "; ".join(row.how) or why_not(catalogue()[row.id])
-        lacking = f"; not installed: {', '.join(row.missing)}" if row.missing else ""
-        table.add_row(row.id, row.fault_class, escape(row.title), escape(row.required), escape(how + lacking))
+        needs = ", ".join(f"[bold red]{need} (missing)[/]" if need in row.missing else need for need in row.needs)
+        table.add_row(row.id, row.fault_class, escape(row.title), escape(row.required), escape(how), needs)
     return table

@@ -1,37 +1,71 @@
-"""Power cuts: what a process wrote is recorded call by call, and any part of what was not synced may be missing.
+"""What a power cut leaves of a folder: the harshest that a disk is allowed.
 
-The model is the harshest that a disk is allowed: of the writes to a file since its last completed fsync, any 512-byte
-sectors may have reached the disk, in any order; of the changes to a folder's names since its last fsync, any first
-part may.
+Of the writes to a file since its last completed fsync, any 512-byte sectors may have reached the disk, in any order; of
+the changes to the folder's names since its last fsync, any first part may.
 """
 
 from __future__ import annotations
 
 import random
 import re
-import subprocess
-import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 SECTOR = 512
-CALLS = "openat,write,pwrite64,ftruncate,fsync,fdatasync,rename,unlink"
+ACKNOWLEDGED = "1"
+"""Descriptor to which the process writes what it acknowledges, numbers in lines: its standard output."""
+
 _LINE = re.compile(r"(\d+) +(\w+)\((.*)")
 _ENDED = re.compile(r"(\d+) +<\.\.\. (\w+) resumed>.*= (-?\d+)")
 _TEXT = re.compile(r'"((?:\\x[0-9a-f]{2})*)"')
 _NUMBER = re.compile(r", (\d+)(?=[,) ])")
 _DESCRIPTOR = re.compile(r"(\d+)<((?:\\x[0-9a-f]{2})*)>")
 
-Names = dict[str, "Inode"]
+
+@dataclass(frozen=True, slots=True)
+class PowerCut:
+    """What there is after one.
+
+    Attributes:
+        call: Before which of the recorded system calls it came.
+        files: Name to content of what the disk has.
+        acknowledged: Numbers that the process had acknowledged by then.
+    """
+
+    call: int
+    files: dict[str, bytes]
+    acknowledged: list[int]
+
+
+def power_cuts(folder: Path, calls: Sequence[str], times: int, chance: random.Random) -> Iterator[PowerCut]:
+    """Cuts the power at random instants, in the order of time.
+
+    Args:
+        folder: That was empty, and in which everything was written.
+        calls: As `recorded.record` has them.
+        times: So many cuts.
+        chance: Of the instants, and of what has reached the disk.
+    """
+    first = next(number for number, line in enumerate(calls) if _hex(str(folder)) in line)
+    disk, done = _Disk(folder), 0
+    for instant in sorted(chance.randint(first, len(calls)) for _ in range(times)):
+        for line in calls[done:instant]:
+            disk.replay(line)
+        done = instant
+        yield PowerCut(instant, disk.after_a_cut(chance), list(disk.acknowledged))
 
 
 @dataclass(eq=False)
-class Inode:
+class _Inode:
     """A file: its writes in order, as offset and bytes, or a length to which it was cut; and how many are durable."""
 
     writes: list[tuple[int, bytes | None]] = field(default_factory=list)
     synced: int = 0
+
+    @property
+    def length(self) -> int:
+        return max((offset + len(data) for offset, data in self.writes if data is not None), default=0)
 
     def after_a_cut(self, chance: random.Random) -> bytes:
         """What the disk has: all that was synced, and of the rest what chance wants, sector by sector."""
@@ -50,23 +84,42 @@ class Inode:
         return bytes(content)
 
 
-class Disk:
+_Names = dict[str, _Inode]
+
+
+class _Disk:
     """A folder as its files are written, synced, renamed and removed."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = str(folder)
-        self._names: Names = {}
-        self._durable: Names = {}
-        self._changes: list[Names] = []
+        self._names: _Names = {}
+        self._durable: _Names = {}
+        self._changes: list[_Names] = []
         self._syncing: dict[str, tuple[str, int]] = {}
         self.acknowledged: list[int] = []
 
-    def begin(self, thread: str, call: str, arguments: str) -> None:
+    def replay(self, line: str) -> None:
+        """Takes one line of the recording: a call, or the beginning or the end of one."""
+        if ended := _ENDED.match(line):
+            self._end(ended[1], ended[2], int(ended[3]))
+        elif (begun := _LINE.match(line)) and "= -1 " not in line:
+            self._begin(begun[1], begun[2], begun[3])
+            if "<unfinished" not in line:
+                self._end(begun[1], begun[2], 0)
+
+    def after_a_cut(self, chance: random.Random) -> dict[str, bytes]:
+        """Name to content of all files."""
+        names = chance.choice([self._durable, *self._changes])
+        return {Path(path).name: inode.after_a_cut(chance) for path, inode in names.items()}
+
+    def _begin(self, thread: str, call: str, arguments: str) -> None:
         """A call begins; what it writes may be on the disk from now on."""
-        texts = [_decoded(text) for text in _TEXT.findall(arguments)]
+        texts = [bytes.fromhex(text.replace("\\x", "")) for text in _TEXT.findall(arguments)]
         described = _DESCRIPTOR.match(arguments)
-        number, path = (described[1], _decoded(described[2]).decode()) if described else ("", "")
-        if call == "write" and number == "1":
+        number, path = (
+            (described[1], bytes.fromhex(described[2].replace("\\x", "")).decode()) if described else ("", "")
+        )
+        if call == "write" and number == ACKNOWLEDGED:
             self.acknowledged += [int(line) for line in texts[0].split()]
         elif call in ("write", "pwrite64", "ftruncate") and (inode := self._names.get(path)) is not None:
             self._write(inode, call, arguments, texts)
@@ -75,7 +128,7 @@ class Disk:
         elif call in ("openat", "rename", "unlink"):
             self._rename(call, arguments, [text.decode() for text in texts])
 
-    def end(self, thread: str, call: str, result: int) -> None:
+    def _end(self, thread: str, call: str, result: int) -> None:
         """A call has ended; a sync makes durable what had been written when it began."""
         if call not in ("fsync", "fdatasync") or result != 0:
             return
@@ -85,71 +138,23 @@ class Disk:
         elif (inode := self._names.get(path)) is not None:
             inode.synced = max(inode.synced, writes)
 
-    def after_a_cut(self, chance: random.Random) -> dict[str, bytes]:
-        """Name to content of all files."""
-        names = chance.choice([self._durable, *self._changes])
-        return {Path(path).name: inode.after_a_cut(chance) for path, inode in names.items()}
-
-    def _write(self, inode: Inode, call: str, arguments: str, texts: list[bytes]) -> None:
+    def _write(self, inode: _Inode, call: str, arguments: str, texts: list[bytes]) -> None:
         numbers = [int(number) for number in _NUMBER.findall(arguments)]
         if call == "ftruncate":
             inode.writes.append((numbers[-1], None))
         else:
-            inode.writes.append((numbers[-1] if call == "pwrite64" else _length(inode), texts[0]))
+            inode.writes.append((numbers[-1] if call == "pwrite64" else inode.length, texts[0]))
 
     def _rename(self, call: str, arguments: str, paths: list[str]) -> None:
         if not all(path.startswith(f"{self._folder}/") for path in paths) or paths[0].endswith("-shm"):
             return
         if call == "openat" and "O_CREAT" in arguments and paths[0] not in self._names:
-            self._names[paths[0]] = Inode()
+            self._names[paths[0]] = _Inode()
         elif call == "rename":
             self._names[paths[1]] = self._names.pop(paths[0])
         elif call == "unlink":
             self._names.pop(paths[0], None)
         self._changes.append(dict(self._names))
-
-
-def record(folder: Path, program: str, *arguments: str) -> list[str]:
-    """Runs a Python program that writes into `folder` and prints what it acknowledges; returns its system calls."""
-    trace = folder.parent / f"{folder.name}.trace"
-    options = ["-f", "-y", "-xx", "-s", "100000", "-e", f"trace={CALLS}", "-e", "signal=none", "-o", str(trace)]
-    command = ["strace", *options, sys.executable, "-c", program, *arguments]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, timeout=100)
-    return trace.read_text().splitlines()
-
-
-def cuts(folder: Path, calls: list[str], times: int, seed: int) -> Iterator[tuple[int, dict[str, bytes], list[int]]]:
-    """Cuts the power at random instants.
-
-    Yields:
-        After how many calls, the files that are left, and what had been acknowledged by then.
-    """
-    chance = random.Random(seed)
-    first = next(number for number, line in enumerate(calls) if _hex(str(folder)) in line)
-    instants = sorted(chance.randint(first, len(calls)) for _ in range(times))
-    disk, done = Disk(folder), 0
-    for instant in instants:
-        for line in calls[done:instant]:
-            _replay(disk, line)
-        done = max(done, instant)
-        yield instant, disk.after_a_cut(chance), list(disk.acknowledged)
-
-
-def _replay(disk: Disk, line: str) -> None:
-    if ended := _ENDED.match(line):
-        disk.end(ended[1], ended[2], int(ended[3]))
-    elif (begun := _LINE.match(line)) and "= -1 " not in line:
-        disk.begin(begun[1], begun[2], begun[3])
-        if "<unfinished" not in line:
-            disk.end(begun[1], begun[2], 0)
-
-
-def _length(inode: Inode) -> int:
-    return max((offset + len(data) for offset, data in inode.writes if data is not None), default=0)
-
-
-def _decoded(text: str) -> bytes:
-    return bytes.fromhex(text.replace("\\x", ""))
 
 
 def _hex(text: str) -> str:

@@ -1,49 +1,29 @@
-"""Faults of the network: a proxy of its own stands between real sockets, or the kernel is told to fail."""
+"""Faults of datagrams: a proxy stands between planner and daemon, anybody sends, or the kernel fails to receive."""
 
 from __future__ import annotations
 
 import asyncio
-import os
-import signal
-import sys
 from collections import Counter
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 
-from pcmrs.campaign.checks import expect, held, stands
+from pcmrs.campaign.checks import expect
 from pcmrs.campaign.datagrams import raw_socket, refused_all
-from pcmrs.campaign.driving import (
-    PATIENCE,
-    accept,
-    digitized,
-    moving,
-    plan,
-    register,
-    start_anew,
-    state,
-    tool_pose,
-    until,
-)
+from pcmrs.campaign.driving import PATIENCE, digitized, plan, register, state
 from pcmrs.campaign.fault import Evidence, Unmet, fault
 from pcmrs.campaign.lab import Lab, LabCell
-from pcmrs.campaign.outside import WITHOUT_NODES, outside_node
-from pcmrs.campaign.proxy import tcp_proxy, udp_proxy
-from pcmrs.campaign.syscalls import injected
+from pcmrs.campaign.proxy import udp_proxy
+from pcmrs.campaign.syscalls import NEEDS, injected
 from pcmrs.campaign.waiting import until_true
 from pcmrs.campaign.weather import Weather
-from pcmrs.errors import PcmrsError, UnknownOutcomeError
-from pcmrs.experiment.process import free_port
+from pcmrs.errors import UnknownOutcomeError
 from pcmrs.gateway.commands import Value
-from pcmrs.messages import Snapshot
 from pcmrs.planner import Planner
 
 PROXY = "userspace proxy between planner and daemon, UDP"
-WIRE = "userspace proxy between device node and daemon, TCP"
 RECEIVING = ("recvmsg", "recvmmsg", "recvfrom")
 COMMANDS_SENT = 12
-NARROW = 100_000 / 8
-"""100 kbit/s, in bytes per second."""
 
 
 @fault("N1", how=PROXY)
@@ -170,90 +150,7 @@ async def a_series_with_gaps(lab: Lab) -> Evidence:
     return Evidence("refused with their reasons", details)
 
 
-@fault("N9", how=WIRE)
-async def the_daemon_does_not_reach_the_robot(lab: Lab) -> Evidence:
-    """In motion, nothing gets from the daemon to the node any more: the node holds the arm by itself."""
-    return await _cut_in_motion(lab, towards=True, back=False)
-
-
-@fault("N9", how=WIRE)
-async def the_robot_does_not_reach_the_daemon(lab: Lab) -> Evidence:
-    """In motion, nothing gets from the node to the daemon any more."""
-    return await _cut_in_motion(lab, towards=False, back=True)
-
-
-@fault(
-    "N10",
-    how="SIGKILL of the daemon, whose router all others are clients of, and another one in its place",
-    deadline=300.0,
-)
-async def the_router_is_restarted(lab: Lab) -> Evidence:
-    """A client that stays subscribes to nothing anew, and hears the new daemon."""
-    endpoint = f"cell.endpoint=tcp/127.0.0.1:{free_port()}"
-    place = lab.folder / "cell"
-    heard: list[Snapshot] = []
-    async with lab.daemon(endpoint, folder=place) as first:
-        first.client.listen("state/fsm", Snapshot, heard.append)
-        await accept(first.client, "registration.reinit")
-        first.process.send_signal(signal.SIGKILL)
-        await first.process.wait()
-        heard.clear()
-        async with lab.daemon(endpoint, folder=place) as second:
-            await accept(second.client, "robot.connect")
-            await until_true(
-                lambda: any(shown.branches["robot"] == "1" for shown in heard), "No snapshot of the new daemon came"
-            )
-            verdict = await first.client.call("registration.reinit", timeout=PATIENCE)
-            expect(verdict.decision == "accepted", f"Over the old connection it was {verdict.decision}.")
-            rows = second.rows()
-    expect(any(row.kind == "outcome" for row in rows), "The journal is empty.")
-    return Evidence("subscriptions and requests work again", {"snapshots": len(heard)})
-
-
-@fault("N11", how="a subscriber to everything, frozen by SIGSTOP")
-async def a_consumer_that_does_not_read(lab: Lab) -> Evidence:
-    """Who reads nothing loses what he does not read; commands and Stop are as quick as before."""
-    async with lab.cell() as cell:
-        await register(cell.client)
-        usual = await _round_trips(cell)
-        async with _frozen_subscriber(cell) as subscriber:
-            await asyncio.sleep(2.0)
-            slow = await _round_trips(cell)
-            async with moving(cell.client):
-                await cell.client.stop()
-            await held(cell)
-            expect(subscriber.returncode is None, "The subscriber has ended.")
-        await start_anew(cell.client)
-    expect(max(slow) < 1.0, f"A command took {max(slow):.2f} s beside a consumer that does not read.")
-    return Evidence("control unaffected", {"control": _worst(usual), "beside": _worst(slow)})
-
-
-@fault("N12", how=WIRE)
-async def a_wire_of_100_kbit(lab: Lab) -> Evidence:
-    """Poses come too late to be believed: what needs them is refused; status and Stop work."""
-    weather = Weather(seed=lab.seed)
-    async with _remote_cell(lab, weather) as cell:
-        await register(cell.client)
-        weather.rate = NARROW
-        await asyncio.sleep(4.0)
-        approach = await cell.client.call("placement.approach", timeout=PATIENCE)
-        expect(approach.decision == "rejected", f"By poses that are late the approach was {approach.decision}.")
-        await cell.client.stop()
-        snapshot = await until(cell.client, lambda shown: shown.latched)
-        weather.rate = None
-        await stands(cell)
-    reason = approach.reason.code if approach.reason is not None else ""
-    details = {"approach": approach.decision, "reason": reason, "sequence": snapshot.sequence}
-    return Evidence("refused; Stop and status work", details)
-
-
-@fault("N13", how=WIRE)
-async def a_half_open_link(lab: Lab) -> Evidence:
-    """Nothing gets through in either direction, and nobody closes anything."""
-    return await _cut_in_motion(lab, towards=False, back=False)
-
-
-@fault("N14", how="strace: recvmsg of the daemon fails", tools=("strace",))
+@fault("N14", how="strace: recvmsg of the daemon fails", needs=NEEDS)
 async def a_socket_error(lab: Lab) -> Evidence:
     """The kernel reports errors at the receiving socket; the receiver goes on."""
     failed: dict[str, int] = {}
@@ -318,108 +215,3 @@ async def _until_rows(cell: LabCell, row: int, outcomes: int, branch: str) -> No
         return sum(entry.kind == "outcome" and entry.branch == branch for entry in cell.rows(row)) >= outcomes
 
     await until_true(complete, f"The journal has no {outcomes} outcomes")
-
-
-@asynccontextmanager
-async def _remote_cell(lab: Lab, weather: Weather) -> AsyncIterator[LabCell]:
-    """A cell whose device node is one of another machine, as far as the wire between them goes."""
-    port = free_port()
-    place = lab.folder / "remote"
-    place.mkdir()
-    async with tcp_proxy(("127.0.0.1", port), weather) as (host, proxied):
-        near = f"cell.endpoint=tcp/127.0.0.1:{port}"
-        far = (f"cell.name={place.name}", f"cell.endpoint=tcp/{host}:{proxied}", "cell.rate=1", f"sim.seed={lab.seed}")
-        starting = asyncio.create_task(_node_when_router(port, far, place / "node.log"))
-        try:
-            settings = (near, "cell.rate=1", "procedure.max_pose_age=0.5", *WITHOUT_NODES)
-            async with lab.daemon(*settings, folder=place) as cell:
-                yield cell
-        finally:
-            weather.rate, weather.towards, weather.back = None, True, True
-            starting.cancel()
-            with suppress(asyncio.CancelledError, PcmrsError):
-                await starting
-
-
-async def _node_when_router(port: int, settings: Sequence[str], log: Any) -> None:
-    """Starts the node once the daemon's router listens, and ends it when cancelled."""
-    while True:
-        try:
-            _, writer = await asyncio.open_connection("127.0.0.1", port)
-        except OSError:
-            await asyncio.sleep(0.1)
-            continue
-        writer.close()
-        break
-    async with outside_node(settings, log) as node:
-        await node.wait()
-
-
-async def _cut_in_motion(lab: Lab, *, towards: bool, back: bool) -> Evidence:
-    """Cuts the wire between node and daemon while the arm moves; `towards` is from node to daemon."""
-    weather = Weather(seed=lab.seed)
-    async with _remote_cell(lab, weather) as cell:
-        await register(cell.client)
-        clock = asyncio.get_running_loop().time
-        async with moving(cell.client) as verdict:
-            weather.towards, weather.back = towards, back
-            cut = clock()
-            shown = await until(cell.client, lambda snapshot: snapshot.latched or snapshot.branches["robot"] == "0")
-            found = clock() - cut
-            await asyncio.sleep(1.0)
-            weather.towards, weather.back = True, True
-            ended = await verdict
-        expect(ended.decision != "accepted", "The approach was accepted though the wire was cut.")
-        expect(ended.state in ("held", "unknown"), f"The tool counts as {ended.state}.")
-        way = await _stands_when_back(cell)
-        await held(cell, ("held", "unknown"))
-        log = (lab.folder / "remote" / "node.log").read_text(errors="replace")
-        by_node = "held_by_node" in log
-        expect(back or by_node, "The node did not hold the arm by itself.")
-    details = {"found_after_s": round(found, 3), "held_by_node": by_node, "latched": shown.latched, "way_m": way}
-    return Evidence(f"held, {ended.state}; nothing moved when the wire was back", details)
-
-
-async def _stands_when_back(cell: LabCell) -> float:
-    """The arm stands, asked as soon as its node can be reached again."""
-    async with asyncio.timeout(PATIENCE):
-        while True:
-            try:
-                await cell.scene.truth()
-            except UnknownOutcomeError:
-                await asyncio.sleep(0.1)
-            else:
-                return await stands(cell)
-
-
-@asynccontextmanager
-async def _frozen_subscriber(cell: LabCell) -> AsyncIterator[asyncio.subprocess.Process]:
-    """`pcmrs watch` in a process of its own that takes nothing from its socket any more."""
-    address = ("--endpoint", cell.ready.endpoint, "--cell", cell.name)
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "pcmrs.cli", "watch", *address, stdout=asyncio.subprocess.PIPE
-    )
-    try:
-        if process.stdout is not None:
-            await process.stdout.readline()
-        os.kill(process.pid, signal.SIGSTOP)
-        yield process
-    finally:
-        with suppress(ProcessLookupError):
-            process.kill()
-        await process.wait()
-
-
-async def _round_trips(cell: LabCell) -> list[float]:
-    """Seconds that commands take."""
-    clock = asyncio.get_running_loop().time
-    taken = []
-    for _ in range(20):
-        begun = clock()
-        await accept(cell.client, "toolplan.plan", **tool_pose())
-        taken.append(clock() - begun)
-    return taken
-
-
-def _worst(seconds: Sequence[float]) -> float:
-    return round(max(seconds), 4)

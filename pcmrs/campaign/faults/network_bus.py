@@ -1,0 +1,173 @@
+"""Faults of the bus: a proxy stands between node and daemon, the router ends, or a consumer is too slow."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+
+from pcmrs.campaign.checks import expect, held, refused, stands
+from pcmrs.campaign.consumer import slow_consumer
+from pcmrs.campaign.driving import PATIENCE, accept, moving, register, start_anew, tool_pose, until
+from pcmrs.campaign.fault import Evidence, fault
+from pcmrs.campaign.lab import Lab, LabCell
+from pcmrs.campaign.waiting import until_true
+from pcmrs.campaign.weather import Weather
+from pcmrs.campaign.wire import remote_cell
+from pcmrs.errors import UnknownOutcomeError
+from pcmrs.experiment.process import free_port
+from pcmrs.messages import Snapshot
+
+WIRE = "userspace proxy between device node and daemon, TCP"
+NARROW = 100_000 / 8
+"""100 kbit/s, in bytes per second."""
+
+SLOW = 2.0
+"""A consumer takes nothing for so long before anything is asked for, s of the machine."""
+
+BURST = 10
+"""Poses that may come between a look at what was heard and one at what was counted."""
+
+
+@fault("N9", how=WIRE)
+async def the_daemon_does_not_reach_the_robot(lab: Lab) -> Evidence:
+    """In motion, nothing gets from the daemon to the node any more: the node holds the arm by itself."""
+    return await _cut_in_motion(lab, towards=True, back=False)
+
+
+@fault("N9", how=WIRE)
+async def the_robot_does_not_reach_the_daemon(lab: Lab) -> Evidence:
+    """In motion, nothing gets from the node to the daemon any more."""
+    return await _cut_in_motion(lab, towards=False, back=True)
+
+
+@fault(
+    "N10",
+    how="SIGKILL of the daemon, whose router all others are clients of, and another one in its place",
+    deadline=300.0,
+)
+async def the_router_is_restarted(lab: Lab) -> Evidence:
+    """A client that stays subscribes to nothing anew, and hears the new daemon."""
+    endpoint = f"cell.endpoint=tcp/127.0.0.1:{free_port()}"
+    place = lab.folder / "cell"
+    heard: list[Snapshot] = []
+    async with lab.daemon(endpoint, folder=place) as first:
+        first.client.listen("state/fsm", Snapshot, heard.append)
+        await accept(first.client, "registration.reinit")
+        first.process.send_signal(signal.SIGKILL)
+        await first.process.wait()
+        heard.clear()
+        async with lab.daemon(endpoint, folder=place) as second:
+            await accept(second.client, "robot.connect")
+            await until_true(
+                lambda: any(shown.branches["robot"] == "1" for shown in heard), "No snapshot of the new daemon came"
+            )
+            verdict = await first.client.call("registration.reinit", timeout=PATIENCE)
+            expect(verdict.decision == "accepted", f"Over the old connection it was {verdict.decision}.")
+            rows = second.rows()
+    expect(any(row.kind == "outcome" for row in rows), "The journal is empty.")
+    return Evidence("subscriptions and requests work again", {"snapshots": len(heard)})
+
+
+@fault("N11", how="a subscriber to a stream, whose event loop is busy with something else")
+async def a_consumer_that_has_no_time(lab: Lab) -> Evidence:
+    """Whatever it does not hear is counted as dropped by its bus; commands and Stop are as quick as before."""
+    return await _beside_a_slow_consumer(lab, frozen=False)
+
+
+@fault("N11", how="a subscriber to a stream, frozen by SIGSTOP")
+async def a_consumer_that_does_not_read(lab: Lab) -> Evidence:
+    """What its full socket keeps from it nobody can count but by the frames' numbers; control is unaffected."""
+    return await _beside_a_slow_consumer(lab, frozen=True)
+
+
+@fault("N12", how=WIRE)
+async def a_wire_of_100_kbit(lab: Lab) -> Evidence:
+    """Poses come too late to be believed: what needs them is refused for that; status and Stop work."""
+    weather = Weather(seed=lab.seed)
+    async with remote_cell(lab, weather) as cell:
+        await register(cell.client)
+        weather.rate = NARROW
+        await asyncio.sleep(4.0)
+        approach = await refused(cell, "placement.approach", codes=("pose_stale",))
+        await cell.client.stop()
+        snapshot = await until(cell.client, lambda shown: shown.latched)
+        weather.rate = None
+        await stands(cell)
+    text = approach.reason.text if approach.reason is not None else ""
+    return Evidence("refused; Stop and status work", {"approach": text, "sequence": snapshot.sequence})
+
+
+@fault("N13", how=WIRE)
+async def a_half_open_link(lab: Lab) -> Evidence:
+    """Nothing gets through in either direction, and nobody closes anything."""
+    return await _cut_in_motion(lab, towards=False, back=False)
+
+
+async def _cut_in_motion(lab: Lab, *, towards: bool, back: bool) -> Evidence:
+    """Cuts the wire between node and daemon while the arm moves; `towards` is from node to daemon."""
+    weather = Weather(seed=lab.seed)
+    async with remote_cell(lab, weather) as cell:
+        await register(cell.client)
+        clock = asyncio.get_running_loop().time
+        async with moving(cell.client) as verdict:
+            weather.towards, weather.back = towards, back
+            cut = clock()
+            shown = await until(cell.client, lambda snapshot: snapshot.latched or snapshot.branches["robot"] == "0")
+            found = clock() - cut
+            await asyncio.sleep(1.0)
+            weather.towards, weather.back = True, True
+            ended = await verdict
+        expect(ended.decision != "accepted", "The approach was accepted though the wire was cut.")
+        expect(ended.state in ("held", "unknown"), f"The tool counts as {ended.state}.")
+        way = await _stands_when_back(cell)
+        await held(cell, ("held", "unknown"))
+        log = (lab.folder / "remote" / "node.log").read_text(errors="replace")
+        by_node = "held_by_node" in log
+        expect(back or by_node, "The node did not hold the arm by itself.")
+    details = {"found_after_s": round(found, 3), "held_by_node": by_node, "latched": shown.latched, "way_m": way}
+    return Evidence(f"held, {ended.state}; nothing moved when the wire was back", details)
+
+
+async def _stands_when_back(cell: LabCell) -> float:
+    """The arm stands, asked as soon as its node can be reached again."""
+    async with asyncio.timeout(PATIENCE):
+        while True:
+            try:
+                await cell.scene.truth()
+            except UnknownOutcomeError:
+                await asyncio.sleep(0.1)
+            else:
+                return await stands(cell)
+
+
+async def _beside_a_slow_consumer(lab: Lab, *, frozen: bool) -> Evidence:
+    async with lab.cell() as cell:
+        await register(cell.client)
+        usual = await _slowest_command(cell)
+        async with slow_consumer(cell, frozen=frozen) as go_on:
+            await asyncio.sleep(SLOW)
+            beside = await _slowest_command(cell)
+            async with moving(cell.client):
+                await cell.client.stop()
+            await held(cell)
+            poses = await go_on()
+        await start_anew(cell.client)
+    expect(beside < 1.0, f"A command took {beside:.2f} s beside a consumer that is too slow.")
+    expect(poses.lost > BURST, f"The consumer was not too slow: it lost {poses.lost} of {poses.sent} poses.")
+    expect(
+        frozen or abs(poses.lost - poses.counted) <= BURST,
+        f"The consumer lost {poses.lost} of {poses.sent} poses, and its bus counted {poses.counted}.",
+    )
+    details = {"control": usual, "beside": beside, "sent": poses.sent, "lost": poses.lost, "counted": poses.counted}
+    return Evidence("control unaffected" if frozen else "drops counted, control unaffected", details)
+
+
+async def _slowest_command(cell: LabCell) -> float:
+    """Seconds that the slowest of some commands takes."""
+    clock = asyncio.get_running_loop().time
+    taken = []
+    for _ in range(20):
+        begun = clock()
+        await accept(cell.client, "toolplan.plan", **tool_pose())
+        taken.append(clock() - begun)
+    return round(max(taken), 4)
