@@ -16,6 +16,7 @@ from pcmrs.messages import Command, Verdict
 _COMMANDS = "cmd/*/*/*"
 
 Submit = Callable[[Command], Awaitable[Verdict]]
+Refused = Callable[[str, str, str], None]
 
 
 class CommandEdge:
@@ -25,30 +26,32 @@ class CommandEdge:
     too many, is refused on ``state/event`` from here. Use `CommandEdge.open`.
     """
 
-    def __init__(self, bus: Bus, submit: Submit, lane: StopLane) -> None:
+    def __init__(self, bus: Bus, submit: Submit, refused: Refused, lane: StopLane) -> None:
         self._bus = bus
         self._submit = submit
+        self._refused = refused
         self._lane = lane
         self._submitted: set[asyncio.Task[Verdict]] = set()
         self._ends = (
-            bus.serve(_COMMANDS, Envelope, self._answer, refuse=refusal),
+            bus.serve(_COMMANDS, Envelope, self._answer, refuse=self._refusal),
             bus.subscribe(_COMMANDS, Envelope, self._take, refuse=self._refuse),
         )
 
     @classmethod
-    async def open(cls, bus: Bus, submit: Submit, stop: Callable[[str], None]) -> CommandEdge:
+    async def open(cls, bus: Bus, submit: Submit, refused: Refused, stop: Callable[[str], None]) -> CommandEdge:
         """Starts taking commands.
 
         Args:
             bus: The daemon's bus.
             submit: `Dispatcher.submit`.
+            refused: Called in the event loop with source, code and text of what is no command.
             stop: Called in the event loop with the source, such as ``bus:local``; begins to stop before
                 it returns.
 
         Raises:
             BusError: The second session, for Stop, cannot be opened.
         """
-        return cls(bus, submit, await StopLane.open(bus.settings, stop))
+        return cls(bus, submit, refused, await StopLane.open(bus.settings, stop))
 
     async def close(self) -> None:
         """Takes no more commands, gives up waiting for the verdicts on puts, and closes the lane of Stop."""
@@ -63,7 +66,7 @@ class CommandEdge:
         try:
             command = command_from(key, envelope)
         except PayloadError as error:
-            return refusal(key, error)
+            return self._refusal(key, error)
         return await self._submit(command)
 
     def _take(self, key: str, envelope: Envelope) -> None:
@@ -83,4 +86,10 @@ class CommandEdge:
         task.add_done_callback(self._submitted.discard)
 
     def _refuse(self, key: str, error: PcmrsError) -> None:
-        self._bus.publish("state/event", refusal(key, error))
+        self._bus.publish("state/event", self._refusal(key, error))
+
+    def _refusal(self, key: str, error: PcmrsError) -> Verdict:
+        """May run in any thread for one message too many, of which the bus keeps count."""
+        if isinstance(error, PayloadError):
+            self._refused(f"bus:{key.split('/')[1]}", error.code, f"{key} was refused: {error.text}")
+        return refusal(key, error)

@@ -38,9 +38,11 @@ class Refusals:
         core: Journals the reports.
         clock: The machine's.
         tasks: Owns the waiting.
+        edge: Of the daemon; stands in the reports.
     """
 
-    def __init__(self, core: Core, clock: Clock, tasks: Tasks) -> None:
+    def __init__(self, core: Core, clock: Clock, tasks: Tasks, edge: str = "gateway") -> None:
+        self._edge = edge
         self._core = core
         self._clock = clock
         self._tasks = tasks
@@ -77,4 +79,4 @@ class Refusals:
         untold = self._untold.pop(reason)
         fields = {"count": untold.count, "source": untold.source, "reason": reason}
         _log.warning(REFUSED, text=untold.text, **fields)
-        self._core.report(DeviceEvent(device="gateway", code=REFUSED, text=untold.text, fields=fields))
+        self._core.report(DeviceEvent(device=self._edge, code=REFUSED, text=untold.text, fields=fields))

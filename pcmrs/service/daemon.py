@@ -16,6 +16,8 @@ from pcmrs.bus import Bus, CommandEdge
 from pcmrs.clock import SystemClock
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.links import open_gateway
+from pcmrs.gateway.refusals import Refusals
+from pcmrs.gateway.tasks import Tasks
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag
 from pcmrs.service.audit import audit
@@ -113,7 +115,10 @@ class Daemon:
             stalls = StallWatch(dispatcher.report_later, procedure.moving, machine)
             stack.push_async_callback(stalls.close)
             stalls.start()
-            edge = await CommandEdge.open(bus, procedure.tally.submit, procedure.stop)
+            reporting = Tasks()
+            stack.push_async_callback(reporting.close)
+            refusals = Refusals(procedure.core, machine, reporting, edge="bus")
+            edge = await CommandEdge.open(bus, procedure.tally.submit, refusals.add, procedure.stop)
             stack.push_async_callback(edge.close)
             gateway = await stack.enter_async_context(
                 open_gateway(procedure.core, settings.gateway, machine, folder / "records")

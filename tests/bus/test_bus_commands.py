@@ -27,6 +27,10 @@ class Daemon:
         self.bus = bus
         self.submitted: asyncio.Queue[Command] = asyncio.Queue()
         self.stopped: asyncio.Queue[str] = asyncio.Queue()
+        self.refused: list[tuple[str, str]] = []
+
+    def refuse(self, source: str, code: str, text: str) -> None:
+        self.refused.append((source, code))
 
     async def submit(self, command: Command) -> Verdict:
         self.submitted.put_nowait(command)
@@ -37,7 +41,7 @@ class Daemon:
 async def running_daemon() -> AsyncIterator[tuple[Daemon, zenoh.Session]]:
     async with open_bus(new_cell()) as bus:
         daemon = Daemon(bus)
-        edge = await CommandEdge.open(bus, daemon.submit, daemon.stopped.put_nowait)
+        edge = await CommandEdge.open(bus, daemon.submit, daemon.refuse, daemon.stopped.put_nowait)
         try:
             with plain_session(bus.settings) as session:
                 yield daemon, session
@@ -107,6 +111,7 @@ async def test_a_malformed_query_is_rejected_and_not_submitted(key: str, payload
         assert (verdict.decision, verdict.branch) == ("rejected", "registration")
         assert verdict.reason is not None
         assert verdict.reason.code == "malformed"
+        assert daemon.refused == [(f"bus:{key.split('/')[1]}", "malformed")]
         assert says in verdict.reason.text
         assert daemon.submitted.empty()
 
@@ -120,6 +125,7 @@ async def test_a_malformed_put_is_refused_on_the_event_key() -> None:
         event = await asyncio.wait_for(asyncio.to_thread(events.recv), TIMEOUT)
         verdict = unpack(event.payload.to_bytes(), Verdict)
         assert (verdict.decision, verdict.operation) == ("rejected", "plan_landmarks")
+        assert daemon.refused == [("bus:local", "malformed")]
         assert daemon.submitted.empty()
 
 
@@ -192,7 +198,7 @@ def await_busy(asked: list[Any], excess: int) -> list[Any]:
 async def test_a_closed_edge_takes_no_more_commands() -> None:
     async with open_bus(new_cell()) as bus:
         daemon = Daemon(bus)
-        edge = await CommandEdge.open(bus, daemon.submit, daemon.stopped.put_nowait)
+        edge = await CommandEdge.open(bus, daemon.submit, daemon.refuse, daemon.stopped.put_nowait)
         with plain_session(bus.settings) as session:
             await get(daemon, session, PLAN)
             daemon.submitted.get_nowait()

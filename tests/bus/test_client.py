@@ -38,7 +38,7 @@ class Daemon:
 async def connected() -> AsyncIterator[tuple[Daemon, Client]]:
     async with open_bus(new_cell()) as bus:
         daemon = Daemon(bus)
-        edge = await CommandEdge.open(bus, daemon.submit, daemon.stops.append)
+        edge = await CommandEdge.open(bus, daemon.submit, lambda *_: None, daemon.stops.append)
         try:
             settings = bus.settings
             async with Client.connect(settings.endpoint, settings.site, settings.cell, user="anna") as client:
