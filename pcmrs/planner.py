@@ -1,6 +1,7 @@
 """An external planner over UDP, as a lab's own script would be: it plans, registers and places, and imports no more.
 
-Uses verdict replies: every command carries an id, and is repeated with the same id until it is answered.
+Uses verdict replies: every command carries an id, and is repeated with the same id until it is answered. With a key it
+signs them, so that it need not run on the daemon's machine.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any, Literal, Self, cast
 from pcmrs.errors import CommandRefusedError, PayloadError, UnknownOutcomeError
 from pcmrs.gateway.commands import Value
 from pcmrs.gateway.grammar import format_command
+from pcmrs.gateway.signing import Signer
 
 REPEAT_AFTER = 0.5
 """Seconds without an answer after which a command is sent again; it doubles each time."""
@@ -44,18 +46,24 @@ class MeasuredPlacement:
 
 
 class Planner(asyncio.DatagramProtocol):
-    """A client of the planner link; open it with `Planner.open`, as a context or with `close`."""
+    """A client of the planner link; open it with `Planner.open`, as a context or with `close`.
 
-    def __init__(self) -> None:
+    Args:
+        signer: Signs the commands; None sends them unsigned, which is accepted from loopback only.
+    """
+
+    def __init__(self, signer: Signer | None = None) -> None:
+        self._signer = signer
         self._transport: asyncio.DatagramTransport
         self._answers: dict[str, asyncio.Future[PlannerVerdict]] = {}
         # A socket may get the port of an earlier one, whose ids the daemon remembers.
         self._last_id = secrets.randbelow(9 * 10**9)
 
     @classmethod
-    async def open(cls, host: str = "127.0.0.1", port: int = 8057) -> Self:
-        """Opens a socket towards the daemon's planner link."""
-        _, planner = await asyncio.get_running_loop().create_datagram_endpoint(cls, remote_addr=(host, port))
+    async def open(cls, host: str = "127.0.0.1", port: int = 8057, signer: Signer | None = None) -> Self:
+        """Opens a socket towards the daemon's planner link; with a signer, commands are signed."""
+        loop = asyncio.get_running_loop()
+        _, planner = await loop.create_datagram_endpoint(lambda: cls(signer), remote_addr=(host, port))
         return planner
 
     async def __aenter__(self) -> Self:
@@ -167,7 +175,8 @@ class Planner(asyncio.DatagramProtocol):
     async def _repeat_until(self, answer: asyncio.Future[PlannerVerdict], datagram: bytes) -> PlannerVerdict:
         interval = REPEAT_AFTER
         while True:
-            self._transport.sendto(datagram)
+            # Signed anew each time: a datagram that was sent once is refused as a replay.
+            self._transport.sendto(datagram if self._signer is None else self._signer.sign(datagram))
             done, _ = await asyncio.wait([answer], timeout=interval)
             if done:
                 return answer.result()

@@ -25,6 +25,8 @@ COMMANDS = {
     "experiment": "pcmrs.cli.experiment:experiment",
     "demo": "pcmrs.cli.experiment:demo",
     "session": "pcmrs.cli.session:session",
+    "pki": "pcmrs.cli.pki:pki",
+    "peers": "pcmrs.cli.peers:peers",
     "node": "pcmrs.cli.serve:node",
     "serve": "pcmrs.cli.serve:serve",
     "record": "pcmrs.cli.record:record",

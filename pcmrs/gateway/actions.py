@@ -21,6 +21,15 @@ from pcmrs.messages import Command
 
 Job = Callable[[], Awaitable[Outcome]]
 
+PARTS = {
+    Action.ANNOUNCE_LANDMARKS: Plan.LANDMARKS,
+    Action.ADD_LANDMARK: Plan.LANDMARKS,
+    Action.PLAN_LANDMARKS: Plan.LANDMARKS,
+    Action.OPEN_POSE: Plan.POSE,
+    Action.PLAN_POSE: Plan.POSE,
+}
+"""Commands that are a part of a plan."""
+
 
 @dataclass(frozen=True, slots=True)
 class Services:
@@ -44,7 +53,7 @@ class Actions:
     Args:
         source: Who the peer is, as the daemon records it.
         services: What all peers share.
-        lock: The plan lock of the peer's host.
+        lock: The plan lock of the peer's host, or its own when it signs.
     """
 
     def __init__(self, source: str, services: Services, lock: PlanLock) -> None:
@@ -82,7 +91,14 @@ class Actions:
         try:
             return self._handlers[request.spec.action](request)
         except RefusalError as refusal:
-            return self.rejected(request, refusal.refusal_code, refusal.text)
+            return self.refused(request, refusal)
+
+    def deny(self, request: Request, refusal: RefusalError) -> Outcome:
+        """Refuses what is not even prepared; of a plan, all that was collected is dropped, and approaches wait."""
+        if request.spec.action in PARTS:
+            self._lock.attempt(PARTS[request.spec.action])
+            self._landmarks, self._pair = LandmarkSeries(), PosePair()
+        return self.refused(request, refusal)
 
     def halt(self) -> None:
         """Ends commands of several steps after the step under way, as Stop demands."""
@@ -96,6 +112,10 @@ class Actions:
         """The gateway's own refusal."""
         self._services.refusals.add(self.source, reason, f"{request.spec.name} was refused: {text or reason}")
         return Outcome("rejected", request.spec.branch, self._state(request), reason)
+
+    def refused(self, request: Request, refusal: RefusalError) -> Outcome:
+        """The same, for a reason found elsewhere."""
+        return self.rejected(request, refusal.refusal_code, refusal.text)
 
     def failed(self, request: Request, reason: str) -> Outcome:
         """A command that was begun and broke."""

@@ -2,8 +2,8 @@
 
 A datagram is ``<16 characters>[_<token>...][_#<id>];``, printable ASCII, at most 256 bytes. Numbers are decimal
 (``-0.5``, ``1e-3``) and finite. The last token ``#<id>``, 1 to 10 digits, asks for a verdict reply; a path token
-takes everything between, so a path cannot itself end in such a token. A signature ``|<peer>|<counter>|<tag>``
-behind the terminator is recognised and refused: this gateway cannot verify it.
+takes everything between, so a path cannot itself end in such a token. A signature behind the terminator is taken off
+before: see `pcmrs.gateway.signing`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ TOOL_POINTS_PREFIX = "__msg_toolpose_"
 _COUNT = re.compile(r"[0-9]{1,3}")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _ID = re.compile(r"_#([0-9]{1,10})$")
-_SIGNATURE = re.compile(r"\|[^|]+\|[0-9]+\|[0-9a-fA-F]{32}")
 _PRINTABLE = re.compile(rb"[\x20-\x7e]*")
 
 
@@ -39,7 +38,7 @@ def parse(datagram: bytes) -> Request:
     """Reads one datagram.
 
     Raises:
-        PayloadError: It breaks the grammar, names no command, or is signed.
+        PayloadError: It breaks the grammar or names no command.
     """
     body = _command_text(_text(datagram))
     name, payload = body[:NAME_LENGTH], body[NAME_LENGTH:]
@@ -99,8 +98,6 @@ def _command_text(text: str) -> str:
     body, terminator, rest = text.partition(";")
     if not terminator:
         raise PayloadError(f"{text[:40]!r} has no terminator; end every command with ';'.")
-    if _SIGNATURE.fullmatch(rest):
-        raise PayloadError("The command is signed, and signatures are not supported; send it unsigned from loopback.")
     if rest:
         raise PayloadError(f"{rest[:40]!r} follows the terminator; send one command per datagram.", rest=rest)
     return body

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 from pcmrs.clock import Clock
-from pcmrs.errors import PayloadError, PcmrsError
+from pcmrs.errors import PayloadError, PcmrsError, RefusalError
 from pcmrs.gateway.actions import Actions, Services
+from pcmrs.gateway.admission import NOT_KEPT, Admission
+from pcmrs.gateway.authentication import BAD_TAG, NOT_ALLOWED, OLD_COUNTER, OVER_RATE, UNKNOWN_PEER, SignedPeer
 from pcmrs.gateway.commands import COMMANDS, Action
 from pcmrs.gateway.grammar import Request, parse, parse_tool_points
 from pcmrs.gateway.memory import Memory
 from pcmrs.gateway.series import PlanLock
-from pcmrs.gateway.session import Answer, Session
+from pcmrs.gateway.session import QUEUE_FULL, Answer, Session
+from pcmrs.gateway.signing import Signed, split
 from pcmrs.gateway.tasks import Tasks
 
 MAX_SESSIONS = 256
@@ -19,6 +23,8 @@ STREAMS = ("tcp", "openigtlink")
 """Links that are no UDP."""
 LINK_ERROR = "link_error"
 """Reason where nothing was wrong with what was sent, or only a part of it came."""
+OF_PEERS = (UNKNOWN_PEER, BAD_TAG, OLD_COUNTER, NOT_ALLOWED, OVER_RATE, NOT_KEPT)
+"""Reasons why what is signed is refused; the first three are not answered."""
 
 
 @dataclass(slots=True)
@@ -29,15 +35,18 @@ class Counters:
         received: All of them.
         refused: Those that did not parse or came from where commands are not accepted.
         overflowed: Commands refused because too many of their peer were waiting.
+        of_peers: What was signed and refused, by reason; the unauthentic of it is in `refused` too.
     """
 
     received: int = 0
     refused: int = 0
     overflowed: int = 0
+    of_peers: dict[str, int] = field(default_factory=lambda: dict.fromkeys(OF_PEERS, 0))
 
     def table(self) -> dict[str, int]:
         """The same under the names that the daemon's counters have."""
-        return {f"gateway.{name}": many for name, many in asdict(self).items()}
+        own = {"received": self.received, "refused": self.refused, "overflowed": self.overflowed}
+        return {f"gateway.{name}": many for name, many in (own | self.of_peers).items()}
 
 
 class Intake:
@@ -47,19 +56,27 @@ class Intake:
         services: What all peers share.
         tasks: Owns what the sessions run.
         unsigned_peers: Hosts whose unsigned commands are accepted.
+        admission: The way in for signed commands; None where no peer has a key.
 
     Attributes:
         counters: What arrived and was refused.
         refusals: Told of everything that is refused.
     """
 
-    def __init__(self, services: Services, tasks: Tasks, unsigned_peers: tuple[str, ...]) -> None:
+    def __init__(
+        self,
+        services: Services,
+        tasks: Tasks,
+        unsigned_peers: tuple[str, ...],
+        admission: Admission | None = None,
+    ) -> None:
         self.counters = Counters()
         self.refusals = services.refusals
         self._services = services
         self._tasks = tasks
         self._unsigned_peers = unsigned_peers
-        self._sessions: dict[tuple[str, str, int], Session] = {}
+        self._admission = admission
+        self._sessions: dict[str, Session] = {}
         self._locks: dict[str, PlanLock] = {}
         self._memory = Memory()
         self._clock: Clock = services.clock
@@ -75,54 +92,87 @@ class Intake:
             answer: Where answers go.
         """
         self.counters.received += 1
+        signed = split(data)
         try:
-            self._check_sender(peer[0], exposed)
-            points_mm = parse_tool_points(data)
-            request = None if points_mm is not None else parse(data)
-        except PayloadError as error:
+            if signed is not None:
+                self._receive_signed(link, signed, answer)
+            else:
+                self._check_unsigned(peer[0], exposed)
+                self._receive_unsigned(link, peer, data, answer)
+        except (PayloadError, RefusalError) as error:
             self.refuse(link, peer, error)
-            return
-        if request is None:
-            self._services.streams.relay_tool_points(points_mm or ())
-        else:
-            self._session(link, peer).receive(_as_meant(link, request), answer)
 
     def refuse(self, link: str, peer: tuple[str, int], error: Exception) -> None:
         """Counts what cannot be taken, and has it told."""
         self.counters.refused += 1
-        reason = error.code if isinstance(error, PcmrsError) else LINK_ERROR
+        reason = _reason_of(error)
+        self._count(reason)
         self.refusals.add(source_of(link, peer), reason, str(error))
 
     def halt(self) -> None:
         """Lets nothing that any peer sent before now begin, as Stop demands."""
+        if self._admission is not None:
+            self._admission.halt()
         for session in self._sessions.values():
             session.halt()
 
-    def lock(self, host: str) -> PlanLock:
-        """The plan lock that all clients of a host share, whatever link they come by."""
-        return self._locks.setdefault(host, PlanLock())
+    def lock(self, holder: str) -> PlanLock:
+        """The plan lock that all unsigned clients of a host share, whatever link they come by; or one peer's own."""
+        return self._locks.setdefault(holder, PlanLock())
 
-    def _check_sender(self, host: str, exposed: bool) -> None:
-        """Unsigned commands, and all are unsigned here, come from listed loopback peers on loopback links only."""
+    def _check_unsigned(self, host: str, exposed: bool) -> None:
+        """What is not signed comes from listed loopback peers on loopback links only."""
         if exposed:
-            raise PayloadError("The link is not bound to loopback, so it refuses unsigned commands; bind 127.0.0.1.")
+            raise PayloadError("The link is not bound to loopback, so it refuses unsigned commands: sign them.")
         if host not in self._unsigned_peers:
             raise PayloadError(f"Unsigned commands from {host} are refused; list it in unsigned_peers.", host=host)
 
-    def _session(self, link: str, peer: tuple[str, int]) -> Session:
-        """The peer's session, moved to the end of the order in which idle ones are forgotten."""
-        key = (link, *peer)
-        session = self._sessions.pop(key, None) or self._new_session(link, peer)
-        self._sessions[key] = session
+    def _receive_unsigned(self, link: str, peer: tuple[str, int], data: bytes, answer: Answer) -> None:
+        points_mm = parse_tool_points(data)
+        if points_mm is not None:
+            self._services.streams.relay_tool_points(points_mm)
+            return
+        request = _as_meant(link, parse(data))
+        self._session(source_of(link, peer), peer[0]).receive(request, answer)
+
+    def _receive_signed(self, link: str, signed: Signed, answer: Answer) -> None:
+        """What is known to be a peer's is answered, refused or not; what is not raises, and nobody learns of it."""
+        if self._admission is None:
+            raise RefusalError(UNKNOWN_PEER, "No peer has a key; make one with: pcmrs peers new NAME.")
+        peer = self._admission.identify(signed)
+        request = _as_meant(link, parse(signed.command))
+        enter = partial(self._enter, peer, request, answer)
+        objection = peer.objection(request.spec)
+        if objection is not None or request.spec.action is Action.STOP:
+            self._admission.enter_at_once(peer, signed.counter, enter, objection)
+        else:
+            self._admission.enter_when_kept(peer, signed.counter, enter)
+
+    def _enter(self, peer: SignedPeer, request: Request, answer: Answer, refusal: RefusalError | None) -> None:
+        """Begins a peer's command; its session, lock and ids are its own, whatever address it sends from."""
+        if refusal is not None:
+            self._count(refusal.refusal_code)
+        self._session(peer.source, peer.source).receive(request, answer, refusal)
+
+    def _session(self, source: str, holder: str) -> Session:
+        """The session of a source, moved to the end of the order in which idle ones are forgotten."""
+        session = self._sessions.pop(source, None) or self._new_session(source, holder)
+        self._sessions[source] = session
         return session
 
-    def _new_session(self, link: str, peer: tuple[str, int]) -> Session:
+    def _new_session(self, source: str, holder: str) -> Session:
         if len(self._sessions) >= MAX_SESSIONS:
             oldest_idle = next((key for key, session in self._sessions.items() if session.idle), None)
             if oldest_idle is not None:
                 del self._sessions[oldest_idle]
-        actions = Actions(source_of(link, peer), self._services, self.lock(peer[0]))
+        actions = Actions(source, self._services, self.lock(holder))
         return Session(actions, self._clock, self._tasks, self._memory, self._count_overflow)
+
+    def _count(self, reason: str) -> None:
+        if reason in self.counters.of_peers:
+            self.counters.of_peers[reason] += 1
+        elif reason == QUEUE_FULL:
+            self._count_overflow()
 
     def _count_overflow(self) -> None:
         self.counters.overflowed += 1
@@ -132,6 +182,12 @@ def source_of(link: str, peer: tuple[str, int]) -> str:
     """Who sends over a link, as the daemon records it."""
     host, port = peer
     return f"{link}:{host}:{port}" if link in STREAMS else f"udp:{link}:{host}:{port}"
+
+
+def _reason_of(error: Exception) -> str:
+    if isinstance(error, RefusalError):
+        return error.refusal_code
+    return error.code if isinstance(error, PcmrsError) else LINK_ERROR
 
 
 def _as_meant(link: str, request: Request) -> Request:

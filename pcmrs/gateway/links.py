@@ -13,8 +13,12 @@ from uuid import uuid4
 from pcmrs.clock import Clock
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.actions import Services
+from pcmrs.gateway.admission import NOT_KEPT, Admission
+from pcmrs.gateway.authentication import SignedPeer
 from pcmrs.gateway.core import Core
+from pcmrs.gateway.counters import CounterFile, check_room
 from pcmrs.gateway.intake import Counters, Intake
+from pcmrs.gateway.keeper import CounterKeeper
 from pcmrs.gateway.markers import Markers
 from pcmrs.gateway.records import Records
 from pcmrs.gateway.refusals import Refusals
@@ -26,6 +30,10 @@ from pcmrs.gateway.udp import UdpLink
 
 FINISH_WITHIN = 1.0
 """Seconds that closing waits for running commands to end and be answered."""
+COUNTERS = "peers.counters"
+"""File of the newest counters of signed peers."""
+RECORDS = "records"
+"""Folder of what clients save."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,19 +57,21 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         core: The daemon.
         config: The links.
         clock: The machine's clock, not a faster simulated one: clients wait in real time.
-        folder: Where saved placements and pose logs go.
+        folder: Of the cell: the counters of signed peers go here, saved placements and pose logs into `RECORDS` below.
 
     Raises:
-        ConfigurationError: A port cannot be bound.
+        ConfigurationError: A port cannot be bound, or a peer's key or the counters cannot be used.
     """
     async with AsyncExitStack() as stack:
         tasks, jobs = Tasks(), Tasks()
         stack.push_async_callback(tasks.close)
         stack.push_async_callback(jobs.close)
         streams = Streams(core, clock, config, await _open_sender(stack), tasks)
-        records = Records(core, clock, folder, tasks)
+        records = Records(core, clock, folder / RECORDS, tasks)
         refusals = Refusals(core, clock, tasks)
-        intake = Intake(Services(uuid4().hex, core, clock, streams, records, refusals), jobs, config.unsigned_peers)
+        admission = _open_admission(stack, config, clock, folder / COUNTERS, refusals, tasks) if config.peers else None
+        services = Services(uuid4().hex, core, clock, streams, records, refusals)
+        intake = Intake(services, jobs, config.unsigned_peers, admission)
         core.on_stop(intake.halt)
         if config.markers.enabled:
             markers = Markers(config.markers.stream, core.snapshot())
@@ -79,6 +89,18 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         # Left first, while the sockets are open: clients learn what became of commands that the daemon has ended.
         stack.push_async_callback(jobs.finish, clock, FINISH_WITHIN)
         yield Gateway(addresses, intake.counters)
+
+
+def _open_admission(
+    stack: AsyncExitStack, config: GatewayConfig, clock: Clock, path: Path, refusals: Refusals, tasks: Tasks
+) -> Admission:
+    file = CounterFile(path)
+    stack.callback(file.close)
+    check_room(file.kept, config.peers, path)
+    peers = {name: SignedPeer(name, peer, file.kept.get(name, 0), clock) for name, peer in config.peers.items()}
+    keeper = CounterKeeper(file, lambda error: refusals.add("gateway", NOT_KEPT, f"{path} cannot be written: {error}."))
+    stack.push_async_callback(keeper.close)
+    return Admission(peers, keeper, clock, tasks)
 
 
 async def _open_sender(stack: AsyncExitStack) -> Send:

@@ -23,6 +23,7 @@ SECOND_WITHIN = 0.35
 """Seconds from the acknowledgement to the second datagram: clients wait 0.4 s."""
 MAX_WAITING = 64
 """Commands of one peer that wait or run; more are refused."""
+QUEUE_FULL = "queue_full"
 
 _log = structlog.get_logger(__name__)
 
@@ -71,14 +72,14 @@ class Session:
         """Whether nothing waits or runs."""
         return not self._queue and self._running == 0
 
-    def receive(self, request: Request, answer: Answer) -> None:
-        """Begins a command; never waits."""
+    def receive(self, request: Request, answer: Answer, refusal: RefusalError | None = None) -> None:
+        """Begins a command, or rejects it with `refusal`, unless it was begun before; never waits."""
         if request.id is not None:
-            self._receive_identified(request, request.id, answer.verdict)
+            self._receive_identified(request, request.id, answer.verdict, refusal)
             return
         if answer.acknowledge is not None:
             answer.acknowledge(ACKNOWLEDGEMENT)
-        ended = self._begin(request)
+        ended = self._begin(request, refusal)
         ended.add_done_callback(lambda done: _report(request, done))
         if request.spec.second is not None and answer.acknowledge is not None:
             self._tasks.spawn(self._send_second(request.spec.second, ended, answer.acknowledge))
@@ -90,19 +91,21 @@ class Session:
             request, _, ended = self._queue.popleft()
             ended.set_result(self._actions.rejected(request, "stopped"))
 
-    def _receive_identified(self, request: Request, client_id: str, verdict: Send) -> None:
+    def _receive_identified(
+        self, request: Request, client_id: str, verdict: Send, refusal: RefusalError | None
+    ) -> None:
         # Stop is honoured every time, whatever its id.
         repeatable = request.spec.action is Action.STOP
         ended = None if repeatable else self._memory.recall(self._actions.source, client_id)
         if ended is not None and not ended.done():
             return  # attached: the reply under way goes to this same sender
         if ended is None:
-            ended = self._begin(request)
+            ended = self._begin(request, refusal)
             self._memory.keep(self._actions.source, client_id, ended)
         ended.add_done_callback(lambda done: None if done.cancelled() else verdict(done.result().reply(client_id)))
 
-    def _begin(self, request: Request) -> asyncio.Future[Outcome]:
-        prepared = self._actions.prepare(request)
+    def _begin(self, request: Request, refusal: RefusalError | None) -> asyncio.Future[Outcome]:
+        prepared = self._actions.prepare(request) if refusal is None else self._actions.deny(request, refusal)
         ended: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
         if isinstance(prepared, Outcome):
             ended.set_result(prepared)
@@ -110,7 +113,7 @@ class Session:
             self._tasks.spawn(self._run(request, prepared, ended))
         elif len(self._queue) + self._running >= MAX_WAITING:
             self._on_overflow()
-            ended.set_result(self._actions.rejected(request, "queue_full"))
+            ended.set_result(self._actions.rejected(request, QUEUE_FULL))
         elif request.id is not None:
             self._tasks.spawn(self._run(request, prepared, ended))
         else:
@@ -140,7 +143,7 @@ class Session:
         try:
             return await job()
         except RefusalError as refusal:
-            return self._actions.rejected(request, refusal.refusal_code, refusal.text)
+            return self._actions.refused(request, refusal)
         except PcmrsError as error:
             return self._actions.failed(request, error.code)
         except Exception:

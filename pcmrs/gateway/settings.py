@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import ipaddress
+import math
+from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 
 from pcmrs.errors import ConfigurationError
+from pcmrs.gateway.permissions import DEFAULT, allowed
+from pcmrs.gateway.signing import PEER_NAME
+
+MAX_PEERS = 64
 
 Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 
@@ -82,11 +88,44 @@ class MarkersConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     stream: str = "pcmrs_markers"
 
 
+class PeerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A peer that signs its commands, and may therefore send from anywhere.
+
+    Attributes:
+        key_file: Its key: an absolute path, or one that begins with ``~``; see ``pcmrs peers new``.
+        allow: Commands and groups of commands that it may give. Stop may always be given.
+        rate: Commands per second that it may give in the long run; Stop is never limited.
+        burst: Commands that it may give at once: a plan is one for each landmark and two more.
+
+    Raises:
+        ConfigurationError: The path is relative, an entry of `allow` is neither, or no command could ever be given.
+    """
+
+    key_file: str
+    allow: tuple[str, ...] = DEFAULT
+    rate: float = 50.0
+    burst: int = 200
+
+    def __post_init__(self) -> None:
+        if not Path(self.key_file).expanduser().is_absolute():
+            raise ConfigurationError(
+                f"key_file is {self.key_file!r}; it must be an absolute path, wherever the daemon is started.",
+                key_file=self.key_file,
+            )
+        allowed(self.allow)
+        if not (0.0 < self.rate < math.inf and self.burst >= 1):
+            raise ConfigurationError(
+                f"rate is {self.rate:g} and burst {self.burst}; the rate must be greater than 0, the burst 1 or more.",
+                rate=self.rate,
+                burst=self.burst,
+            )
+
+
 class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All links of the gateway.
 
     Attributes:
-        host: Address that all links are bound to. One other than loopback refuses unsigned commands.
+        host: Address that all links are bound to. On one other than loopback, commands have to be signed.
         client_host: IPv4 address that the streams for planner and visualization go to.
         mixed_reality_host: IPv4 address that the mixed reality stream goes to.
         tcp_port: Port of the TCP link; 0 takes any free port, None has no TCP link.
@@ -94,10 +133,11 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         openigtlink: The link with 3D Slicer.
         markers: Markers of what the procedure does, on Lab Streaming Layer.
         unsigned_peers: Loopback addresses whose unsigned commands are accepted.
+        peers: Peers that sign their commands, by name.
 
     Raises:
         ConfigurationError: `unsigned_peers` holds an address that is not loopback, a stream's host is no IPv4
-            address, or the rate is not positive.
+            address, the rate is not positive, or there are too many peers or one whose name cannot be signed.
     """
 
     host: str = "127.0.0.1"
@@ -113,8 +153,10 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     openigtlink: OpenIgtLinkConfig = OpenIgtLinkConfig()
     markers: MarkersConfig = MarkersConfig()
     unsigned_peers: tuple[str, ...] = ("127.0.0.1", "::1")
+    peers: dict[str, PeerConfig] = {}
 
     def __post_init__(self) -> None:
+        _check_peers(self.peers)
         for peer in self.unsigned_peers:
             if not is_loopback(peer):
                 raise ConfigurationError(
@@ -139,6 +181,16 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             "mixed_reality": self.mixed_reality,
             "mep": self.mep,
         }
+
+
+def _check_peers(peers: dict[str, PeerConfig]) -> None:
+    if len(peers) > MAX_PEERS:
+        text = f"There are {len(peers)} peers, the limit is {MAX_PEERS}; remove those that are not used."
+        raise ConfigurationError(text, count=len(peers), limit=MAX_PEERS)
+    for name in peers:
+        if not PEER_NAME.fullmatch(name):
+            text = f"peers holds {name!r}; a peer's name has 1 to 32 letters, digits, '-' and '_'."
+            raise ConfigurationError(text, peer=name)
 
 
 def _check_ipv4(name: str, host: str) -> None:

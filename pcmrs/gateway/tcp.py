@@ -1,5 +1,8 @@
 """The TCP link: the same grammar as a stream, one command per ``;``.
 
+A connection that begins with ``|;`` signs: each of its commands is followed by a signature, which a ``;`` ends too,
+``<command>;|<peer>|<counter>|<tag>;``. On any other, each ``;`` ends a command without signature, which begins at once.
+
 Answers go back over the connection, each ended by ``;``: ``ack;``, the second answer, or the verdict reply.
 """
 
@@ -7,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 
+from pcmrs.errors import PayloadError
 from pcmrs.gateway.grammar import MAX_BYTES
 from pcmrs.gateway.intake import Intake
 from pcmrs.gateway.session import Answer
@@ -14,6 +18,8 @@ from pcmrs.gateway.settings import is_loopback
 from pcmrs.gateway.tasks import Tasks
 
 LINK = "tcp"
+SIGNS = b"|;"
+"""With this a connection begins whose commands are signed."""
 
 
 class TcpLink:
@@ -49,10 +55,15 @@ class TcpLink:
         host, port = writer.get_extra_info("peername")[:2]
         answer = Answer(verdict=lambda text: _send(writer, text), acknowledge=lambda text: _send(writer, text))
         try:
+            first = await reader.readuntil(b";")
+            signs = first == SIGNS
+            frame = await _signed_frame(reader) if signs else first
             while True:
-                frame = await reader.readuntil(b";")
                 self._intake.receive(LINK, (host, port), self._exposed, frame, answer)
                 await writer.drain()
+                frame = await (_signed_frame(reader) if signs else reader.readuntil(b";"))
+        except PayloadError as error:
+            self._intake.refuse(LINK, (host, port), error)
         except asyncio.IncompleteReadError as error:
             if error.partial:
                 self._intake.refuse(LINK, (host, port), error)
@@ -62,6 +73,22 @@ class TcpLink:
             pass
         finally:
             writer.close()
+
+
+async def _signed_frame(reader: asyncio.StreamReader) -> bytes:
+    """A command and its signature, as one datagram has them.
+
+    Raises:
+        PayloadError: The command has no signature, so that nobody knows where the next one begins.
+    """
+    command = await reader.readuntil(b";")
+    try:
+        signature = await reader.readuntil(b";")
+    except asyncio.IncompleteReadError as error:
+        signature = error.partial
+    if not (signature.startswith(b"|") and signature.endswith(b";")):
+        raise PayloadError(f"{command[:40]!r} has no signature, on a connection that signs; the connection ends.")
+    return command + signature.removesuffix(b";")
 
 
 def _send(writer: asyncio.StreamWriter, text: str) -> None:

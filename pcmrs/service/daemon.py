@@ -121,7 +121,7 @@ class Daemon:
             edge = await CommandEdge.open(bus, procedure.tally.submit, refusals.add, procedure.stop)
             stack.push_async_callback(edge.close)
             gateway = await stack.enter_async_context(
-                open_gateway(procedure.core, settings.gateway, machine, folder / "records")
+                open_gateway(procedure.core, settings.gateway, machine, folder)
             )
             sources = (bus.counters, supervisor.counters, stalls.counters, procedure.counters, gateway.counters.table)
             stack.callback(_tell_counters, sources)

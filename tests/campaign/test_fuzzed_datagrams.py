@@ -50,5 +50,4 @@ REASONS = (
     "tokens start with",
     "finite decimal",
     "takes an index",
-    "signed",
 )

@@ -37,7 +37,7 @@ WANTED = 0.95
 """So many of the mutants must be caught."""
 TEST_TIME = 60
 """A test that takes longer has failed, s: without its guard the product may wait for ever."""
-COPIED = ("pcmrs", "sim", "tests", "examples", "benchmarks", "docs", "deploy", "pyproject.toml", "README.md")
+COPIED = ("pcmrs", "sim", "tests", "clients", "examples", "benchmarks", "docs", "deploy", "pyproject.toml", "README.md")
 
 _OUTCOMES: dict[int, Literal["caught", "survived"]] = {0: "survived", 1: "caught"}
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (?:tests/)?(.*?)(?: - .*)?$", re.MULTILINE)

@@ -1,0 +1,56 @@
+"""`pcmrs peers`: keys of clients that sign their commands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import msgspec
+
+from pcmrs.cli.lazy import LazyGroup
+from pcmrs.cli.options import json_option
+from pcmrs.cli.running import readable_errors
+
+COMMANDS = {"new": "pcmrs.cli.peers:new"}
+
+
+@click.group(cls=LazyGroup, commands=COMMANDS)
+def peers() -> None:
+    """Give clients on other machines a key, so that the gateway takes their commands."""
+
+
+@click.command()
+@click.argument("name")
+@click.option(
+    "--folder",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    default=".",
+    show_default="the working directory",
+    help="Where the key goes.",
+)
+@json_option
+@readable_errors
+def new(name: str, folder: Path, as_json: bool) -> None:
+    """Make a key for the peer NAME, and print the table that lets it send commands.
+
+    The key goes into NAME.key, which only you may read: copy it to the client's machine over a safe way, and give each
+    client one of its own. Without the line `allow` a peer may do what a planner does, and not move the robot.
+
+    Exit status: 0 made, 2 it cannot be written, 4 there is such a key, or the name cannot be one.
+
+    Example: pcmrs peers new planner --folder ~/keys
+    """
+    from pcmrs.gateway.keys import new_key
+    from pcmrs.gateway.permissions import DEFAULT
+    from pcmrs.gateway.settings import GatewayConfig, PeerConfig
+
+    file = folder.absolute() / f"{name}.key"
+    GatewayConfig(peers={name: PeerConfig(key_file=str(file))})  # refuses the name before there is a file
+    new_key(file)
+    if as_json:
+        click.echo(msgspec.json.encode({"peer": name, "key_file": str(file), "allow": DEFAULT}).decode())
+        return
+    click.echo(f"# {file} is made. To your configuration add:")
+    click.echo(f"[gateway.peers.{name}]")
+    click.echo(f"key_file = {msgspec.json.encode(str(file)).decode()}")
+    click.echo(f"allow = {msgspec.json.encode(DEFAULT).decode()}")

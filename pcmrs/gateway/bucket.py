@@ -1,0 +1,32 @@
+"""A token bucket: so many commands at once, and then so many per second."""
+
+from __future__ import annotations
+
+from pcmrs.clock import Clock
+
+
+class TokenBucket:
+    """Full at first.
+
+    Args:
+        rate_hz: Tokens that come per second.
+        burst: Tokens that it holds at most.
+        clock: The machine's clock.
+    """
+
+    def __init__(self, rate_hz: float, burst: int, clock: Clock) -> None:
+        self._rate_hz = rate_hz
+        self._burst = burst
+        self._clock = clock
+        self._tokens = float(burst)
+        self._filled = clock.monotonic()
+
+    def take(self) -> bool:
+        """Takes one token; False when there is none."""
+        now = self._clock.monotonic()
+        self._tokens = min(self._burst, self._tokens + (now - self._filled) * self._rate_hz)
+        self._filled = now
+        if self._tokens < 1.0:
+            return False
+        self._tokens -= 1.0
+        return True
