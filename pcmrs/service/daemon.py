@@ -120,9 +120,7 @@ class Daemon:
             refusals = Refusals(procedure.core, machine, reporting, edge="bus")
             edge = await CommandEdge.open(bus, procedure.tally.submit, refusals.add, procedure.stop)
             stack.push_async_callback(edge.close)
-            gateway = await stack.enter_async_context(
-                open_gateway(procedure.core, settings.gateway, machine, folder)
-            )
+            gateway = await stack.enter_async_context(open_gateway(procedure.core, settings.gateway, machine, folder))
             sources = (bus.counters, supervisor.counters, stalls.counters, procedure.counters, gateway.counters.table)
             stack.callback(_tell_counters, sources)
             inspection = Inspection(
