@@ -23,6 +23,8 @@ from pcmrs.workflows.data import PlacementData
 
 RATMS = load_blueprint(BLUEPRINT)
 TAG = BlueprintTag(id=RATMS.id, version=RATMS.version, hash=RATMS.hash)
+ENDS = " ends"
+"""After its name: what an activity waits for when it was told to end."""
 WORLDLY_BRANCHES = ("digitization", "robot", "placement")
 OPERATIONS = all_operations()
 EVENTS = {(branch, name) for branch, names in EVENT_OPERATIONS.items() for name in names}
@@ -134,6 +136,9 @@ class Course:
     async def close(self) -> None:
         """The daemon ends in order."""
         self._ending = True
+        for waiting in self.waiting:
+            if waiting.name.endswith(ENDS) and not waiting.end.done():
+                waiting.end.set_result(None)
         self.flush(len(self._durable))
         self.confirm(stands=True)
         await asyncio.sleep(1.0)  # in which order things end within one turn of the loop no journal tells
@@ -186,7 +191,7 @@ def make_workflow(course: Course) -> Workflow[Any, Any]:
         try:
             ending = await course.wait(act.name)
         except asyncio.CancelledError:
-            await course.wait(f"{act.name} ends")
+            await course.wait(act.name + ENDS)
             raise
         _raise(ending)
 
