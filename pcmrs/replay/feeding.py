@@ -159,7 +159,7 @@ class Feeding:
         await self._end_what_had_ended(reason)
         activity = source.removeprefix("activity:")
         if activity != source:
-            while self.book.release_event(index):
+            while self.book.release_event(index, source):
                 await self._idle()  # it has begun
             end_by_itself(self._recorded.pursued, activity, reason)
         elif source == SHUTDOWN:
