@@ -119,10 +119,10 @@ def name_of(row: JournalRow) -> str:
 
 
 def _changed(rows: Sequence[JournalRow], index: int) -> dict[str, str]:
-    """Branches that the decision moved, and where to."""
+    """Branches that the decision moved, and where to; all of them where no row before it shows any."""
     after = rows[index].states or {}
     before = next((row.states for row in reversed(rows[:index]) if row.kind != "intent" and row.states), None)
-    return {} if before is None else {name: state for name, state in after.items() if before.get(name) != state}
+    return {name: state for name, state in after.items() if before is None or before.get(name) != state}
 
 
 def _moves(rows: Sequence[JournalRow], branch: str, state: str) -> bool:
