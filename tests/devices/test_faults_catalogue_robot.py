@@ -14,6 +14,7 @@ from contract_robots import BENCHES, HOME, Bench, bench, smooth
 from pcmrs.errors import DeviceError, DeviceRefusedError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import MotionResult
 
+pytestmark = pytest.mark.usefixtures("patient")
 NEVER_LATER = 20.0
 """Everything has an answer within this, s."""
 

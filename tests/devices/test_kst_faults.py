@@ -11,6 +11,8 @@ from contract_robots import HOME, Bench, bench, smooth
 from pcmrs.errors import DeviceError, DeviceRefusedError, MotionInterruptedError, UnknownOutcomeError
 from pcmrs.messages import MotionResult
 
+pytestmark = pytest.mark.usefixtures("patient")
+
 
 @pytest.fixture
 async def lab() -> AsyncIterator[Bench]:

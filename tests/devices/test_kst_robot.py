@@ -33,6 +33,7 @@ from pcmrs.spatial import Floats
 
 DRIVER: OpenDriver = open_devices  # the type checker proves it
 MODEL = ArmModel(ARMS["iiwa14"])
+pytestmark = pytest.mark.usefixtures("patient")
 START = np.array(HOME)
 STEP = 1 / 200
 
@@ -437,7 +438,10 @@ async def test_a_session_does_not_outlive_its_connection(lab: Lab) -> None:
         await lab.robot.end_servo(session)
 
 
-async def test_a_stream_that_was_held_up_ends_where_the_arm_has_stopped_meanwhile() -> None:
+async def test_a_stream_that_was_held_up_ends_where_the_arm_has_stopped_meanwhile(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(drive, "STALLED", STALLED)
     async with laboratory(reply_timeout=2.0) as lab:
         await lab.robot.connect()
         following = asyncio.create_task(lab.robot.follow(smooth(START, START + 0.5, 2.0)))

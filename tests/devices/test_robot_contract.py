@@ -13,6 +13,7 @@ from pcmrs.errors import DeviceError
 from pcmrs.messages import JointSetpoint, PressRequest
 from pcmrs.spatial import Floats
 
+pytestmark = pytest.mark.usefixtures("patient")
 DRIVERS = pytest.mark.parametrize("driver", list(BENCHES))
 INWARD = -FLANGE_FROM_TOOL.rotation[:, 2]
 PRESS = PressRequest(
