@@ -26,7 +26,7 @@ mutants: install ## Take guards out of the product, one at a time, and count how
 	$(BIN)/python tests/mutants/run_removed_guards.py
 
 tools: ## Install what faults are injected with (Debian packages, as root); without them such faults are not run
-	apt-get install --yes --no-install-recommends e2fsprogs faketime mount strace
+	apt-get install --yes --no-install-recommends e2fsprogs faketime iproute2 mount nftables strace
 
 lint: install ## Check style, format, types and import contracts
 	$(BIN)/ruff check

@@ -8,25 +8,30 @@ from __future__ import annotations
 
 import asyncio
 import uuid
-from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Coroutine, Mapping
+from contextlib import asynccontextmanager, suppress
 from typing import Any, TypeVar
 
-from pcmrs.bus import DEFAULT_ENDPOINT, Bus, BusSettings, Empty
+from pcmrs.bus import DEFAULT_ENDPOINT, Bus, BusSettings, Credentials, Empty
 from pcmrs.bus.codec import convert
 from pcmrs.bus.envelope import Envelope
 from pcmrs.bus.keys import KeyTable, command_key
 from pcmrs.bus.stop import Stopping
 from pcmrs.clock import SystemClock
-from pcmrs.errors import BusError, DeviceError, PayloadError, UnknownOutcomeError
-from pcmrs.messages import DeviceEvent, DeviceReply, DeviceRequest, Snapshot, Verdict
+from pcmrs.errors import BusError, CommandRefusedError, DeviceError, PayloadError, UnknownOutcomeError
+from pcmrs.messages import DeviceEvent, DeviceReply, DeviceRequest, Snapshot, TeleopSetpoint, Verdict
 from pcmrs.messages.health import Health
+from pcmrs.messages.identity import LOCAL
 
 Event = Snapshot | Verdict | DeviceEvent
 T = TypeVar("T")
 
 _TTL = 5.0
 """Seconds after which a command that was held up on its way is refused, not run late."""
+_RENEWED = 1.0
+"""Between two renewals of the lease, s."""
+_PATIENCE = 3.0
+"""So long a daemon may take to answer what it decides at once, s."""
 _BACKLOG = 1024
 """Events that may wait for who watches."""
 
@@ -47,22 +52,30 @@ class Client:
     @classmethod
     @asynccontextmanager
     async def connect(
-        cls, endpoint: str = DEFAULT_ENDPOINT, site: str = "lab", cell: str = "cell1", user: str = "local"
+        cls,
+        endpoint: str = DEFAULT_ENDPOINT,
+        site: str = "lab",
+        cell: str = "cell1",
+        user: str = LOCAL,
+        credentials: Credentials | None = None,
     ) -> AsyncIterator[Client]:
         """Connects for the length of the ``async with`` block.
 
         Args:
-            endpoint: Where the daemon's bus listens.
+            endpoint: Where the daemon's bus listens, or a router that it dials.
             site: First name of the cell.
             cell: Second name of the cell.
-            user: Who asks; the daemon journals it as ``bus:<user>``.
+            user: Who asks; the daemon journals it as ``bus:<user>``. With credentials it is their name.
+            credentials: For an endpoint on another machine.
 
         Raises:
-            BusError: No daemon of this cell answers there.
+            BusError: No daemon of this cell answers there, or it does not let us in.
+            ConfigurationError: An endpoint on another machine, and no credentials.
         """
-        bus = await Bus.open(BusSettings(endpoint=endpoint, site=site, cell=cell))
+        settings = BusSettings(endpoint=endpoint, site=site, cell=cell, credentials=credentials)
+        bus = await Bus.open(settings)
         try:
-            client = cls(bus, user)
+            client = cls(bus, user if settings.user == LOCAL else settings.user)
             await client._greet()
             yield client
         finally:
@@ -130,6 +143,50 @@ class Client:
         self._bus.publish(key, Empty())
         await self._bus.request(key, Empty(), Stopping, timeout)
 
+    @property
+    def user(self) -> str:
+        """Who asks, as the daemon knows us."""
+        return self._user
+
+    def steer(self, setpoint: TeleopSetpoint) -> None:
+        """Sends a set point of a teleoperator; it counts while this user has engaged the clutch."""
+        self._bus.publish(f"teleop/{self._user}", setpoint)
+
+    @asynccontextmanager
+    async def holding(self, *, over: bool = False) -> AsyncIterator[None]:
+        """Holds the cell's lease for the length of the ``async with`` block.
+
+        Args:
+            over: Take it over from whoever holds it, which waits until they confirm; on site it does not.
+
+        Raises:
+            CommandRefusedError: Somebody else holds it, or it was lost meanwhile: then the block is cancelled.
+            UnknownOutcomeError: The daemon fell silent.
+        """
+        await self._lease("take_over" if over else "acquire")
+        try:
+            while not self._holds(await self.state()):
+                await self._clock.sleep(_RENEWED)
+            async with _cancelled_with(self._renew()):
+                yield
+        finally:
+            with suppress(CommandRefusedError, UnknownOutcomeError):  # it was lost, or the daemon has ended
+                await self._lease("release")
+
+    def _holds(self, snapshot: Snapshot) -> bool:
+        return snapshot.lease is not None and snapshot.lease.holder == self._user
+
+    async def _renew(self) -> None:
+        while True:
+            await self._clock.sleep(_RENEWED)
+            await self._lease("renew")
+
+    async def _lease(self, operation: str) -> None:
+        verdict = await self.call(f"lease.{operation}", timeout=_PATIENCE)
+        if verdict.decision != "accepted":
+            text = verdict.reason.text if verdict.reason is not None else f"The lease was {verdict.decision}."
+            raise CommandRefusedError(text, verdict=verdict)
+
     async def watch(self) -> AsyncGenerator[Event, None]:
         """Yields the last snapshot, then snapshots, verdicts and device events as they come; never ends."""
         events: asyncio.Queue[Event] = asyncio.Queue(_BACKLOG)
@@ -186,11 +243,23 @@ class Client:
         except UnknownOutcomeError as error:
             settings = self._bus.settings
             raise BusError(
-                f"The router at {settings.endpoint} has no daemon of cell {self._bus.prefix}: "
-                "check site and cell, or wait until it has started.",
+                f"At {settings.endpoint} no daemon of cell {self._bus.prefix} answers {settings.user}: check site and "
+                "cell, wait until it has started, or have yourself a role in this cell.",
                 endpoint=settings.endpoint,
                 cell=self._bus.prefix,
             ) from error
+
+
+@asynccontextmanager
+async def _cancelled_with(beside: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
+    """Runs beside the block what only ends by an error; the first error, of either, is raised by itself."""
+    try:
+        async with asyncio.TaskGroup() as group:
+            task = group.create_task(beside)
+            yield
+            task.cancel()
+    except BaseExceptionGroup as errors:
+        raise errors.exceptions[0] from None
 
 
 def _event(fields: dict[str, Any]) -> Verdict | DeviceEvent:

@@ -10,14 +10,18 @@ from typing import Annotated, Any
 
 import msgspec
 
-from pcmrs.bus import BusSettings
+from pcmrs.bus import BusSettings, Credentials
 from pcmrs.bus.keys import cell_prefix
+from pcmrs.bus.settings import SECURED
+from pcmrs.clock import SystemClock
 from pcmrs.config import as_config, overlaid, read_file, set_values
 from pcmrs.devices.dwell import DwellSettings
 from pcmrs.errors import ConfigurationError, PayloadError
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.urdf_arms import find_arm
+from pcmrs.messages.identity import Identity
+from pcmrs.pki import check_registered, read_credentials, read_register
 from pcmrs.recording.settings import RecordingSettings
 from pcmrs.workflows import find_workflow, read_workflow
 from pcmrs.workflows.settings import ProcedureSettings
@@ -102,6 +106,37 @@ class RobotSettings(DeviceSettings, frozen=True, forbid_unknown_fields=True):
     deadman: Annotated[float, msgspec.Meta(ge=0.05, le=1.0)] = 0.1
 
 
+class AccessSettings(Table, frozen=True, forbid_unknown_fields=True):
+    """Who may reach the cell from other machines: nobody, unless it has an identity.
+
+    Attributes:
+        identity: Folder that ``pcmrs pki issue`` has made for this process; empty: this machine only.
+        register: Copy of the authority's register: everybody who may take part, with role and cells.
+        listen: Endpoints at which others dial this cell, such as ``tls/0.0.0.0:7448``.
+        routers: Routers that this cell dials, such as ``tls/router.example.org:7449``.
+        lease_s: Whoever holds the cell from elsewhere and is not heard for so long does not hold it any more, s.
+    """
+
+    identity: str = ""
+    register: str = ""
+    listen: tuple[str, ...] = ()
+    routers: tuple[str, ...] = ()
+    lease_s: Annotated[float, msgspec.Meta(ge=3.0, le=600.0)] = 10.0
+
+    @property
+    def is_open(self) -> bool:
+        """Whether others than this machine may reach the cell: then somebody has to hold it."""
+        return bool(self.identity)
+
+    def credentials(self) -> Credentials | None:
+        """The identity, looked at and found usable; None without one. Raises `ConfigurationError`."""
+        return read_credentials(Path(self.identity), SystemClock().wall()) if self.identity else None
+
+    def members(self) -> tuple[Identity, ...]:
+        """Everybody in the register. Raises `ConfigurationError`."""
+        return tuple(read_register(Path(self.register))) if self.register else ()
+
+
 class JournalSettings(Table, frozen=True, forbid_unknown_fields=True):
     """The journal; not `durable`, decisions survive a kill but not a power cut: for benchmarks."""
 
@@ -136,6 +171,7 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
     emg: DeviceSettings = DeviceSettings()
     procedure: ProcedureSettings = ProcedureSettings()
     gateway: GatewayConfig = GatewayConfig()
+    access: AccessSettings = AccessSettings()
     journal: JournalSettings = JournalSettings()
     recording: RecordingSettings = RecordingSettings()
     metrics: MetricsSettings = MetricsSettings()
@@ -156,9 +192,23 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
         return found
 
     def bus(self, mode: str) -> BusSettings:
-        """How a process of this cell joins the bus: the daemon as ``router``, others as ``client``."""
-        as_client = BusSettings(endpoint=self.cell.endpoint, site=self.cell.site, cell=self.cell.name)
-        return as_client if mode == "client" else msgspec.structs.replace(as_client, mode="router")
+        """How a process of this cell joins the bus: the daemon as ``router``, others as ``client``.
+
+        Raises:
+            ConfigurationError: Its identity, or the register, cannot be used.
+        """
+        cell, access = self.cell, self.access
+        on_site = mode == "client" and not cell.endpoint.startswith(SECURED)
+        own = None if on_site else access.credentials()
+        as_client = BusSettings(endpoint=cell.endpoint, site=cell.site, cell=cell.name, credentials=own)
+        if mode == "client":
+            return as_client
+        members = access.members()
+        if own is not None:
+            check_registered(own, members, "daemon", f"{cell.site}/{cell.name}")
+        return msgspec.structs.replace(
+            as_client, mode="router", listen=access.listen, routers=access.routers, members=members
+        )
 
 
 def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Settings:
@@ -198,16 +248,19 @@ def _values(file: Path | None, overrides: Sequence[str]) -> dict[str, Any]:
 
 
 def _resolve_paths(values: dict[str, Any], folder: Path) -> None:
-    """Makes the paths of a workflow, an arm and of calibrations absolute; an absolute one stays."""
+    """Makes the paths of a workflow, an arm, of calibrations and of secrets absolute; an absolute one stays."""
     procedure = values.get("procedure")
     calibration = procedure.get("calibration") if isinstance(procedure, dict) else None
+    access = values.get("access")
     for table, key, ending in (
         (values, "workflow", ".toml"),
         (values.get("robot"), "model", ".urdf"),
         (calibration, "tool_file", ".toml"),
         (calibration, "pointer_file", ".toml"),
+        (access, "identity", ""),
+        (access, "register", ""),
     ):
-        if isinstance(table, dict) and isinstance(name := table.get(key), str) and name.endswith(ending):
+        if isinstance(table, dict) and isinstance(name := table.get(key), str) and name and name.endswith(ending):
             table[key] = str(folder / Path(name).expanduser())
 
 
@@ -246,6 +299,7 @@ def _check_cell(settings: Settings) -> None:
     _check_home(settings.procedure.home, find_arm(settings.robot.model))
     known = {point.name for point in entry_points(group=DRIVERS)}
     _check_dwell(settings)
+    _check_access(settings.access)
     for driver in settings.drivers():
         if driver not in known:
             text = f"There is no driver {driver!r}; installed are {', '.join(sorted(known)) or 'none'}."
@@ -254,6 +308,15 @@ def _check_cell(settings: Settings) -> None:
     if settings.cell.rate != 1.0 and real:
         text = f"cell.rate is {settings.cell.rate:g}, but {', '.join(real)} runs in real time: only 1 is possible."
         raise ConfigurationError(text, rate=settings.cell.rate)
+
+
+def _check_access(access: AccessSettings) -> None:
+    if (access.listen or access.routers) and not (access.identity and access.register):
+        text = (
+            "access.listen and access.routers open the cell to other machines: give access.identity and "
+            "access.register, which `pcmrs pki` makes."
+        )
+        raise ConfigurationError(text, listen=list(access.listen), routers=list(access.routers))
 
 
 def _check_dwell(settings: Settings) -> None:

@@ -23,6 +23,7 @@ WELL = HealthFacts(
     in_doubt=False,
     recording="",
     metrics="",
+    certificate=None,
     journal=JournalStatus(waiting=1, oldest_wait=0.002),
     tasks=[
         TaskStanding(name="journal", answers=True, restarts=0),

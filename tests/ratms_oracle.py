@@ -12,14 +12,14 @@ import pcmrs
 
 BLUEPRINT = Path(pcmrs.__file__).parent / "workflows" / "ratms.toml"
 
-Joint = tuple[str, str, str, str, str, str]
-"""registration, digitization, toolplan, robot, placement, alignment"""
+Joint = tuple[str, str, str, str, str, str, str]
+"""registration, digitization, toolplan, robot, placement, alignment, teleoperation"""
 
 Endings = dict[str, Joint]
 """Name of an ending (a declared outcome, ``failed`` or ``unknown``) to the joint state it commits."""
 
-BRANCHES = ("registration", "digitization", "toolplan", "robot", "placement", "alignment")
-INITIAL: Joint = ("000", "0", "0", "0", "unknown", "0")
+BRANCHES = ("registration", "digitization", "toolplan", "robot", "placement", "alignment", "teleoperation")
+INITIAL: Joint = ("000", "0", "0", "0", "unknown", "0", "off")
 
 USER_OPERATIONS = {
     "registration": [
@@ -54,26 +54,29 @@ USER_OPERATIONS = {
         "press",
         "follow",
         "stop_following",
+        "guide",
+        "stop_guiding",
         "back_off",
         "home",
         "to_initial",
         "reinit",
     ],
     "alignment": ["reinit"],
+    "teleoperation": ["engage", "release", "reinit"],
 }
 EVENT_OPERATIONS = {
     "registration": ["reference_moved"],
     "robot": ["link_lost"],
-    "placement": ["following_lost", "watching_lost", "force_limit"],
+    "placement": ["following_lost", "guiding_lost", "watching_lost", "force_limit"],
     "alignment": ["within", "outside"],
 }
 INTERNAL_OPERATIONS = {
     "registration": ["digitized", "undigitized"],
     "robot": ["placement_changed"],
-    "placement": ["alignment_changed"],
+    "placement": ["teleoperation_changed", "alignment_changed"],
 }
-MOTIONS = ["approach", "confirm", "nudge", "press", "follow", "back_off", "home", "to_initial"]
-AT_BODY = ("standoff", "placed", "following")
+MOTIONS = ["approach", "confirm", "nudge", "press", "follow", "guide", "back_off", "home", "to_initial"]
+AT_BODY = ("standoff", "placed", "following", "guided")
 
 
 def expected(joint: Joint, branch: str, operation: str) -> Endings | None:
@@ -85,6 +88,7 @@ def expected(joint: Joint, branch: str, operation: str) -> Endings | None:
         "robot": _robot,
         "placement": _placement,
         "alignment": _alignment,
+        "teleoperation": _teleoperation,
     }[branch](joint, operation)
     if answer is None:
         return None
@@ -119,8 +123,8 @@ def _with_registration(joint: Joint, registration: str) -> Joint:
 
 
 def _revoked(joint: Joint) -> Joint:
-    """A tool at the body is let go, and aligned with nothing any more."""
-    return (*joint[:4], "held", "0") if joint[4] in AT_BODY else joint
+    """A tool at the body is let go, aligned with nothing and guided by nobody any more."""
+    return (*joint[:4], "held", "0", "off") if joint[4] in AT_BODY else joint
 
 
 def _away(joint: Joint) -> bool:
@@ -171,10 +175,10 @@ def _toolplan(joint: Joint, operation: str) -> Endings | None:
 def _robot(joint: Joint, operation: str) -> Endings | None:
     connected = joint[3] == "1"
     if operation == "connect":
-        return None if connected else {"done": (*joint[:3], "1", "unknown", "0")}
+        return None if connected else {"done": (*joint[:3], "1", "unknown", "0", "off")}
     if not connected or (operation == "disconnect" and not _away(joint)):
         return None
-    return {"done": joint if operation == "acknowledge" else (*joint[:3], "0", "unknown", "0")}
+    return {"done": joint if operation == "acknowledge" else (*joint[:3], "0", "unknown", "0", "off")}
 
 
 def _placement(joint: Joint, operation: str) -> Endings | None:
@@ -182,7 +186,7 @@ def _placement(joint: Joint, operation: str) -> Endings | None:
     ready = joint[0] == "111" and joint[2] == "1" and connected
 
     def at(placement: str) -> Joint:
-        return (*joint[:4], placement, "0")
+        return (*joint[:4], placement, "0", "off")
 
     if operation == "reinit":
         return {"done": at("unknown")} if _away(joint) else None
@@ -190,9 +194,9 @@ def _placement(joint: Joint, operation: str) -> Endings | None:
         return {"retracted": at("retracted"), "held": at("held")} if here == "unknown" and connected else None
     if operation == "force_limit":
         return {"done": at("held")} if here in AT_BODY else None
-    if operation in ("following_lost", "watching_lost"):
-        watched = "following" if operation == "following_lost" else "placed"
-        return {"done": at("held")} if here == watched else None
+    if operation in ("following_lost", "watching_lost", "guiding_lost", "stop_guiding"):
+        left = {"following_lost": "following", "watching_lost": "placed"}.get(operation, "guided")
+        return {"done": at("held")} if here == left else None
     if operation == "stop_following":
         return {"done": at("placed")} if here == "following" else None
     motion: Endings | None = None
@@ -206,6 +210,8 @@ def _placement(joint: Joint, operation: str) -> Endings | None:
         motion = {"done": joint}
     if operation == "follow" and here == "placed" and ready:
         motion = {"done": at("following")}
+    if operation == "guide" and here in ("standoff", "placed") and ready:
+        motion = {"done": at("guided")}
     if operation == "back_off" and here in (*AT_BODY, "held") and connected:
         # Without a valid plan and registration there is no standoff to be at: the arm is clear of the body or not.
         motion = {"retracted": at("retracted"), "held": at("held")} | ({"standoff": at("standoff")} if ready else {})
@@ -219,4 +225,12 @@ def _alignment(joint: Joint, operation: str) -> Endings | None:
         return None
     if operation == "outside" and joint[5] == "0":
         return None
-    return {"done": (*joint[:5], "1" if operation == "within" else "0")}
+    return {"done": (*joint[:5], "1" if operation == "within" else "0", joint[6])}
+
+
+def _teleoperation(joint: Joint, operation: str) -> Endings | None:
+    if operation == "engage" and not (joint[4] == "guided" and joint[6] == "off"):
+        return None
+    if operation == "release" and joint[6] == "off":
+        return None
+    return {"done": (*joint[:6], "engaged" if operation == "engage" else "off")}

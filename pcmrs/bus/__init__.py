@@ -4,6 +4,16 @@ from pcmrs.bus.codec import Empty
 from pcmrs.bus.commands import CommandEdge
 from pcmrs.bus.keys import KEYS, KeyInfo, KeyTable
 from pcmrs.bus.session import Bus
-from pcmrs.bus.settings import DEFAULT_ENDPOINT, BusSettings
+from pcmrs.bus.settings import DEFAULT_ENDPOINT, BusSettings, Credentials
 
-__all__ = ["DEFAULT_ENDPOINT", "KEYS", "Bus", "BusSettings", "CommandEdge", "Empty", "KeyInfo", "KeyTable"]
+__all__ = [
+    "DEFAULT_ENDPOINT",
+    "KEYS",
+    "Bus",
+    "BusSettings",
+    "CommandEdge",
+    "Credentials",
+    "Empty",
+    "KeyInfo",
+    "KeyTable",
+]

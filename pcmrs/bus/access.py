@@ -1,6 +1,6 @@
 """Who may use which key: Zenoh's access control, made from the one table of keys; what is not in it is denied.
 
-Zenoh looks at every message that passes the router: from a peer (ingress) and to it (egress). Somebody who subscribes
+Zenoh looks at every message that passes a router: from a peer (ingress) and to it (egress). Somebody who subscribes
 to more than is theirs gets nothing, for a rule has to include the whole key expression.
 """
 
@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
-
-import msgspec
 
 from pcmrs.bus.keys import KEYS, KeyInfo
 from pcmrs.bus.qos import class_of
-from pcmrs.messages.roles import Role
+from pcmrs.messages.identity import EVERY_CELL, LOCAL, Identity
+from pcmrs.messages.roles import PEOPLE, Role
 
-EVERYWHERE: Final = ("*/*",)
+ON_SITE: Final[tuple[Role, ...]] = ("operator", "device", "daemon")
+"""What runs on the cell's own machine, without certificates: consoles, device nodes, the daemon's own helpers."""
 
 _NAMES: Final = re.compile(r"<[a-z]+>")
 _ASKING: Final = ("query",)
@@ -27,20 +28,6 @@ _SEEING: Final = ("declare_liveliness_subscriber", "liveliness_query")
 _LIVING: Final = ("liveliness_token",)
 
 
-class Member(msgspec.Struct, frozen=True, kw_only=True):
-    """Somebody who has a certificate.
-
-    Attributes:
-        name: Its common name.
-        role: What it may do.
-        cells: Key expressions ``<site>/<cell>`` of the cells in which it may do that.
-    """
-
-    name: str
-    role: Role
-    cells: tuple[str, ...] = EVERYWHERE
-
-
 class _Way(NamedTuple):
     """Messages from a member and to it, about one key expression."""
 
@@ -49,52 +36,66 @@ class _Way(NamedTuple):
     key: str
 
 
-def access_control(members: Iterable[Member]) -> dict[str, Any]:
+def access_control(members: Iterable[Identity], *, on_site: bool = False) -> dict[str, Any]:
     """The value of Zenoh's ``access_control``: what each member's role may do under the member's own name.
 
     Args:
         members: Everybody whose certificate counts; others are connected to nothing.
+        on_site: Whether those who come over loopback without a certificate are `LOCAL`: operator and devices there.
     """
-    rules: list[dict[str, Any]] = []
-    subjects: list[dict[str, Any]] = []
-    policies: list[dict[str, Any]] = []
+    access = _Access()
     for member in members:
-        own = list(_rules(member))
-        rules += own
-        subjects.append({"id": member.name, "cert_common_names": [member.name]})
-        policies.append({"subjects": [member.name], "rules": [rule["id"] for rule in own]})
+        if member.revoked is None:
+            access.add({"cert_common_names": [member.name]}, member.name, [member.role], member.cells)
+    if on_site:
+        access.add({"interfaces": ["lo"], "link_protocols": ["tcp"]}, LOCAL, ON_SITE, EVERY_CELL)
     return {
         "enabled": True,
         "default_permission": "deny",
-        "rules": rules,
-        "subjects": subjects,
-        "policies": policies,
+        "rules": access.rules,
+        "subjects": access.subjects,
+        "policies": access.policies,
     }
 
 
-def _rules(member: Member) -> Iterator[dict[str, Any]]:
+@dataclass
+class _Access:
+    rules: list[dict[str, Any]] = field(default_factory=list)
+    subjects: list[dict[str, Any]] = field(default_factory=list)
+    policies: list[dict[str, Any]] = field(default_factory=list)
+
+    def add(self, subject: dict[str, Any], name: str, roles: Iterable[Role], cells: Iterable[str]) -> None:
+        own = list(_rules(name, roles, cells))
+        self.rules += own
+        self.subjects.append({"id": name, **subject})
+        self.policies.append({"subjects": [name], "rules": [rule["id"] for rule in own]})
+
+
+def _rules(name: str, roles: Iterable[Role], cells: Iterable[str]) -> Iterator[dict[str, Any]]:
     """One rule for each direction and set of messages, over all keys to which it applies."""
     keys: dict[tuple[str, tuple[str, ...]], list[str]] = {}
-    for way in _ways(member):
+    for way in (way for role in roles for way in _ways(name, role)):
         for flow, messages in (("ingress", way.ingress), ("egress", way.egress)):
             if not messages:
                 continue
             keys.setdefault((flow, messages), []).append(way.key)
     for number, ((flow, messages), expressions) in enumerate(keys.items()):
         yield {
-            "id": f"{member.name}-{number}",
+            "id": f"{name}-{number}",
             "permission": "allow",
             "flows": [flow],
             "messages": list(messages),
-            "key_exprs": [f"pcmrs/{cell}/{key}" for cell in member.cells for key in dict.fromkeys(expressions)],
+            "key_exprs": [f"pcmrs/{cell}/{key}" for cell in cells for key in dict.fromkeys(expressions)],
         }
 
 
-def _ways(member: Member) -> Iterator[_Way]:
+def _ways(name: str, role: Role) -> Iterator[_Way]:
+    """What a role does; a router carries what its people do, under whatever names it has let in."""
+    user, roles = ("*", set(PEOPLE)) if role == "router" else (name, {role})
     for row in KEYS:
-        if member.role in row.users:
-            yield from _as_user(row, _expression(row.key, member.name))
-        if member.role in row.owners:
+        if roles & {*row.users}:
+            yield from _as_user(row, _expression(row.key, user))
+        if roles & {*row.owners}:
             yield from _as_owner(row, _expression(row.key, "*"))
 
 
@@ -107,7 +108,8 @@ def _as_user(row: KeyInfo, key: str) -> Iterator[_Way]:
             yield _Way((*_HEARING, *_ASKING, *_SEEING), (*_SENDING, *_ANSWERING, *_LIVING), f"{key}/@adv/**")
             yield _Way((), ("reply",), key)  # what the cache has goes by the key of the data
     else:
-        yield _Way(_ASKING, _ANSWERING, key)
+        if "query" in row.use:
+            yield _Way(_ASKING, _ANSWERING, key)
         if "put" in row.use:
             yield _Way(_SENDING, _HEARING, key)
 
@@ -121,7 +123,8 @@ def _as_owner(row: KeyInfo, key: str) -> Iterator[_Way]:
             yield _Way((*_SENDING, *_ANSWERING, *_LIVING), (*_HEARING, *_ASKING, *_SEEING), f"{key}/@adv/**")
             yield _Way(("reply",), (), key)
     else:
-        yield _Way(_ANSWERING, _ASKING, key)
+        if "query" in row.use:
+            yield _Way(_ANSWERING, _ASKING, key)
         if "put" in row.use:
             yield _Way(_HEARING, _SENDING, key)
 

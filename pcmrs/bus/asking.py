@@ -66,7 +66,8 @@ def _outcome(reply: zenoh.Reply) -> bytes | PcmrsError:
 def _silence(key: str, timeout: float) -> UnknownOutcomeError:
     return UnknownOutcomeError(
         f"Nobody answered on {key} within {timeout:g} s, or the answering process ended first: "
-        "it may have happened or not. Look at the state before asking again.",
+        "it may have happened or not. Look at the state before asking again. "
+        "(From elsewhere, what your role may not ask for is dropped on the way.)",
         key=key,
         timeout=timeout,
     )

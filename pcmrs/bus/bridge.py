@@ -1,9 +1,9 @@
 """From Zenoh's threads into the event loop, without one wake-up per message.
 
 Calls wait in three places: two ordered, bounded queues for what must not be lost in silence (events; commands and
-requests: a full queue rejects), and the newest call per key for streams. One drain at a time is scheduled in the loop;
-it takes events first, streams last, and gives the loop a turn between slices, so that Stop and timers are never behind
-a backlog. Events have a queue of their own, since one of danger must not be turned away because of commands.
+requests: a full queue rejects), and the newest calls of each key for streams. One drain at a time is scheduled in the
+loop; it takes events first, streams last, and gives the loop a turn between slices, so that Stop and timers are never
+behind a backlog. Events have a queue of their own, since one of danger must not be turned away because of commands.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Bridge:
 
     Attributes:
         refused: Ordered calls that found the queue full.
-        replaced: Calls of streams that a newer one of the same key came before.
+        replaced: Calls of streams that were dropped for newer ones of the same key.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, capacity: int = CAPACITY) -> None:
@@ -39,7 +39,7 @@ class Bridge:
         self._capacity = capacity
         self._urgent: deque[Call] = deque()
         self._ordered: deque[Call] = deque()
-        self._newest: dict[Hashable, Call] = {}
+        self._newest: dict[Hashable, deque[Call]] = {}
         self._lock = threading.Lock()
         self._scheduled = False
         self._closed = False
@@ -48,7 +48,7 @@ class Bridge:
     @property
     def waiting(self) -> int:
         """Calls that wait for the loop."""
-        return len(self._urgent) + len(self._ordered) + len(self._newest)
+        return len(self._urgent) + len(self._ordered) + sum(map(len, self._newest.values()))
 
     def post(self, call: Call, *, urgent: bool = False) -> bool:
         """Queues a call; returns False, and forgets it, when its queue is full or closed."""
@@ -61,12 +61,13 @@ class Bridge:
             self._schedule()
             return True
 
-    def post_newest(self, key: Hashable, call: Call) -> None:
-        """Queues a call in place of the one of the same key that has not run yet."""
+    def post_newest(self, key: Hashable, call: Call, most: int = 1) -> None:
+        """Queues a call; of those of the same key that have not run yet, `most` are kept, the newest."""
         with self._lock:
             if not self._closed:
-                self.replaced += key in self._newest
-                self._newest[key] = call
+                waiting = self._newest.setdefault(key, deque(maxlen=most))
+                self.replaced += len(waiting) == most
+                waiting.append(call)
                 self._schedule()
 
     def close(self) -> None:
@@ -99,7 +100,12 @@ class Bridge:
                 if queue:
                     return queue.popleft()
             if self._newest:
-                # A dict keeps the place of a replaced value, so every key gets its turn.
-                return self._newest.pop(next(iter(self._newest)))
+                # A dict keeps the order in which keys came, and one with more goes to its end: every key gets its turn.
+                key = next(iter(self._newest))
+                waiting = self._newest.pop(key)
+                call = waiting.popleft()
+                if waiting:
+                    self._newest[key] = waiting
+                return call
             self._scheduled = False
             return None

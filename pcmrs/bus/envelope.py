@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import uuid
+from collections.abc import Callable
 from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta, field
@@ -11,6 +12,7 @@ from pcmrs.bus.keys import split_command_key
 from pcmrs.bus.reasons import reason_from
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import Command, Message, Verdict
+from pcmrs.messages.roles import Role
 
 
 class Envelope(Message, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -31,8 +33,8 @@ class Envelope(Message, frozen=True, kw_only=True, forbid_unknown_fields=True):
     arguments: dict[str, Any] = field(default_factory=dict)
 
 
-def command_from(key: str, envelope: Envelope) -> Command:
-    """The command that an envelope on a relative key ``cmd/*/*/*`` stands for.
+def command_from(key: str, envelope: Envelope, role_of: Callable[[str], Role]) -> Command:
+    """The command that an envelope on a relative key ``cmd/*/*/*`` stands for, with the role of its user.
 
     Raises:
         PayloadError: A part of the key is no name.
@@ -43,6 +45,8 @@ def command_from(key: str, envelope: Envelope) -> Command:
         branch=branch,
         operation=operation,
         source=f"bus:{user}",
+        user=user,
+        role=role_of(user),
         arguments=envelope.arguments,
         sent=envelope.sent,
         ttl=envelope.ttl,

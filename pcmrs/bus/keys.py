@@ -11,11 +11,11 @@ from typing import Final, Literal
 
 from pcmrs.errors import PayloadError
 from pcmrs.messages import Message
-from pcmrs.messages.roles import Role
+from pcmrs.messages.roles import COMMANDING, HOLDING, Role
 
 _CHUNK = re.compile(r"[a-z0-9][a-z0-9._-]*")
 
-Use = Literal["query", "put or query", "subscribe"]
+Use = Literal["query", "put", "put or query", "subscribe"]
 
 
 class KeyInfo(Message, frozen=True, kw_only=True, omit_defaults=False):
@@ -47,7 +47,6 @@ class KeyTable(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 EVERYBODY: Final[tuple[Role, ...]] = ("operator", "planner", "viewer", "device", "teleoperator", "daemon")
 READERS: Final[tuple[Role, ...]] = ("operator", "planner", "viewer", "teleoperator", "daemon")
-COMMANDING: Final[tuple[Role, ...]] = ("operator", "planner", "teleoperator")
 DAEMON: Final[tuple[Role, ...]] = ("daemon",)
 DEVICE: Final[tuple[Role, ...]] = ("device",)
 
@@ -66,13 +65,23 @@ KEYS = [
         "Asks for an operation. A query is answered with the verdict; that of a put appears on state/event.",
         COMMANDING,
     ),
-    _row("stop/<user>", "put or query", "anything -> Stopping", "Stops every motion and latches.", EVERYBODY),
+    # The robot's node hears it by itself, whatever has become of the daemon.
+    _row(
+        "stop/<user>",
+        "put or query",
+        "anything -> Stopping",
+        "Stops every motion and latches.",
+        EVERYBODY,
+        ("daemon", "device"),
+    ),
     _row("state/fsm", "subscribe", "Snapshot", "State of all branches after each commit; the last is kept.", READERS),
     _row("state/event", "subscribe", "Verdict | DeviceEvent", "Decisions and device events as they happen.", READERS),
     _row("state/joints", "subscribe", "JointState", "Measured joints of the arm.", READERS, DEVICE),
     _row("state/pose/<body>", "subscribe", "BodyPose", "Pose of a tracked body in the tracker frame.", READERS, DEVICE),
     _row("state/flags", "subscribe", "Flags", "The flags that mirror the states, for displays.", READERS),
     _row("state/target", "subscribe", "Target", "Planned tool pose in the image, and the registration.", READERS),
+    _row("teleop/<user>", "put", "TeleopSetpoint", "Set points of who has engaged the clutch.", HOLDING),
+    _row("state/teleop", "subscribe", "TeleopStatus", "How guiding goes, while the tool is guided.", READERS),
     _row("svc/snapshot", "query", "nothing -> Snapshot", "The present state, for those who join late.", READERS),
     _row("svc/health", "query", "nothing -> Health", "How the daemon is, and why it is not well.", READERS),
     _row(

@@ -14,7 +14,7 @@ class DataClass:
 
     Attributes:
         priority: Of the queue in which it waits for the link.
-        newest_only: An unread message is replaced by the next one of the same key.
+        newest: So many unread messages of one key wait, the newest; 0 where none is dropped for a newer one.
         kept: Messages that the publisher keeps, so that lost ones are recovered; 0 for none.
         history: Kept messages that a late subscriber is given.
         express: Sent at once instead of in a batch.
@@ -22,22 +22,23 @@ class DataClass:
     """
 
     priority: Priority
-    newest_only: bool
+    newest: int
     kept: int = 0
     history: int = 0
     express: bool = False
     urgent: bool = False
 
 
-COMMANDS: Final = DataClass(Priority.REAL_TIME, newest_only=False, express=True)
-SNAPSHOTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest_only=True, kept=1, history=1)
-EVENTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest_only=False, kept=256, urgent=True)
-BEATS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest_only=True, express=True)
-SETPOINTS: Final = DataClass(Priority.REAL_TIME, newest_only=True, express=True)
-POSES: Final = DataClass(Priority.INTERACTIVE_LOW, newest_only=True)
-JOINTS: Final = DataClass(Priority.DATA_HIGH, newest_only=True)
-VIDEO: Final = DataClass(Priority.BACKGROUND, newest_only=True)
-OTHER: Final = DataClass(Priority.DATA, newest_only=False)
+COMMANDS: Final = DataClass(Priority.REAL_TIME, newest=0, express=True)
+SNAPSHOTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest=1, kept=1, history=1)
+EVENTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest=0, kept=256, urgent=True)
+BEATS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest=1, express=True)
+SETPOINTS: Final = DataClass(Priority.REAL_TIME, newest=1, express=True)
+# A guard that sees every second pose of a body sees nothing of a reflection that moves the others.
+POSES: Final = DataClass(Priority.INTERACTIVE_LOW, newest=16)
+JOINTS: Final = DataClass(Priority.DATA_HIGH, newest=1)
+VIDEO: Final = DataClass(Priority.BACKGROUND, newest=1)
+OTHER: Final = DataClass(Priority.DATA, newest=0)
 
 _TABLE: Final = [
     (KeyExpr(expression), data_class)
@@ -54,6 +55,8 @@ _TABLE: Final = [
         ("dev/*/state", SNAPSHOTS),
         ("dev/*/beat", BEATS),
         ("dev/*/setpoint", SETPOINTS),
+        ("teleop/*", SETPOINTS),
+        ("state/teleop", BEATS),
         ("dev/*/event", EVENTS),
         ("video/*", VIDEO),
         ("**", OTHER),

@@ -82,7 +82,7 @@ class Bus:
     ) -> Any:
         """Calls `handler(relative key, message)` for every message on the key expression `key`.
 
-        Of streams only the newest unread message per key is delivered; see `qos.DataClass`.
+        Of streams only the newest unread messages of a key are delivered; see `qos.DataClass`.
 
         Args:
             key: Relative key expression; may hold wildcards.
@@ -108,8 +108,8 @@ class Bus:
 
         def receive(sample: zenoh.Sample) -> None:
             call = partial(deliver, sample)
-            if data.newest_only:
-                self._bridge.post_newest((deliver, str(sample.key_expr)), call)
+            if data.newest:
+                self._bridge.post_newest((deliver, str(sample.key_expr)), call, data.newest)
             elif not self._bridge.post(call, urgent=data.urgent):
                 # Here, not in the loop: nobody may keep that busy with what it has no time for.
                 refuse(self._relative(sample), busy())

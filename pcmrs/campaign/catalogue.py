@@ -23,8 +23,6 @@ RESPONSES: Mapping[str, str] = {
 }
 """What the letters in `Row.required` mean."""
 
-NO_ACCESS_CONTROL = "needs access control, which this version does not have"
-
 
 class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"fault_class": "class"}):
     """One fault of the catalogue.
@@ -35,7 +33,6 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"faul
         title: What happens.
         required: The response, in words and in the letters of `RESPONSES`.
         reference: What the reference implementation does instead; empty where nothing wrong is known of it.
-        access_control: Whether it can only be injected into a system with access control.
     """
 
     id: str
@@ -43,7 +40,6 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"faul
     title: str
     required: str
     reference: str = ""
-    access_control: bool = False
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -5,13 +5,15 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import AsyncIterator, Iterable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from pcmrs.campaign.driving import PATIENCE, accept, said, until
 from pcmrs.campaign.fault import Unmet
+from pcmrs.gateway.refusals import REFUSED
+from pcmrs.journal import JournalRow
 from pcmrs.messages import Snapshot, Verdict
 
 if TYPE_CHECKING:
@@ -44,20 +46,59 @@ async def refused(
     return verdict
 
 
+async def refused_at_edge(cell: LabCell, name: str, arguments: dict[str, Any], *, code: str) -> None:
+    """A command that is none is rejected by the bus with `code`, and nothing has changed; see `reported`.
+
+    Raises:
+        Unmet: It was not so.
+    """
+    before = await cell.client.state()
+    verdict = await cell.client.call(name, arguments)
+    await _check_rejected(cell, verdict, before, [code])
+
+
+async def reported(cell: LabCell, after: int, *, edge: str, code: str, count: int) -> None:
+    """The journal's reports of what an edge has refused with `code` come to `count`; they come at a bounded rate.
+
+    Raises:
+        Unmet: They did not within `PATIENCE`.
+    """
+    found = 0
+    with suppress(TimeoutError):
+        async with asyncio.timeout(PATIENCE):
+            while True:
+                found = sum(_refused_by(row, edge, code) for row in cell.rows(after))
+                if found == count:
+                    return
+                await asyncio.sleep(0.5)
+    raise Unmet(f"The journal tells of {found} commands that the {edge} has refused as {code}, not {count}.")
+
+
+def _refused_by(row: JournalRow, edge: str, code: str) -> int:
+    fields = (row.result or {}).get("fields", {})
+    is_one = (row.kind, row.source, row.operation) == ("device", edge, REFUSED) and fields.get("reason") == code
+    return int(fields["count"]) if is_one else 0
+
+
 async def check_refused(cell: LabCell, verdict: Verdict, before: Snapshot, row: int, codes: Iterable[str]) -> None:
     """Checks response R of a verdict: `before` and `row` are snapshot and last row of the journal before the command.
 
     Raises:
         Unmet: It was not refused so, something changed, or the journal does not have it.
     """
+    await _check_rejected(cell, verdict, before, codes)
+    if not any(stored.verdict == verdict for stored in cell.rows(row)):
+        what = f"{verdict.branch}.{verdict.operation}"
+        raise Unmet(f"{what} was rejected, but the journal has no row of it.")
+
+
+async def _check_rejected(cell: LabCell, verdict: Verdict, before: Snapshot, codes: Iterable[str]) -> None:
     what, known = f"{verdict.branch}.{verdict.operation}", list(codes)
     if verdict.decision != "rejected" or verdict.reason is None or verdict.reason.code not in known:
         raise Unmet(f"{what} was {verdict.decision} ({said(verdict)}), must be rejected: {', '.join(known)}.")
     after = await cell.client.state()
     if shape(after) != shape(before):
         raise Unmet(f"{what} was rejected, but the state changed: {before} became {after}.")
-    if not any(stored.verdict == verdict for stored in cell.rows(row)):
-        raise Unmet(f"{what} was rejected, but the journal has no row of it.")
 
 
 async def held(cell: LabCell, placements: Iterable[str] = ("held",), within: float = PATIENCE) -> None:

@@ -164,7 +164,7 @@ async def to_retracted(client: Client) -> None:
 async def to_standoff(client: Client) -> None:
     """The tool is at the standoff."""
     await register(client)
-    if await state(client, "placement") in ("placed", "following", "held"):
+    if await state(client, "placement") in ("placed", "following", "guided", "held"):
         await accept(client, "placement.back_off")
     if await state(client, "placement") != "standoff":
         await accept(client, "placement.approach")
@@ -269,7 +269,7 @@ async def injected(
         cell: Whose.
         fault: Name of `pcmrs-sim faults`.
         begin: Arguments that bring it about; ``on`` is added where `end` is not given.
-        end: Arguments that end it; by default those of `begin`, with ``on`` false.
+        end: Arguments that end it, none where it is over at once; by default those of `begin`, with ``on`` false.
     """
     began = dict(begin or {}) if end is not None else {**(begin or {}), "on": True}
     ended = end if end is not None else {**began, "on": False}
@@ -278,6 +278,11 @@ async def injected(
         yield
     except BaseException:
         with suppress(PcmrsError):  # what went wrong says more than that this fails, too
-            await cell.scene.inject(fault, ended)
+            await _end(cell, fault, ended)
         raise
-    await cell.scene.inject(fault, ended)
+    await _end(cell, fault, ended)
+
+
+async def _end(cell: LabCell, fault: str, arguments: dict[str, Any]) -> None:
+    if arguments:
+        await cell.scene.inject(fault, arguments)

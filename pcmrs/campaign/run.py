@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pcmrs
-from pcmrs.campaign.catalogue import NO_ACCESS_CONTROL, Row
+from pcmrs.campaign.catalogue import Row
 from pcmrs.campaign.fault import Injection, NotRun, Unmet, injections
 from pcmrs.campaign.lab import Lab, Pool
 from pcmrs.campaign.report import CampaignReport, FaultResult, Part, result_of, summarize
@@ -71,13 +71,8 @@ async def run_fault(row: Row, seed: int, folder: Path, pool: Pool, clock: Clock)
     if known:
         parts = [await run_injection(injection, seed, folder, pool, clock) for injection in known]
     else:
-        parts = [Part("", "", "not_run", why_not(row), 0.0)]
+        parts = [Part("", "", "not_run", NO_INJECTION, 0.0)]
     return result_of(row, seed, parts)
-
-
-def why_not(row: Row) -> str:
-    """Why a fault for which there is no injection is not run."""
-    return NO_ACCESS_CONTROL if row.access_control else NO_INJECTION
 
 
 async def run_injection(injection: Injection, seed: int, folder: Path, pool: Pool, clock: Clock) -> Part:

@@ -36,7 +36,7 @@ def call(operation: str, arguments: str, as_json: bool, address: Address) -> Non
     Example: pcmrs call digitization.digitize_one '{"index": 0}'
     """
     verdict = run(_call(address, operation, _arguments(arguments)))
-    click.echo(_json(verdict) if as_json else _line(verdict))
+    click.echo(_json(verdict) if as_json else event_line(verdict))
     if verdict.decision != "accepted" and verdict.allowed and not as_json:
         click.echo(f"  allowed now: {', '.join(verdict.allowed)}")
     sys.exit(STATUS[verdict.decision])
@@ -107,7 +107,7 @@ async def _watch(address: Address, *, as_json: bool) -> None:
                 text = f"{client.missed - missed} events are left out: they came faster than they were read."
                 click.echo(text, err=True)
                 missed = client.missed
-            click.echo(_json(event) if as_json else _line(event))
+            click.echo(_json(event) if as_json else event_line(event))
 
 
 async def _keys(address: Address) -> KeyTable:
@@ -134,7 +134,8 @@ def _json(message: msgspec.Struct) -> str:
     return msgspec.json.encode(message).decode()
 
 
-def _line(event: Event) -> str:
+def event_line(event: Event) -> str:
+    """A snapshot, a verdict or a device event on one line."""
     if isinstance(event, Snapshot):
         states = " ".join(f"{branch}={state}" for branch, state in event.branches.items())
         unknown = "".join(f" unknown {each.branch}.{each.operation}" for each in event.unknown)
@@ -142,7 +143,9 @@ def _line(event: Event) -> str:
         return f"#{event.sequence} {states}{running}{' LATCHED' if event.latched else ''}{unknown}"
     if isinstance(event, DeviceEvent):
         return f"{event.device}: {event.code}: {event.text}"
-    said = f"{event.decision}: {event.branch}.{event.operation}, {event.branch} is in {event.state or '?'}"
+    said = f"{event.decision}: {event.branch}.{event.operation}"
+    if event.state:
+        said += f", {event.branch} is in {event.state}"
     if event.reason is not None:
         said += f": {event.reason.code}: {event.reason.text}"
     return said + (f" {json.dumps(event.result)}" if event.result else "")

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import click
 from click.core import ParameterSource
 
+from pcmrs.bus import Credentials
 from pcmrs.client import Client
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -25,22 +26,47 @@ class Address:
     endpoint: str
     site: str
     cell: str
+    identity: Path | None = None
 
     @asynccontextmanager
     async def connect(self) -> AsyncIterator[Client]:
-        """A client of the running daemon. Raises `BusError` when there is none."""
-        async with Client.connect(self.endpoint, self.site, self.cell) as client:
+        """A client of the running daemon.
+
+        Raises:
+            BusError: There is none, or it does not let us in.
+            ConfigurationError: The identity cannot be used.
+        """
+        async with Client.connect(self.endpoint, self.site, self.cell, credentials=self.credentials()) as client:
             yield client
+
+    def credentials(self) -> Credentials | None:
+        """Of the identity; None on the cell's own machine. Raises `ConfigurationError`."""
+        if self.identity is None:
+            return None
+        from pcmrs.clock import SystemClock
+        from pcmrs.pki import read_credentials  # loads a library for certificates
+
+        return read_credentials(self.identity, SystemClock().wall())
+
+
+identity_option = click.option(
+    "--identity",
+    type=click.Path(path_type=Path, file_okay=False),
+    envvar="PCMRS_IDENTITY",
+    metavar="FOLDER",
+    help="Your certificate and key, as pcmrs pki issue has made them; needed from other machines.",
+)
 
 
 def address_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Adds --endpoint, --site and --cell; the command gets them as `address`."""
+    """Adds --endpoint, --site, --cell and --identity; the command gets them as `address`."""
 
     @functools.wraps(function)
-    def command(*, endpoint: str, site: str, cell: str, **given: Any) -> Any:
-        return function(address=Address(endpoint, site, cell), **given)
+    def command(*, endpoint: str, site: str, cell: str, identity: Path | None, **given: Any) -> Any:
+        return function(address=Address(endpoint, site, cell, identity), **given)
 
     for option in (
+        identity_option,
         click.option("--cell", default="cell1", envvar="PCMRS_CELL", show_default=True, help="Name of the cell."),
         click.option("--site", default="lab", envvar="PCMRS_SITE", show_default=True, help="Site of the cell."),
         click.option(
@@ -48,7 +74,7 @@ def address_options(function: Callable[..., Any]) -> Callable[..., Any]:
             default="tcp/127.0.0.1:7447",
             envvar="PCMRS_ENDPOINT",
             show_default=True,
-            help="Where the daemon's bus listens.",
+            help="Where the daemon's bus listens, or a router: tls/HOST:PORT with --identity.",
         ),
     ):
         command = option(command)

@@ -16,9 +16,10 @@ from pcmrs.messages.roles import ROLES, Role
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load a library for certificates.
-    from pcmrs.pki import Identity
+    from pcmrs.messages.identity import Identity
 
-COMMANDS = {name: f"pcmrs.cli.pki:{name}" for name in ("init", "issue", "revoke")} | {"list": "pcmrs.cli.pki:list_"}
+COMMANDS = {name: f"pcmrs.cli.pki:{name}" for name in ("init", "issue", "revoke", "roles")}
+COMMANDS["list"] = "pcmrs.cli.pki:list_"
 
 folder_option = click.option(
     "--folder",
@@ -67,6 +68,15 @@ def init(site: str, folder: Path, as_json: bool) -> None:
     "--host", "hosts", multiple=True, help="Name or address at which a daemon or router is dialled; may be repeated."
 )
 @click.option(
+    "--cell",
+    "cells",
+    multiple=True,
+    metavar="SITE/CELL",
+    default=("*/*",),
+    show_default="every cell",
+    help="Cell in which it may do that, such as lab/cell1 or lab/*; may be repeated.",
+)
+@click.option(
     "-o",
     "--output",
     type=click.Path(path_type=Path, file_okay=False),
@@ -78,18 +88,25 @@ def init(site: str, folder: Path, as_json: bool) -> None:
 @json_option
 @readable_errors
 def issue(
-    role: Role, name: str, days: float, hosts: tuple[str, ...], output: Path, folder: Path, as_json: bool
+    role: Role,
+    name: str,
+    days: float,
+    hosts: tuple[str, ...],
+    cells: tuple[str, ...],
+    output: Path,
+    folder: Path,
+    as_json: bool,
 ) -> None:
     """Give NAME a certificate for ROLE, with a new key; again for one that ends soon.
 
     NAME stands in the bus keys that are this identity's own, such as cmd/NAME/**. Exit status: 0 issued, 2 the files
-    cannot be written, 4 name, role or hosts are not possible.
+    cannot be written, 4 name, role, hosts or cells are not possible.
 
-    Example: pcmrs pki issue operator anna --days 7
+    Example: pcmrs pki issue operator anna --days 7 --cell lab/cell1
     """
     from pcmrs.pki import Authority
 
-    issued = Authority(folder).issue(role, name, _now(), days=days, hosts=hosts, into=output)
+    issued = Authority(folder).issue(role, name, _now(), days=days, hosts=hosts, cells=cells, into=output)
     if as_json:
         click.echo(msgspec.json.encode(issued).decode())
     else:
@@ -139,10 +156,21 @@ def list_(folder: Path, as_json: bool) -> None:
     if as_json:
         click.echo(msgspec.json.encode(identities).decode())
         return
-    table, now = Table("name", "role", "until", "state", box=SIMPLE_HEAD), _now()
+    table, now = Table("name", "role", "cells", "until", "state", box=SIMPLE_HEAD), _now()
     for each in identities:
-        table.add_row(each.name, each.role, _day(each.ends), _state(each, now))
+        table.add_row(each.name, each.role, " ".join(each.cells), _day(each.ends), _state(each, now))
     Console().print(table)
+
+
+@click.command()
+@json_option
+@readable_errors
+def roles(as_json: bool) -> None:
+    """Say what each role may do on the bus: the table from which the access control of routers and daemons is made."""
+    from pcmrs.bus.keys import KEYS
+    from pcmrs.bus.roles import roles_as_markdown
+
+    click.echo(msgspec.json.encode(KEYS).decode() if as_json else roles_as_markdown(), nl=as_json)
 
 
 def _state(identity: Identity, now: float) -> str:

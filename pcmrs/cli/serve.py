@@ -87,6 +87,8 @@ def _text(ready: Ready) -> str:
         f"pcmrs-serve: {ready.workflow}{faster}. Research software, not a medical device.",
         f"  bus            {ready.endpoint}, keys {ready.prefix}/** (list them: pcmrs keys)",
     ]
+    lines += [f"  from outside   {endpoint}" for endpoint in ready.listen]
+    lines += [f"  router         {endpoint}" for endpoint in ready.routers]
     for name, (host, port) in ready.links.items():
         lines.append(f"  {name:<14} {'tcp' if name in TCP_LINKS else 'udp'} {host}:{port}")
     lines.append(f"  journal        {ready.journal}")

@@ -73,6 +73,11 @@ class Activities(Generic[C, D]):
         for each in moving:
             await each.quiet.wait()
 
+    @property
+    def moving(self) -> bool:
+        """Whether one that moves the robot goes on."""
+        return any(each.spec.moves and not each.quiet.is_set() for each in self._pursuits)
+
     def end_moving(self) -> list[asyncio.Task[bool]]:
         """Ends those that move the robot, as Stop does; returns what is to be waited for: see `Pursuit.task`."""
         moving = [each for each in self._pursuits if each.spec.moves and not each.quiet.is_set()]

@@ -74,6 +74,8 @@ class Activity(Generic[C, D]):
             branch=branch,
             operation=operation,
             source=self.source,
+            user=self.command.user,
+            role="daemon",
             arguments=arguments,
             parent=self.command.id,
         )

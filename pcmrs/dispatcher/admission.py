@@ -12,6 +12,7 @@ from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import RefusalError
 from pcmrs.fsm import OperationSpec
 from pcmrs.messages import Command
+from pcmrs.messages.roles import COMMANDING
 
 EVENT_SOURCES = ("device:", "detector:", "timer:", "operation:", "activity:")
 
@@ -42,6 +43,20 @@ def find_operation(workflow: Workflow[Any, Any], command: Command) -> OperationS
         text = f"{command.branch}.{command.operation} is called by a device, detector or timer only."
         raise RefusalError("event_operation", text, operation=command.operation, source=command.source)
     return spec
+
+
+def check_role(command: Command, spec: OperationSpec) -> None:
+    """Refuses what the role of whoever asks does not allow, whatever an edge or a router has let through.
+
+    Raises:
+        RefusalError: ``role_not_allowed``.
+    """
+    if command.source.startswith(EVENT_SOURCES):
+        return
+    allowed = [role for role in COMMANDING if not spec.roles or role in spec.roles]
+    if command.role not in allowed:
+        text = f"A {command.role} may not ask for {command.branch}.{command.operation}: {' or '.join(allowed)} may."
+        raise RefusalError("role_not_allowed", text, user=command.user, role=command.role, allowed=allowed)
 
 
 def read_payload(workflow: Workflow[Any, Any], command: Command, spec: OperationSpec) -> msgspec.Struct:

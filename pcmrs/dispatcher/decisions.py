@@ -111,6 +111,11 @@ class Decisions(Generic[C, D]):
         else:
             durable.add_done_callback(partial(self._commit, conclusion, verdict))
 
+    def answer_unrecorded(self, conclusion: Conclusion[C, D]) -> None:
+        """Answers what changes nothing that a later decision could rest on."""
+        verdict = self._verdict(conclusion, conclusion.decision, conclusion.reason, self._procedure.joint())
+        self._memory.settle(conclusion.verdict, verdict)
+
     def break_off(self, conclusion: Conclusion[C, D], error: BaseException) -> None:
         """Answers a command that the dispatcher itself could not bring to its end."""
         log.error("dispatcher_broken", command=conclusion.command.id, exc_info=error)

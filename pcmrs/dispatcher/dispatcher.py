@@ -12,12 +12,13 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.activities import Activities
-from pcmrs.dispatcher.admission import check_fresh, find_operation, read_payload
+from pcmrs.dispatcher.admission import check_fresh, check_role, find_operation, read_payload
 from pcmrs.dispatcher.attempt import Attempt, locks_for
 from pcmrs.dispatcher.decisions import Conclusion, Decisions, reason_for
 from pcmrs.dispatcher.events import DAEMON, REOPENED, SHUTDOWN, failed, not_confirmed, stopped
 from pcmrs.dispatcher.hold import Hold
 from pcmrs.dispatcher.lanes import Lanes
+from pcmrs.dispatcher.lease import LEASE, RENEW, TAKEN, Lease
 from pcmrs.dispatcher.memory import Memory
 from pcmrs.dispatcher.perform import reason_of
 from pcmrs.dispatcher.performer import Performer
@@ -51,8 +52,10 @@ class Dispatcher(Generic[C, D]):
         recorder: The journal.
         hold: Holds the robot and returns when it stands still; raises when that is not confirmed.
         publish: Called in the event loop with every new snapshot, verdict and device event.
+        lease_required: Somebody has to hold the cell before commands are taken.
 
     Attributes:
+        lease: Who holds the cell.
         in_doubt: The hold of a stop or a failure has not been confirmed, and nobody has acknowledged that since.
     """
 
@@ -64,7 +67,10 @@ class Dispatcher(Generic[C, D]):
         recorder: Recorder,
         hold: Callable[[], Awaitable[object]],
         publish: Callable[[Snapshot | Verdict | DeviceEvent], None],
+        *,
+        lease_required: bool = False,
     ) -> None:
+        self.lease = Lease(clock, required=lease_required)
         self.procedure = Procedure(workflow)
         self._workflow = workflow
         self._clock = clock
@@ -93,7 +99,7 @@ class Dispatcher(Generic[C, D]):
     def snapshot(self) -> Snapshot:
         """The joint state of all branches, and what is running and going on."""
         running = [attempt.shown for attempt in self._lanes.running if attempt.begun and not attempt.verdict.done()]
-        return self.procedure.snapshot(running, self._activities.shown(), self._unsettled.shown())
+        return self.procedure.snapshot(running, self._activities.shown(), self._unsettled.shown(), self.lease.state)
 
     @property
     def broken(self) -> Reason | None:
@@ -167,6 +173,7 @@ class Dispatcher(Generic[C, D]):
 
     async def report(self, event: DeviceEvent) -> None:
         """Takes a device's event: danger goes the way of Stop; then its event operations are submitted."""
+        self.lease.follow(event)
         if event.danger:
             await self.stop(f"device:{event.device}", Reason(code=event.code, text=event.text, fields=event.fields))
         else:
@@ -176,7 +183,9 @@ class Dispatcher(Generic[C, D]):
             if operation is not None and operation.event:
                 command_id = f"{event.code}-{uuid.uuid4().hex}"
                 source = f"device:{event.device}"
-                await self.submit(Command(id=command_id, branch=name, operation=event.code, source=source))
+                await self.submit(
+                    Command(id=command_id, branch=name, operation=event.code, source=source, user=DAEMON, role="daemon")
+                )
 
     def report_later(self, event: DeviceEvent) -> None:
         """Reports an event without waiting until it is durable."""
@@ -276,8 +285,12 @@ class Dispatcher(Generic[C, D]):
 
     def _admit(self, command: Command, verdict: asyncio.Future[Verdict]) -> None:
         """Turns a command into an attempt that starts, waits or is rejected."""
+        if command.branch == LEASE:
+            self._admit_lease(command, verdict)
+            return
         try:
             spec = find_operation(self._workflow, command)
+            check_role(command, spec)
             check_fresh(self._clock, command)
             payload = read_payload(self._workflow, command, spec)
         except PcmrsError as error:
@@ -294,9 +307,26 @@ class Dispatcher(Generic[C, D]):
         else:
             self._performer.start(attempt)
 
-    def _too_old(self, attempt: Attempt) -> Reason | None:
+    def _admit_lease(self, command: Command, verdict: asyncio.Future[Verdict]) -> None:
+        """Decides at once; what renews a lease changes nothing, and leaves no row."""
+        before = self.lease.holder
+        reason = self._broken or self._too_old(command) or self.lease.decide(command)
+        if reason is not None:
+            self._reject(command, verdict, reason)
+        elif command.operation == RENEW:
+            self._decisions.answer_unrecorded(Conclusion(command, verdict, "accepted"))
+        else:
+            self._decisions.conclude(Conclusion(command, verdict, "accepted"))
+        if before not in (None, self.lease.holder) and self._moves():
+            text = f"{before} does not hold this cell any more, and the robot moves."
+            self._tasks.spawn(self.stop(command.source, Reason(code=TAKEN, text=text)))
+
+    def _moves(self) -> bool:
+        return self._activities.moving or any(attempt.moves for attempt in self._lanes.running)
+
+    def _too_old(self, command: Command) -> Reason | None:
         try:
-            check_fresh(self._clock, attempt.command)
+            check_fresh(self._clock, command)
         except PcmrsError as error:
             return reason_of(error)
         return None
@@ -306,14 +336,14 @@ class Dispatcher(Generic[C, D]):
             release = " or ".join(self._workflow.blueprint.unlatching)
             text = f"{attempt.name} is not allowed while Stop is latched: acknowledge with {release} first."
             return Reason(code="latched", text=text)
-        return self._broken
+        return self._broken or self.lease.objection(attempt.command)
 
     def _start_waiting(self) -> None:
         """Asks again for everything that waited: it starts, waits on, or is rejected."""
         for attempt in self._lanes.take_waiting():
             answer = self.procedure.ask(attempt.command.branch, attempt.command.operation)
             attempt.locks = locks_for(self._workflow.blueprint, attempt.command, answer)
-            reason = self._barred(attempt) or self._too_old(attempt) or _denied(answer)
+            reason = self._barred(attempt) or self._too_old(attempt.command) or _denied(answer)
             if self._lanes.blocked(attempt):
                 self._lanes.waiting.append(attempt)
             elif reason is not None:
@@ -369,6 +399,8 @@ class Dispatcher(Generic[C, D]):
                     branch=branch,
                     operation=operation,
                     source=f"operation:{parent.source}",
+                    user=parent.user,
+                    role="daemon",
                     arguments=arguments,
                     parent=parent.id,
                 )

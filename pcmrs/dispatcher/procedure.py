@@ -11,7 +11,7 @@ from pcmrs.dispatcher.run import C, D
 from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Change, Closure, Denial, Engine, flags_of
-from pcmrs.messages import BlueprintTag, Ongoing, Running, Snapshot, UnknownOutcome
+from pcmrs.messages import BlueprintTag, LeaseState, Ongoing, Running, Snapshot, UnknownOutcome
 
 
 class Procedure(Generic[C, D]):
@@ -87,7 +87,13 @@ class Procedure(Generic[C, D]):
         """Nothing is being journalled: no row shows other states than the present ones."""
         self._promised = self.joint()
 
-    def snapshot(self, running: list[Running], activities: list[Ongoing], unknown: list[UnknownOutcome]) -> Snapshot:
+    def snapshot(
+        self,
+        running: list[Running],
+        activities: list[Ongoing],
+        unknown: list[UnknownOutcome],
+        lease: LeaseState | None = None,
+    ) -> Snapshot:
         """What the world is shown."""
         blueprint = self.blueprint
         return Snapshot(
@@ -101,4 +107,5 @@ class Procedure(Generic[C, D]):
             registration=self.data.registration_id,
             activities=activities,
             unknown=unknown,
+            lease=lease,
         )

@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from pcmrs.messages.roles import Role
+
 Motion = Literal["none", "approach", "retreat"]
 
 Requirement = dict[str, list[str]]
@@ -57,7 +59,7 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
         timeout_s: Deadline for all steps together, in s of the cell's clock.
         requires: What must hold while it runs.
         refusal: Code of the rejection when `requires` does not hold, or one for each branch in it.
-        roles: Who may ask for it; empty for everybody who may send commands.
+        roles: Who of those who may ask for operations may ask for this one; empty for all of them.
         motion: Whether it moves the robot, and which way.
         acts: It acts on the patient without moving the robot, as drilling does: refused while Stop is latched, and
             never kept waiting for others, as motions are.
@@ -81,7 +83,7 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
     timeout_s: float = 5.0
     requires: Requirement = {}
     refusal: str | dict[str, str] = UNMET
-    roles: list[str] = []
+    roles: list[Role] = []
     motion: Motion = "none"
     acts: bool = False
     rio: bool = False

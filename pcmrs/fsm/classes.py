@@ -20,6 +20,9 @@ from pcmrs.fsm.state import State
 RESERVED = frozenset(name for name in dir(State) if not name.startswith("_")) | {"active", "self"}
 """Names that an operation or branch cannot have: the state classes use them."""
 
+LINE = 120
+"""Characters of the longest line of a table that is not broken up."""
+
 
 def class_name(branch: str) -> str:
     """Name of a branch's class: ``tool_plan`` is ``ToolPlanBranch``."""
@@ -88,12 +91,13 @@ def _relations(branch: BranchSpec) -> Iterator[str]:
 def _constant(name: str, operation: OperationSpec) -> Iterator[str]:
     yield f"    {name.upper()} = OperationSpec("
     for key, value in _given(operation):
-        if key == "outcomes":
-            yield "        outcomes={"
-            yield from (f"            {_literal(n)}: {_literal(o)}," for n, o in operation.outcomes.items())
+        line, raw = f"        {key}={value},", getattr(operation, key)
+        if isinstance(raw, dict) and (key == "outcomes" or len(line) > LINE):
+            yield f"        {key}={{"
+            yield from (f"            {_literal(n)}: {_literal(o)}," for n, o in raw.items())
             yield "        },"
         else:
-            yield f"        {key}={value},"
+            yield line
     yield "    )"
 
 

@@ -18,6 +18,7 @@ from pcmrs.gateway.refusals import Refusals
 from pcmrs.gateway.series import LandmarkSeries, PlanLock, PosePair
 from pcmrs.gateway.streams import Streams
 from pcmrs.messages import Command
+from pcmrs.messages.identity import Asker
 
 Job = Callable[[], Awaitable[Outcome]]
 
@@ -51,13 +52,15 @@ class Actions:
     """The actions of one peer.
 
     Args:
-        source: Who the peer is, as the daemon records it.
+        source: Who the peer is and which way it came, as the daemon records it.
+        asker: Who the peer is, and what it may do.
         services: What all peers share.
         lock: The plan lock of the peer's host, or its own when it signs.
     """
 
-    def __init__(self, source: str, services: Services, lock: PlanLock) -> None:
+    def __init__(self, source: str, asker: Asker, services: Services, lock: PlanLock) -> None:
         self.source = source
+        self._asker = asker
         self._services = services
         self._core = services.core
         self._lock = lock
@@ -149,7 +152,15 @@ class Actions:
         self, request: Request, number: int, branch: str, operation: str, arguments: dict[str, Any]
     ) -> Outcome:
         unique = f"{self._services.run}-{request.id}-{number}" if request.id is not None else uuid4().hex
-        command = Command(id=unique, branch=branch, operation=operation, source=self.source, arguments=arguments)
+        command = Command(
+            id=unique,
+            branch=branch,
+            operation=operation,
+            source=self.source,
+            user=self._asker.user,
+            role=self._asker.role,
+            arguments=arguments,
+        )
         verdict = await self._core.submit(command)
         if (verdict.branch, verdict.operation) != (branch, operation):
             # The daemon recalled an earlier command: another one, or this one when it took other steps.

@@ -13,6 +13,7 @@ from pcmrs.gateway.keys import read_key
 from pcmrs.gateway.permissions import allowed
 from pcmrs.gateway.settings import PeerConfig
 from pcmrs.gateway.signing import Signed
+from pcmrs.messages.identity import Asker
 
 UNKNOWN_PEER = "unknown_peer"
 BAD_TAG = "bad_tag"
@@ -51,6 +52,11 @@ class SignedPeer:
     def source(self) -> str:
         """Who it is, as the daemon records it, whatever address it has."""
         return f"peer:{self.name}"
+
+    @property
+    def asker(self) -> Asker:
+        """Who asks, and what they may do."""
+        return Asker(self.name, self._config.role)
 
     def accept(self, signed: Signed) -> None:
         """Takes a datagram as this peer's, and its counter as used.

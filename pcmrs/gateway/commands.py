@@ -124,7 +124,7 @@ def _surface(values: tuple[Value, ...]) -> dict[str, Any]:
 _XYZ = (Kind.NUMBER,) * 3
 _INDEX = (Kind.COUNT,)
 _BACK_OFF_UNLESS_RETRACTED = Step(
-    "placement", "back_off", only_in=("unknown", "standoff", "placed", "following", "held")
+    "placement", "back_off", only_in=("unknown", "standoff", "placed", "following", "guided", "held")
 )
 _REOPEN_IF_ALL_DIGITIZED = Step("digitization", "redigitize_one", only_in=("1",))
 

@@ -12,7 +12,7 @@ from typing import Final
 import msgspec
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.journal.files import write_durably
+from pcmrs.files import write_durably
 
 MOST_NAMES: Final = 128
 """Peers that are remembered, those that are no longer configured too: whoever comes back must not be replayed."""

@@ -17,6 +17,7 @@ from pcmrs.gateway.series import PlanLock
 from pcmrs.gateway.session import QUEUE_FULL, Answer, Session
 from pcmrs.gateway.signing import Signed, split
 from pcmrs.gateway.tasks import Tasks
+from pcmrs.messages.identity import ON_SITE, Asker
 
 MAX_SESSIONS = 256
 STREAMS = ("tcp", "openigtlink")
@@ -133,7 +134,7 @@ class Intake:
             self._services.streams.relay_tool_points(points_mm)
             return
         request = _as_meant(link, parse(data))
-        self._session(source_of(link, peer), peer[0]).receive(request, answer)
+        self._session(source_of(link, peer), peer[0], ON_SITE).receive(request, answer)
 
     def _receive_signed(self, link: str, signed: Signed, answer: Answer) -> None:
         """What is known to be a peer's is answered, refused or not; what is not raises, and nobody learns of it."""
@@ -152,20 +153,20 @@ class Intake:
         """Begins a peer's command; its session, lock and ids are its own, whatever address it sends from."""
         if refusal is not None:
             self._count(refusal.refusal_code)
-        self._session(peer.source, peer.source).receive(request, answer, refusal)
+        self._session(peer.source, peer.source, peer.asker).receive(request, answer, refusal)
 
-    def _session(self, source: str, holder: str) -> Session:
+    def _session(self, source: str, holder: str, asker: Asker) -> Session:
         """The session of a source, moved to the end of the order in which idle ones are forgotten."""
-        session = self._sessions.pop(source, None) or self._new_session(source, holder)
+        session = self._sessions.pop(source, None) or self._new_session(source, holder, asker)
         self._sessions[source] = session
         return session
 
-    def _new_session(self, source: str, holder: str) -> Session:
+    def _new_session(self, source: str, holder: str, asker: Asker) -> Session:
         if len(self._sessions) >= MAX_SESSIONS:
             oldest_idle = next((key for key, session in self._sessions.items() if session.idle), None)
             if oldest_idle is not None:
                 del self._sessions[oldest_idle]
-        actions = Actions(source, self._services, self.lock(holder))
+        actions = Actions(source, asker, self._services, self.lock(holder))
         return Session(actions, self._clock, self._tasks, self._memory, self._count_overflow)
 
     def _count(self, reason: str) -> None:

@@ -8,9 +8,8 @@ import secrets
 from pathlib import Path
 
 from pcmrs.errors import ConfigurationError
+from pcmrs.files import SECRET, read_secret
 from pcmrs.gateway.signing import KEY_BYTES
-
-MODE = 0o600
 
 _HEX = re.compile(r"[0-9a-fA-F]{64}\n?")
 
@@ -23,7 +22,7 @@ def new_key(path: Path) -> None:
         OSError: It cannot be written.
     """
     try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, MODE)
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, SECRET)
     except FileExistsError:
         raise ConfigurationError(
             f"{path} exists, and whoever has this key would be locked out. Remove it first, or take another name.",
@@ -42,20 +41,10 @@ def read_key(path: Path) -> bytes:
         ConfigurationError: The file cannot be read, others than its owner may use it, or it holds no key.
     """
     try:
-        with path.open("rb") as file:
-            mode = os.fstat(file.fileno()).st_mode & 0o777
-            content = file.read(2 * KEY_BYTES + 2)
+        content = read_secret(path)
     except OSError as error:
         text = f"The key {path} cannot be read ({error.strerror}); make one with: pcmrs peers new NAME."
         raise ConfigurationError(text, file=str(path)) from None
-    if mode & 0o077:
-        raise ConfigurationError(
-            f"The key {path} has mode {mode:04o}: others than its owner may use it. The limit is {MODE:04o}: "
-            f"chmod 600 {path}, and make a new key if somebody may have read it.",
-            file=str(path),
-            mode=f"{mode:04o}",
-            limit=f"{MODE:04o}",
-        )
     text = content.decode("ascii", "replace")
     if not _HEX.fullmatch(text):
         # What the file holds is told to nobody: it may be most of a key.

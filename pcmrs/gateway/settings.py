@@ -12,6 +12,7 @@ import msgspec
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.permissions import DEFAULT, allowed
 from pcmrs.gateway.signing import PEER_NAME
+from pcmrs.hosts import is_loopback
 
 MAX_PEERS = 64
 
@@ -93,6 +94,7 @@ class PeerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     Attributes:
         key_file: Its key: an absolute path, or one that begins with ``~``; see ``pcmrs peers new``.
+        role: What the daemon lets it do; motion is for operators and teleoperators.
         allow: Commands and groups of commands that it may give. Stop may always be given.
         rate: Commands per second that it may give in the long run; Stop is never limited.
         burst: Commands that it may give at once: a plan is one for each landmark and two more.
@@ -102,6 +104,7 @@ class PeerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """
 
     key_file: str
+    role: Literal["operator", "planner", "teleoperator"] = "planner"
     allow: tuple[str, ...] = DEFAULT
     rate: float = 50.0
     burst: int = 200
@@ -202,11 +205,3 @@ def _check_ipv4(name: str, host: str) -> None:
             f"{name} is {host!r}; it must be an IPv4 address such as 192.0.2.7. Write the address that a name has.",
             **{name: host},
         ) from None
-
-
-def is_loopback(host: str) -> bool:
-    """Whether `host` is an IP address of this machine's loopback."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

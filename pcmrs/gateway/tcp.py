@@ -14,8 +14,8 @@ from pcmrs.errors import PayloadError
 from pcmrs.gateway.grammar import MAX_BYTES
 from pcmrs.gateway.intake import Intake
 from pcmrs.gateway.session import Answer
-from pcmrs.gateway.settings import is_loopback
 from pcmrs.gateway.tasks import Tasks
+from pcmrs.hosts import is_loopback
 
 LINK = "tcp"
 SIGNS = b"|;"

@@ -7,7 +7,8 @@ from typing import Any, cast
 
 from pcmrs.gateway.intake import Intake
 from pcmrs.gateway.session import Answer
-from pcmrs.gateway.settings import LinkConfig, is_loopback
+from pcmrs.gateway.settings import LinkConfig
+from pcmrs.hosts import is_loopback
 
 UNKNOWN_PEER = ("unknown", 0)
 

@@ -16,7 +16,7 @@ from typing import Final
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from pcmrs.errors import JournalError
-from pcmrs.journal.files import write_durably
+from pcmrs.files import write_durably
 from pcmrs.journal.keys import signed_by
 from pcmrs.journal.rows import START, Place
 

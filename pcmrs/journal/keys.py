@@ -9,8 +9,8 @@ from cryptography.exceptions import InternalError, InvalidSignature, Unsupported
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
-from pcmrs.errors import JournalError
-from pcmrs.journal.files import write_durably
+from pcmrs.errors import ConfigurationError, JournalError
+from pcmrs.files import SECRET, read_secret, write_durably
 
 PRIVATE: Final = "journal.key"
 PUBLIC: Final = "journal.pub"
@@ -78,18 +78,14 @@ def _make(path: Path) -> None:
     private = Ed25519PrivateKey.generate().private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
-    write_durably(path, private, mode=0o600)
+    write_durably(path, private, mode=SECRET)
 
 
 def _read_private(path: Path) -> Ed25519PrivateKey:
-    if mode := path.stat().st_mode & 0o077:
-        raise JournalError(
-            f"{path} may be read by others (mode {mode:03o} for group and others, 000 is needed): `chmod 600 {path}`, "
-            "and begin anew in another cell.folder if somebody may have copied it.",
-            path=str(path),
-        )
     try:
-        key = serialization.load_pem_private_key(path.read_bytes(), None)
+        key = serialization.load_pem_private_key(read_secret(path), None)
+    except ConfigurationError as error:
+        raise JournalError(error.text, path=str(path)) from error
     except _NO_KEY as error:
         raise JournalError(f"{path} is not a private key: {error}. Put it back from a copy.", path=str(path)) from error
     if not isinstance(key, Ed25519PrivateKey):

@@ -10,6 +10,7 @@ import msgspec
 
 from pcmrs.errors import JournalError
 from pcmrs.messages import BlueprintTag, Message, Verdict
+from pcmrs.messages.roles import Role
 
 Kind = Literal["intent", "outcome", "event", "device", "snapshot", "config"]
 
@@ -36,7 +37,9 @@ class JournalRow(Message, frozen=True, kw_only=True):
         kind: ``intent`` before an operation's first step, ``outcome`` with its verdict, ``device`` for what
             a device reported, ``event`` for what the daemon did by itself, ``snapshot``, ``config``.
         command_id: Unique per source for intents, and for outcomes.
-        source: Who asked, such as ``udp:planner:127.0.0.1``.
+        source: Who asked and which way, such as ``udp:planner:127.0.0.1``.
+        user: Who that was; None in rows of versions that did not ask.
+        role: What they may do; None likewise.
         states: State of every branch afterwards.
         result: Results of steps that later decisions depend on.
         parent: Id of the command whose step submitted this one.
@@ -55,6 +58,8 @@ class JournalRow(Message, frozen=True, kw_only=True):
     blueprint: BlueprintTag
     command_id: str | None = None
     source: str | None = None
+    user: str | None = None
+    role: Role | None = None
     branch: str | None = None
     operation: str | None = None
     arguments: dict[str, Any] | None = None

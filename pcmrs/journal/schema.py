@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from pcmrs.errors import JournalError
-from pcmrs.journal.files import publish
+from pcmrs.files import publish
 from pcmrs.journal.rows import Kind
 
 HEADLESS: Final = 1

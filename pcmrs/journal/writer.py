@@ -9,7 +9,7 @@ from typing import Final
 
 from pcmrs.errors import JournalError
 from pcmrs.failpoints import failpoint
-from pcmrs.journal.files import settle_on_disk
+from pcmrs.files import settle_on_disk
 from pcmrs.journal.head import Head, HeadFile, begin_head, head_path
 from pcmrs.journal.notes import note_rows, reopened_rows
 from pcmrs.journal.rows import START, JournalRow, Place, chain_hash, encode_row

@@ -20,8 +20,9 @@ from pcmrs.messages.robot import (
     ServoSession,
 )
 from pcmrs.messages.scene import HeadBurst, HeadMotion, HeadStep, SceneTruth
-from pcmrs.messages.snapshot import BlueprintTag, Flags, Ongoing, Running, Snapshot, UnknownOutcome
+from pcmrs.messages.snapshot import BlueprintTag, Flags, LeaseState, Ongoing, Running, Snapshot, UnknownOutcome
 from pcmrs.messages.stimulation import Epoch, FiredPulse, StimulatorState
+from pcmrs.messages.teleop import TeleopSetpoint, TeleopStatus
 
 __all__ = [
     "Beat",
@@ -45,6 +46,7 @@ __all__ = [
     "JournalPage",
     "JournalQuery",
     "LandmarkPrompt",
+    "LeaseState",
     "Message",
     "MotionOutcome",
     "MotionResult",
@@ -58,6 +60,8 @@ __all__ = [
     "Snapshot",
     "StimulatorState",
     "Target",
+    "TeleopSetpoint",
+    "TeleopStatus",
     "UnknownOutcome",
     "Verdict",
 ]

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from pcmrs.messages.base import Message
+from pcmrs.messages.identity import ON_SITE
+from pcmrs.messages.roles import Role
 
 Decision = Literal["accepted", "rejected", "failed", "unknown"]
 
@@ -14,7 +16,9 @@ class Command(Message, frozen=True, kw_only=True):
 
     Attributes:
         id: Unique per source; a repeat returns the recorded verdict and runs nothing.
-        source: Who asks, such as ``udp:planner:127.0.0.1`` or ``bus:local``.
+        source: Who asks and which way, such as ``udp:planner:127.0.0.1`` or ``bus:local``.
+        user: Who that is: see `Asker`.
+        role: What they may do; the dispatcher holds them to it.
         sent: Unix seconds at which it was sent, if the sender said so.
         ttl: Seconds after `sent` beyond which it is refused as expired.
         parent: Id of the command whose step submitted this one.
@@ -24,6 +28,8 @@ class Command(Message, frozen=True, kw_only=True):
     branch: str
     operation: str
     source: str
+    user: str = ON_SITE.user
+    role: Role = ON_SITE.role
     arguments: dict[str, Any] = {}
     sent: float | None = None
     ttl: float | None = None

@@ -132,6 +132,7 @@ class HealthFacts(Message, frozen=True, kw_only=True, omit_defaults=False):
         in_doubt: A stopped robot has not confirmed that it stands.
         recording: Why the session is not recorded any more; empty while it is, or is not to be.
         metrics: Why metrics are not served; empty while they are, or are not to be.
+        certificate: Until the daemon's own certificate ends, s of the wall clock; None where it has none.
         strays: Failures in the loop that belong to no task.
         datagrams: Datagrams and TCP frames that arrived at the gateway.
         dropped: What was dropped, refused or replaced since the start, by what and where.
@@ -147,6 +148,7 @@ class HealthFacts(Message, frozen=True, kw_only=True, omit_defaults=False):
     in_doubt: bool
     recording: str
     metrics: str
+    certificate: float | None
     journal: JournalStatus
     tasks: list[TaskStanding]
     nodes: list[NodeStatus]

@@ -49,6 +49,13 @@ class BlueprintTag(Message, frozen=True, kw_only=True, omit_defaults=False):
     hash: str
 
 
+class LeaseState(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Who holds the cell, and who asks to have it instead."""
+
+    holder: str
+    asking: str | None = None
+
+
 class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
     """The joint state of all branches after one commit.
 
@@ -57,6 +64,7 @@ class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
         registration: Id of the accepted registration, if any.
         activities: What goes on besides operations, until the state it belongs to is left.
         unknown: Outcomes that nobody knows and no operator has settled yet, of earlier runs of the daemon too.
+        lease: None while nobody holds the cell.
     """
 
     sequence: int
@@ -69,6 +77,7 @@ class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
     registration: str | None = None
     activities: list[Ongoing] = []
     unknown: list[UnknownOutcome] = []
+    lease: LeaseState | None = None
 
 
 class Flags(Message, frozen=True, kw_only=True, omit_defaults=False):

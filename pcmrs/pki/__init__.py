@@ -1,7 +1,7 @@
 """Who may take part: a local certificate authority for the cells of one lab."""
 
 from pcmrs.pki.authority import Authority, Issued
-from pcmrs.pki.identity import Identity
-from pcmrs.pki.keyfile import check_private
+from pcmrs.pki.own import check_registered, read_credentials
+from pcmrs.pki.register import read_register
 
-__all__ = ["Authority", "Identity", "Issued", "check_private"]
+__all__ = ["Authority", "Issued", "check_registered", "read_credentials", "read_register"]

@@ -13,11 +13,12 @@ from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.journal.files import write_durably
+from pcmrs.files import SECRET, write_durably
+from pcmrs.messages.identity import EVERY_CELL, Identity, check_cells, check_name
 from pcmrs.messages.roles import INFRASTRUCTURE, ROLES, Role
 from pcmrs.pki.certificates import CLOCKS_DIFFER, authority_certificate, certificate
-from pcmrs.pki.identity import Identity, check_name
 from pcmrs.pki.keyfile import key_bytes, new_key, read_key
+from pcmrs.pki.register import read_register
 
 KEY: Final = "ca.key"
 CERTIFICATE: Final = "ca.pem"
@@ -75,7 +76,7 @@ class Authority:
             raise ConfigurationError(text, path=str(folder))
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         key = new_key()
-        write_durably(folder / KEY, key_bytes(key), mode=0o600)
+        write_durably(folder / KEY, key_bytes(key), mode=SECRET)
         write_durably(folder / REGISTER, b"[]\n", mode=0o644)
         own = authority_certificate(key, site, now - CLOCKS_DIFFER).public_bytes(Encoding.PEM)
         write_durably(folder / CERTIFICATE, own, mode=0o644)
@@ -87,16 +88,18 @@ class Authority:
         Raises:
             ConfigurationError: The register cannot be read.
         """
-        path = self.folder / REGISTER
-        try:
-            return msgspec.json.decode(path.read_bytes(), type=list[Identity])
-        except (OSError, msgspec.DecodeError) as error:
-            raise ConfigurationError(
-                f"{path} cannot be read: {error}. Put it back from a copy.", path=str(path)
-            ) from None
+        return read_register(self.folder / REGISTER)
 
     def issue(
-        self, role: Role, name: str, now: float, *, days: float = DAYS, hosts: Sequence[str] = (), into: Path
+        self,
+        role: Role,
+        name: str,
+        now: float,
+        *,
+        days: float = DAYS,
+        hosts: Sequence[str] = (),
+        cells: Sequence[str] = EVERY_CELL,
+        into: Path,
     ) -> Issued:
         """Issues a certificate with a new key; a name that has one, and the same role, gets a newer one.
 
@@ -105,11 +108,12 @@ class Authority:
             name: Never one that was revoked: the certificate of before would be valid again.
             now: Wall time, s.
             days: Validity.
-            hosts: Under which it is dialled; for daemons and routers only.
+            hosts: Under which it is dialled; a router needs one, a daemon that is not dialled none, others have none.
+            cells: In which it may do that, as ``<site>/<cell>``.
             into: Folder in which a folder `name` with the files is made.
 
         Raises:
-            ConfigurationError: Name, role, days or hosts are wrong, or the authority's key may be read by others.
+            ConfigurationError: Name, role, days, hosts or cells are wrong, or others may read the authority's key.
             OSError: The files cannot be written.
         """
         self._check(role, name, days, hosts)
@@ -122,6 +126,7 @@ class Authority:
                 serial=f"{x509.random_serial_number():x}",
                 begins=now - CLOCKS_DIFFER,
                 ends=now + days * 86400.0,
+                cells=check_cells(cells),
             )
             authority = x509.load_pem_x509_certificate((self.folder / CERTIFICATE).read_bytes())
             signed = certificate(identity, key.public_key(), hosts, authority, read_key(self.folder / KEY))
@@ -129,7 +134,7 @@ class Authority:
             self._write([*(each for each in known if each.name != name), identity])
         folder = into / name
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        write_durably(folder / f"{name}.key", key_bytes(key), mode=0o600)
+        write_durably(folder / f"{name}.key", key_bytes(key), mode=SECRET)
         write_durably(folder / f"{name}.pem", signed.public_bytes(Encoding.PEM), mode=0o644)
         write_durably(folder / CERTIFICATE, (self.folder / CERTIFICATE).read_bytes(), mode=0o644)
         return Issued(identity=identity, folder=str(folder))
@@ -156,10 +161,10 @@ class Authority:
         if not 0.0 < days <= MOST_DAYS:
             text = f"A certificate is valid for more than 0 days and {MOST_DAYS:g} at most, not {days:g}."
             raise ConfigurationError(text, days=days, limit=MOST_DAYS)
-        if bool(hosts) != (role in INFRASTRUCTURE):
-            wrong = "is not dialled: give no hosts" if hosts else "is dialled: say at which hosts"
-            text = f"A {role} {wrong}."
-            raise ConfigurationError(text, role=role, hosts=list(hosts))
+        if hosts and role not in INFRASTRUCTURE:
+            raise ConfigurationError(f"A {role} is not dialled: give no hosts.", role=role, hosts=list(hosts))
+        if role == "router" and not hosts:
+            raise ConfigurationError("A router is dialled: say at which hosts.", role=role)
 
     @contextmanager
     def _register(self) -> Iterator[list[Identity]]:

@@ -11,11 +11,13 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey, EllipticCurvePublicKey
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from pcmrs.pki.identity import Identity
+from pcmrs.messages.identity import Identity
 
 CLOCKS_DIFFER = 300.0
 """A certificate is valid so long before it was issued, s: the clocks of two machines differ."""
 AUTHORITY_DAYS = 3650
+CELL = "pcmrs:"
+"""Before each cell of an identity, which its certificate holds as URI."""
 
 
 def authority_certificate(key: EllipticCurvePrivateKey, site: str, now: float) -> x509.Certificate:
@@ -61,7 +63,8 @@ def certificate(
         .add_extension(_usage(sign=False), critical=True)
         .add_extension(x509.ExtendedKeyUsage(uses), critical=False)
     )
-    names = [_general_name(host) for host in (hosts or (identity.name,))]
+    names: list[x509.GeneralName] = [_general_name(host) for host in (hosts or (identity.name,))]
+    names += [x509.UniformResourceIdentifier(CELL + each) for each in identity.cells]
     return builder.add_extension(x509.SubjectAlternativeName(names), critical=False).sign(key, hashes.SHA256())
 
 

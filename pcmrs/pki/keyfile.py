@@ -8,26 +8,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ec import SECP256R1, EllipticCurvePrivateKey, generate_private_key
 
 from pcmrs.errors import ConfigurationError
-
-OTHERS = 0o077
-
-
-def check_private(path: Path) -> None:
-    """Refuses a secret that others may read, or that is not there.
-
-    Raises:
-        ConfigurationError: Its mode gives group or others anything, or it cannot be looked at.
-    """
-    try:
-        mode = path.stat().st_mode
-    except OSError as error:
-        raise ConfigurationError(f"The key {path} cannot be read: {error.strerror}.", path=str(path)) from None
-    if mode & OTHERS:
-        text = (
-            f"The key {path} may be read by others (mode {mode & 0o777:04o}, the limit is 0600): `chmod 600 {path}`, "
-            "and issue a new one if somebody may have copied it."
-        )
-        raise ConfigurationError(text, path=str(path), mode=f"{mode & 0o777:04o}", limit="0600")
+from pcmrs.files import read_secret
 
 
 def new_key() -> EllipticCurvePrivateKey:
@@ -48,10 +29,11 @@ def read_key(path: Path) -> EllipticCurvePrivateKey:
     Raises:
         ConfigurationError: Others may read it, it is missing, or it is no such key.
     """
-    check_private(path)
     try:
-        key = serialization.load_pem_private_key(path.read_bytes(), None)
-    except (OSError, ValueError, TypeError) as error:
+        key = serialization.load_pem_private_key(read_secret(path), None)
+    except OSError as error:
+        raise ConfigurationError(f"The key {path} cannot be read: {error.strerror}.", path=str(path)) from None
+    except (ValueError, TypeError) as error:
         raise ConfigurationError(f"{path} is not a private key: {error}.", path=str(path)) from None
     if not isinstance(key, EllipticCurvePrivateKey):
         raise ConfigurationError(f"{path} is not a key on P-256.", path=str(path))

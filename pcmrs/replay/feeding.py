@@ -32,6 +32,7 @@ class Feeding:
         workflow: With the data that the run began with.
         cell: What is known of the cell.
         rows: What the run's dispatcher wrote.
+        lease_required: Whether somebody had to hold the cell.
 
     Attributes:
         dispatcher: Decides anew.
@@ -39,7 +40,14 @@ class Feeding:
         answered: Commands for which the journal said what came of the world.
     """
 
-    def __init__(self, workflow: Workflow[Cell, PlacementData], cell: RecordedCell, rows: Sequence[StoredRow]) -> None:
+    def __init__(
+        self,
+        workflow: Workflow[Cell, PlacementData],
+        cell: RecordedCell,
+        rows: Sequence[StoredRow],
+        *,
+        lease_required: bool,
+    ) -> None:
         self.book = Book(rows)
         self._clock = RowsClock()
         self._rows = [stored.row for stored in rows]
@@ -47,7 +55,13 @@ class Feeding:
         self._turned_away = dict(turned_away(self._rows))
         self._recorded = RecordedWorkflow(workflow, self.book, self._ask)
         self.dispatcher: Dispatcher[Cell, PlacementData] = Dispatcher(
-            self._recorded.workflow, cell, self._clock, self.book, self._holds.hold, lambda _: None
+            self._recorded.workflow,
+            cell,
+            self._clock,
+            self.book,
+            self._holds.hold,
+            lambda _: None,
+            lease_required=lease_required,
         )
         self._tasks: list[asyncio.Task[Any]] = []
         activities = (

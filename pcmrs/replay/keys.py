@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 
 from pcmrs.journal import JournalRow
 from pcmrs.messages import Command
+from pcmrs.messages.identity import ON_SITE
 
 RowKind = Literal["intent", "outcome", "device"]
 COMPARED: tuple[RowKind, ...] = ("intent", "outcome", "device")
@@ -58,6 +59,8 @@ def command_of(row: JournalRow) -> Command:
         branch=row.branch or "",
         operation=row.operation or "",
         source=row.source or "",
+        user=row.user or ON_SITE.user,
+        role=row.role or ON_SITE.role,
         arguments=row.arguments or {},
         parent=row.parent,
     )

@@ -112,7 +112,8 @@ async def _replay_run(
     name: str, run: DaemonRun, workflow: AnyWorkflow, heritage: Heritage, show: Callable[[int], None]
 ) -> tuple[list[Difference], int]:
     rows, cell = run.decided(), RecordedCell(_procedure_settings(name, run), run.calibration)
-    feeding = Feeding(heritage.inherited(workflow), cell, rows)
+    access = (run.settings or {}).get("access", {})
+    feeding = Feeding(heritage.inherited(workflow), cell, rows, lease_required=bool(access.get("identity")))
     heritage.give_to(feeding.dispatcher, run)
     differences: list[Difference] = []
     extra = 0

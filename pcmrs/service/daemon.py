@@ -48,6 +48,8 @@ class Ready(msgspec.Struct, frozen=True):
         folder: Journal and records.
         journal: The journal of its workflow.
         metrics: Address of its metrics; empty where none are served.
+        listen: Where other machines dial it.
+        routers: Routers that it dials.
     """
 
     prefix: str
@@ -58,6 +60,8 @@ class Ready(msgspec.Struct, frozen=True):
     workflow: str
     rate: float
     metrics: str = ""
+    listen: tuple[str, ...] = ()
+    routers: tuple[str, ...] = ()
 
 
 class Daemon:
@@ -160,6 +164,8 @@ class Daemon:
                 workflow=f"{blueprint.id} {blueprint.version}",
                 rate=settings.cell.rate,
                 metrics=metrics.address,
+                listen=settings.access.listen,
+                routers=settings.access.routers,
             )
 
 

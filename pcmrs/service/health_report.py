@@ -18,6 +18,9 @@ SILENCE = 1.0
 FILLING = 0.8
 """A queue that is full to this part is about to refuse."""
 
+ENDS_SOON = 3 * 86400.0
+"""Before a certificate ends so soon somebody should know, s."""
+
 RESTART_HELPS = ("journal_stuck", "task_stuck")
 """What the daemon cannot mend itself: then it does not feed the watchdog any more."""
 
@@ -101,6 +104,11 @@ def _of_rest(facts: HealthFacts) -> Iterator[HealthReason]:
     if facts.recording:
         text = f"The session is not recorded any more: {facts.recording}."
         yield _degraded("recording_ended", text, "The log says why; the journal is not concerned.")
+    if facts.certificate is not None and facts.certificate < ENDS_SOON:
+        text = (
+            f"The daemon's certificate ends in {facts.certificate / 3600.0:.0f} h; then nobody reaches it from outside."
+        )
+        yield _degraded("certificate_ends", text, "Have a new one issued, `pcmrs pki issue`, and restart the daemon.")
     if facts.metrics:
         yield _degraded("metrics_not_served", facts.metrics, "Give another metrics.port and restart the daemon.")
 

@@ -70,7 +70,7 @@ class Inspection:
 
     def _facts(self) -> HealthFacts:
         dispatcher, tally, stalls = self.procedure.dispatcher, self.procedure.tally, self.stalls
-        broken = dispatcher.broken
+        broken, own = dispatcher.broken, self.bus.settings.credentials
         return HealthFacts(
             uptime=self.machine.monotonic() - self.began,
             versions=VERSIONS,
@@ -80,6 +80,7 @@ class Inspection:
             in_doubt=dispatcher.in_doubt,
             recording=self.recording.ended,
             metrics=self.metrics_trouble(),
+            certificate=None if own is None else own.ends - self.machine.wall(),
             journal=self._journal(),
             tasks=self._tasks(),
             nodes=self._nodes(),

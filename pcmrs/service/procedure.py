@@ -21,10 +21,12 @@ from pcmrs.service.abandoned import AbandonedWatch
 from pcmrs.service.core import GatewayCore
 from pcmrs.service.health import HealthWatch
 from pcmrs.service.hearing import Hearing, awaited
+from pcmrs.service.lease import LeaseWatch
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.reference import ReferenceWatch
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.service.tally import Tally
+from pcmrs.service.teleoperation import connect_teleoperators
 from pcmrs.service.watch import RobotWatch
 from pcmrs.settings import DWELL, Settings
 from pcmrs.workflows.cell import Cell
@@ -82,7 +84,15 @@ class RunningProcedure:
         self._supervisor = supervisor
         self.cell = open_cell(settings, link, clocks)
         self._publishing = Publishing(link)
-        self.dispatcher = Dispatcher(workflow, self.cell, clocks.cell, recorder, self.cell.make_safe, self._publish)
+        self.dispatcher = Dispatcher(
+            workflow,
+            self.cell,
+            clocks.cell,
+            recorder,
+            self.cell.make_safe,
+            self._publish,
+            lease_required=settings.access.is_open,
+        )
         self.tally = Tally(self.dispatcher.submit, clocks.machine)
         self.core = GatewayCore(self.dispatcher, self.cell, self.tally.submit)
         self.hearing = Hearing(awaited(settings, workflow.blueprint.branches), clocks.machine)
@@ -101,6 +111,7 @@ class RunningProcedure:
         self._machine = clocks.machine
         self._reference = ReferenceWatch(self.cell, dispatcher)
         self._abandoned = AbandonedWatch(dispatcher, settings.procedure.abandoned_after, clocks.machine)
+        self._lease = LeaseWatch(dispatcher, self.moving, clocks.cell, settings.access.lease_s)
         supervisor.report = dispatcher.report
 
     def start(self) -> None:
@@ -111,9 +122,11 @@ class RunningProcedure:
         link.subscribe("dev/*/state", DeviceHealth, self.health.take)
         link.subscribe("dev/*/beat", Beat, self._take_beat)
         link.subscribe("dev/*/event", DeviceEvent, lambda _, event: dispatcher.report_later(event))
+        connect_teleoperators(link, self.cell.teleop)
         self._supervisor.start("beats and robot watch", self.watch.run, quiet=QUIET)
         self._supervisor.start("reference watch", self._reference.run, quiet=QUIET)
         self._supervisor.start("abandoned watch", self._abandoned.run)
+        self._supervisor.start("lease watch", self._lease.run, quiet=QUIET)
 
     def connected(self) -> bool:
         """Whether the workflow holds the robot for connected."""

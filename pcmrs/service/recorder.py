@@ -226,6 +226,8 @@ class JournalRecorder:
             kind,
             command_id=command.id,
             source=command.source,
+            user=command.user,
+            role=command.role,
             branch=command.branch,
             operation=command.operation,
             arguments=command.arguments,

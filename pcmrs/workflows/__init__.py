@@ -24,6 +24,7 @@ from pcmrs.workflows.placement import register_placement_checks
 from pcmrs.workflows.reference import register_reference_operations
 from pcmrs.workflows.refinement import register_refinement_operations
 from pcmrs.workflows.registering import register_registration_operations
+from pcmrs.workflows.teleoperation import register_teleoperation
 from pcmrs.workflows.toolplan import register_plan_operations
 
 __all__ = ["Place", "find_workflow", "open_workflow", "placement_registry", "read_workflow"]
@@ -96,5 +97,6 @@ def placement_registry() -> Registry[Cell, PlacementData]:
     register_correction_steps(registry)
     register_alignment(registry)
     register_following(registry)
+    register_teleoperation(registry)
     register_contact_operations(registry)
     return registry

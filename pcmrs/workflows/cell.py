@@ -23,6 +23,7 @@ from pcmrs.messages import JointState
 from pcmrs.spatial import Floats, Frame, FrameGraph, Transform
 from pcmrs.workflows.data import PlacementData, Registered, as_transform
 from pcmrs.workflows.settings import ProcedureSettings
+from pcmrs.workflows.teleop_port import TeleopPort
 from pcmrs.workflows.zones import CellZones
 
 
@@ -46,6 +47,7 @@ class Cell:
         zones: What the arm keeps out of.
         stimulator: None where none is configured.
         emg: The same.
+        teleop: Where set points of teleoperators come in.
     """
 
     robot: Robot
@@ -65,6 +67,7 @@ class Cell:
     name: str = "lab/cell1"
     stimulator: Stimulator | None = None
     emg: Emg | None = None
+    teleop: TeleopPort = field(default_factory=TeleopPort)
     flange_from_coil: Transform = field(init=False)
     pointer_from_tip: Transform = field(init=False)
     zones: CellZones = field(init=False)

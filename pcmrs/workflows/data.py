@@ -105,6 +105,7 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
         nudge_translation: Sum of nudges since the approach, m, in the tool frame.
         nudge_rotation_zyx: Sum of rotations since the approach, rad.
         approached: Ids of the plan and registration that the tool is at.
+        teleoperator: User who has engaged the clutch; None while it is open.
     """
 
     landmarks: tuple[Landmark, ...] = ()
@@ -120,6 +121,7 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
     nudge_translation: Point = (0.0, 0.0, 0.0)
     nudge_rotation_zyx: Point = (0.0, 0.0, 0.0)
     approached: tuple[str, str] | None = None
+    teleoperator: str | None = None
 
     @classmethod
     def begin(cls, _blueprint: Blueprint) -> Self:
@@ -148,6 +150,8 @@ def settle(data: PlacementData, states: Mapping[str, str], effects: Sequence[Eff
         changes |= {"plan": None, "plan_id": None}
     if states.get("placement") in ("unknown", "retracted"):
         changes["approached"] = None
+    if states.get("teleoperation") != "engaged":
+        changes["teleoperator"] = None
     return msgspec.structs.replace(data, **changes) if changes else data
 
 

@@ -45,23 +45,23 @@ async def follow_prepared(run: Run) -> None:
 
 
 async def back_off_anew(run: Run) -> None:
-    """Plans the way back again where the arm followed the body until now."""
+    """Plans the way back again where the arm followed body or teleoperator until now."""
     await _plan_anew(run, retreat_possible)
 
 
 async def home_anew(run: Run) -> None:
-    """Plans the way home again where the arm followed the body until now."""
+    """Plans the way home again where the arm followed body or teleoperator until now."""
     await _plan_anew(run, home_grows_distance)
 
 
 async def initial_anew(run: Run) -> None:
-    """Plans the way to the initial posture again where the arm followed the body until now."""
+    """Plans the way to the initial posture again where the arm followed body or teleoperator until now."""
     await _plan_anew(run, initial_grows_distance)
 
 
 async def _plan_anew(run: Run, plan: Callable[[Run], None]) -> None:
     """The check has seen an arm that moved on after it: now it stands."""
-    if run.states["placement"] == "following":
+    if run.states["placement"] in ("following", "guided"):
         await _seen_at_rest(run)
         plan(run)
 

@@ -13,7 +13,7 @@ import pytest
 import zenoh
 
 from pcmrs.bus import KEYS
-from pcmrs.bus.access import Member, access_control
+from pcmrs.bus.access import access_control
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
 from pcmrs.bus.qos import class_of
 from pcmrs.clock import SystemClock
@@ -26,6 +26,14 @@ HERE, ELSEWHERE = "pcmrs/lab/c1", "pcmrs/lab/c2"
 PATIENCE = 10.0
 QUIET = 1.0
 """Nothing that is allowed takes so long on loopback, s: what has not come by then does not come."""
+
+DOINGS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "query": (("query",), ("serve",)),
+    "put": (("put",), ("hear",)),
+    "put or query": (("put", "query"), ("hear", "serve")),
+    "subscribe": (("hear",), ("put",)),
+}
+"""Use of a key to what users and owners do."""
 
 Tried = set[tuple[str, str, str]]
 """Name, action, key."""
@@ -42,8 +50,7 @@ def allowed() -> Tried:
     found: Tried = set()
     for row in KEYS:
         for name, role in NAMES.items():
-            as_user = {"query": ("query",), "put or query": ("put", "query"), "subscribe": ("hear",)}[row.use]
-            as_owner = {"query": ("serve",), "put or query": ("hear", "serve"), "subscribe": ("put",)}[row.use]
+            as_user, as_owner = DOINGS[row.use]
             if row.key.startswith("alive/"):
                 as_user, as_owner = (), ("live",)
             if role in row.users:
@@ -69,10 +76,9 @@ class Lab:
         authority = Authority.init(folder / "pki", "lab", now)
         for name, role in {**NAMES, "gate": "router"}.items():
             hosts = ("127.0.0.1",) if role in ("daemon", "router") else ()
-            authority.issue(role, name, now, hosts=hosts, into=folder)
+            authority.issue(role, name, now, hosts=hosts, cells=["lab/c1"], into=folder)
         self._folder, self._endpoint = folder, f"tls/127.0.0.1:{free_port()}"
-        members = [Member(name=name, role=role, cells=("lab/c1",)) for name, role in NAMES.items()]
-        self.router = self._open("gate", "router", access_control(members))
+        self.router = self._open("gate", "router", access_control(authority.identities()))
         stack.callback(self.router.close)
         self.sessions = {name: self._open(name, "client") for name in NAMES}
         for session in self.sessions.values():

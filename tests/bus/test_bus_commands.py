@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import zenoh
 from bus_cells import TIMEOUT, accepted, new_cell, open_bus, plain_session
+from msgspec.structs import replace
 
 from pcmrs.bus import Bus, CommandEdge
 from pcmrs.bus.bridge import CAPACITY
@@ -16,7 +17,10 @@ from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.envelope import Envelope
 from pcmrs.bus.stop import Stopping
 from pcmrs.messages import Command, Verdict
+from pcmrs.messages.identity import Identity
+from pcmrs.messages.roles import Role
 
+REGISTER: dict[str, Role] = {"anna": "teleoperator", "eve": "viewer"}
 PLAN = "cmd/local/registration/plan_landmarks"
 
 
@@ -38,8 +42,8 @@ class Daemon:
 
 
 @asynccontextmanager
-async def running_daemon() -> AsyncIterator[tuple[Daemon, zenoh.Session]]:
-    async with open_bus(new_cell()) as bus:
+async def running_daemon(*members: Identity) -> AsyncIterator[tuple[Daemon, zenoh.Session]]:
+    async with open_bus(replace(new_cell(), members=members)) as bus:
         daemon = Daemon(bus)
         edge = await CommandEdge.open(bus, daemon.submit, daemon.refuse, daemon.stopped.put_nowait)
         try:
@@ -85,6 +89,24 @@ async def test_messagepack_is_answered_in_messagepack() -> None:
     async with running_daemon() as (daemon, session):
         verdict = unpack(await get(daemon, session, PLAN, pack(Envelope(id="b"))), Verdict)
         assert (verdict.id, verdict.decision, verdict.sequence) == ("b", "accepted", 7)
+
+
+async def test_who_asks_has_the_role_of_the_register_and_without_one_everybody_is_on_site() -> None:
+    async def roles(*members: Identity) -> list[tuple[str, str]]:
+        async with running_daemon(*members) as (daemon, session):
+            for name in ("anna", "eve", "nobody", "local"):
+                await get(daemon, session, f"cmd/{name}/registration/reinit")
+            commands = [daemon.submitted.get_nowait() for _ in range(4)]
+            return [(each.user, each.role) for each in commands]
+
+    assert await roles() == [(name, "operator") for name in ("anna", "eve", "nobody", "local")]
+    known = [Identity(name=name, role=role, serial="1", begins=0.0, ends=1.0) for name, role in REGISTER.items()]
+    assert await roles(*known) == [
+        ("anna", "teleoperator"),
+        ("eve", "viewer"),
+        ("nobody", "viewer"),
+        ("local", "operator"),
+    ]
 
 
 @pytest.mark.parametrize("encoding", ["zenoh/bytes", "application/json", "text/plain"])

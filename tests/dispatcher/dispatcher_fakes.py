@@ -308,7 +308,7 @@ def _routes() -> dict[Joint, Route]:
 
 ROUTES = _routes()
 
-PLACED: Joint = ("111", "1", "1", "1", "placed", "0")
-STANDOFF: Joint = ("111", "1", "1", "1", "standoff", "0")
-RETRACTED: Joint = ("111", "1", "1", "1", "retracted", "0")
-HELD: Joint = ("111", "1", "1", "1", "held", "0")
+PLACED: Joint = ("111", "1", "1", "1", "placed", "0", "off")
+STANDOFF: Joint = ("111", "1", "1", "1", "standoff", "0", "off")
+RETRACTED: Joint = ("111", "1", "1", "1", "retracted", "0", "off")
+HELD: Joint = ("111", "1", "1", "1", "held", "0", "off")

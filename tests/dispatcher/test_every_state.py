@@ -11,6 +11,9 @@ JOINTS = list(ROUTES)
 EVERY_STATE = pytest.mark.parametrize("joint", JOINTS, ids=["-".join(joint) for joint in JOINTS])
 
 
+CODES = ("invalid_in_state", "requirement_not_met", "parent_refuses", "tool_near_patient", "not_guided")
+
+
 def source_of(branch: str, operation: str) -> str:
     return "device:test" if RATMS.branches[branch].operations[operation].event else "test:user"
 
@@ -27,7 +30,7 @@ async def test_what_the_oracle_rejects_is_rejected_and_changes_nothing(bench: Be
         state = before.branches[branch]
         assert (verdict.decision, verdict.state, verdict.sequence) == ("rejected", state, before.sequence)
         assert verdict.reason is not None
-        assert verdict.reason.code in ("invalid_in_state", "requirement_not_met", "parent_refuses", "tool_near_patient")
+        assert verdict.reason.code in CODES
         assert verdict.reason.text
         assert operation not in verdict.allowed
         assert bench.verdicts()[-1] == verdict
@@ -79,9 +82,9 @@ async def test_stop_wins_in_every_state(bench: Bench, joint: Joint) -> None:
     holds = bench.holds
     for _ in range(2):
         await bench.dispatcher.stop("test:operator")
-    if joint[4] == "following":  # what moves the robot has ended, the robot is held once more, and the tool is let go
+    if joint[4] in ("following", "guided"):  # what moves has ended, the robot is held once more, the tool is let go
         await settle()
-        holds, joint = holds + 1, (*joint[:4], "held", "0")
+        holds, joint = holds + 1, (*joint[:4], "held", "0", "off")
     assert bench.holds == holds + 2
     assert bench.dispatcher.snapshot().latched
     assert bench.joint == joint

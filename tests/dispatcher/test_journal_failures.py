@@ -62,7 +62,7 @@ async def test_a_rejection_that_cannot_be_written(bench: Bench) -> None:
     assert [each.code for each in bench.published if isinstance(each, DeviceEvent)] == ["fail_stop"]
     assert [kind for kind, *_ in bench.recorder.rows if kind == "event"] == []  # its row comes when it is reopened
     assert bench.snapshots()[-1].latched
-    await check_fail_stop(bench, ("000", "0", "0", "0", "unknown", "0"))
+    await check_fail_stop(bench, ("000", "0", "0", "0", "unknown", "0", "off"))
 
 
 async def test_a_failing_recall_runs_nothing(bench: Bench) -> None:

@@ -17,7 +17,7 @@ from pcmrs.dispatcher.attempt import Locks
 from pcmrs.dispatcher.lanes import MAX_WAITING
 from pcmrs.messages import Verdict
 
-PLANNED = ("100", "0", "0", "0", "unknown", "0")
+PLANNED = ("100", "0", "0", "0", "unknown", "0", "off")
 
 
 def code(verdict: Verdict) -> str:
@@ -38,7 +38,7 @@ async def test_disjoint_operations_are_in_their_steps_at_once(worldly_bench: Ben
     tasks = [await worldly_bench.begin(name) for name in names]
     await settle()
     assert [(await task).decision for task in tasks] == ["accepted"] * 3
-    assert worldly_bench.joint == ("110", "1", "1", "1", "unknown", "0")
+    assert worldly_bench.joint == ("110", "1", "1", "1", "unknown", "0", "off")
 
 
 async def test_the_journal_has_the_states_after_each_of_two_parallel_commits(bench: Bench) -> None:
@@ -132,7 +132,7 @@ async def test_a_disconnection_waits_for_the_motion_and_is_then_asked_again(benc
 
 async def test_what_waits_takes_the_locks_of_what_it_would_do_in_its_turn(bench: Bench) -> None:
     """The connection is denied when it is asked for, and would be made while a landmark is checked."""
-    await bench.go(("111", "1", "0", "1", "unknown", "0"))
+    await bench.go(("111", "1", "0", "1", "unknown", "0", "off"))
     bench.script.entered.clear()
     checked, disconnected = bench.script.hang("digitization.check_landmark"), bench.script.hang("robot.disconnect")
     checking, disconnecting = [await bench.begin(name) for name in ("digitization.check_landmark", "robot.disconnect")]
@@ -242,7 +242,7 @@ async def test_a_commit_waits_for_the_motion_that_it_would_revoke_under_way(benc
     at_home.set()
     assert (await homing).state == "retracted"
     assert (await digitizing).decision == "accepted"
-    assert bench.joint == ("110", "1", "1", "1", "retracted", "0")
+    assert bench.joint == ("110", "1", "1", "1", "retracted", "0", "off")
     assert (await bench.do("toolplan.clear")).decision == "accepted"
 
 
@@ -257,4 +257,4 @@ async def test_stop_ends_both_when_a_commit_waits_for_a_motion(bench: Bench) -> 
     assert await bench.dispatcher.stop("test:user")
     assert (await homing).decision == "failed"
     assert (await digitizing).decision == "accepted"
-    assert bench.joint == ("110", "1", "1", "1", "held", "0")
+    assert bench.joint == ("110", "1", "1", "1", "held", "0", "off")

@@ -54,7 +54,7 @@ async def test_02_each_commit_is_published_once(bench: Bench) -> None:
 
 
 async def test_03_a_refused_check_is_rejected_and_named(bench: Bench) -> None:
-    await bench.go(("110", "1", "0", "0", "unknown", "0"))
+    await bench.go(("110", "1", "0", "0", "unknown", "0", "off"))
     bench.script.checks["registration.register"] = RefusalError("residual_too_large", "8.2 mm, limit 4.0.", limit=4.0)
     verdict = await bench.do("registration.register")
     assert (verdict.decision, code(verdict)) == ("rejected", "residual_too_large")
@@ -312,7 +312,7 @@ async def test_10_a_cascade_is_capped_at_run_time() -> None:
 
 
 async def test_11_a_signal_that_finds_the_parent_there_is_a_self_loop(bench: Bench) -> None:
-    await bench.go(("110", "1", "0", "0", "unknown", "0"))
+    await bench.go(("110", "1", "0", "0", "unknown", "0", "off"))
     assert (await bench.do("digitization.digitize_all")).decision == "accepted"
     assert bench.joint[:2] == ("110", "1")
     assert bench.data.effects == ("operation digitization 1", "signal registration 110")
@@ -320,7 +320,7 @@ async def test_11_a_signal_that_finds_the_parent_there_is_a_self_loop(bench: Ben
 
 async def test_12_session_reinitiation_takes_the_child_along(bench: Bench) -> None:
     """Fault 1: after it, and after planning anew, the workflow goes on."""
-    await bench.go(("111", "1", "0", "0", "unknown", "0"))
+    await bench.go(("111", "1", "0", "0", "unknown", "0", "off"))
     await bench.do("registration.reinit")
     assert bench.joint[:2] == ("000", "0")
     assert bench.data.effects == ("operation registration 000", "reinit digitization 0")
@@ -332,9 +332,9 @@ async def test_12_session_reinitiation_takes_the_child_along(bench: Bench) -> No
 
 async def test_fault_02_what_a_registration_rests_on_ends_it(bench: Bench) -> None:
     for before, name, after in (
-        (PLACED, "digitization.digitize_all", ("110", "1", "1", "1", "held", "0")),
-        (PLACED, "digitization.redigitize_one", ("100", "0", "1", "1", "held", "0")),
-        (PLACED, "registration.plan_landmarks", ("100", "0", "1", "1", "held", "0")),
+        (PLACED, "digitization.digitize_all", ("110", "1", "1", "1", "held", "0", "off")),
+        (PLACED, "digitization.redigitize_one", ("100", "0", "1", "1", "held", "0", "off")),
+        (PLACED, "registration.plan_landmarks", ("100", "0", "1", "1", "held", "0", "off")),
         (STANDOFF, "toolplan.plan", HELD),
         (STANDOFF, "registration.register", HELD),
     ):
@@ -427,7 +427,7 @@ async def test_14_verdicts_of_an_earlier_run_are_recalled(bench: Bench) -> None:
 
 
 async def test_15_flags_follow_the_states_and_decide_nothing(bench: Bench) -> None:
-    await bench.go(("110", "1", "0", "0", "unknown", "0"))
+    await bench.go(("110", "1", "0", "0", "unknown", "0", "off"))
     assert bench.dispatcher.snapshot().flags["landmarks_digitized"]
     bench.dispatcher.snapshot().flags["landmarks_digitized"] = False
     assert (await bench.do("registration.register")).decision == "accepted"

@@ -141,7 +141,7 @@ async def test_stop_rejects_what_waits(bench: Bench) -> None:
         verdict = await task
         assert (verdict.decision, code(verdict)) == ("rejected", "stopped")
     assert (await running).decision == "failed"
-    assert bench.joint == ("100", "0", "0", "0", "unknown", "0")
+    assert bench.joint == ("100", "0", "0", "0", "unknown", "0", "off")
     assert not gate.is_set()
 
 
@@ -287,7 +287,7 @@ async def test_a_lost_link_stops_and_disconnects(bench: Bench) -> None:
     task = await bench.begin("placement.nudge")
     await bench.dispatcher.report(DeviceEvent(device="robot", code="link_lost", text="Silent.", danger=True))
     assert (await task).decision == "failed"
-    assert bench.joint == ("111", "1", "1", "0", "unknown", "0")
+    assert bench.joint == ("111", "1", "1", "0", "unknown", "0", "off")
     assert bench.dispatcher.snapshot().latched
     assert bench.recorder.commands[-1].source == "device:robot"
 

@@ -92,7 +92,7 @@ def test_the_command_reports_everything_covered(tmp_path: Path) -> None:
     report = msgspec.json.decode(run.stdout, type=TourReport)
     assert report.passed
     assert is_complete(report.coverage)
-    assert report.joint_states == 37
+    assert report.joint_states == 39
     moves = [msgspec.json.decode(line, type=Move) for line in file.read_bytes().splitlines()]
     assert moves == [move for stretch in tour().stretches for move in stretch]
 

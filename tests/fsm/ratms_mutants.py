@@ -47,7 +47,7 @@ def mutants() -> Iterator[tuple[str, Blueprint]]:
     yield "no revocation", changed(lambda branches: branches["placement"].update(revocations=[]))
     for by in ("registration", "toolplan"):
         yield f"no revocation by {by}", revoked(by=[other for other in ("registration", "toolplan") if other != by])
-    at_body = ("standoff", "placed", "following")
+    at_body = ("standoff", "placed", "following", "guided")
     for state in at_body:
         yield f"{state} not revoked", revoked(**{"from": [each for each in at_body if each != state]})
 

@@ -114,7 +114,7 @@ def kinds(change: Change) -> list[tuple[str, str]]:
 
 
 def test_an_echo_is_a_self_loop_and_locks_nothing() -> None:
-    joint: Joint = ("110", "1", "0", "0", "unknown", "0")
+    joint: Joint = ("110", "1", "0", "0", "unknown", "0", "off")
     change = outcome(joint, "digitization", "digitize_all")
     assert change.effects[-1] == Effect("signal", "registration", "digitized", "110", "110")
     assert change.states == as_dict(joint)
@@ -130,38 +130,38 @@ def test_a_parent_that_refuses_denies_the_command() -> None:
 
 
 def test_a_reinitiation_by_the_parent_emits_nothing() -> None:
-    change = outcome(("110", "1", "0", "0", "unknown", "0"), "registration", "clear_digitization")
+    change = outcome(("110", "1", "0", "0", "unknown", "0", "off"), "registration", "clear_digitization")
     assert kinds(change) == [("operation", "registration"), ("reinit", "digitization")]
 
 
 def test_a_signal_into_the_childs_start_does_not_reinitiate_it() -> None:
-    change = outcome(("111", "1", "0", "0", "unknown", "0"), "digitization", "redigitize_one")
+    change = outcome(("111", "1", "0", "0", "unknown", "0", "off"), "digitization", "redigitize_one")
     assert kinds(change) == [("operation", "digitization"), ("signal", "registration")]
 
 
 def test_a_state_that_is_set_calls_no_operation() -> None:
-    change = outcome(("000", "0", "0", "0", "unknown", "0"), "registration", "use_previous")
+    change = outcome(("000", "0", "0", "0", "unknown", "0", "off"), "registration", "use_previous")
     assert kinds(change) == [("operation", "registration"), ("set", "digitization")]
 
 
 def test_a_lost_link_forgets_where_the_arm_is() -> None:
-    change = outcome(("111", "1", "1", "1", "placed", "0"), "robot", "link_lost")
+    change = outcome(("111", "1", "1", "1", "placed", "0", "off"), "robot", "link_lost")
     assert change.states["placement"] == "unknown"
     assert ("reinit", "placement") in kinds(change)
 
 
 def test_an_acknowledgement_leaves_the_arm_where_it_is() -> None:
-    joint: Joint = ("111", "1", "1", "1", "held", "0")
+    joint: Joint = ("111", "1", "1", "1", "held", "0", "off")
     change = outcome(joint, "robot", "acknowledge")
     assert change.states == as_dict(joint)
     assert kinds(change) == [("operation", "robot")]
 
 
 def test_a_denial_says_what_is_needed() -> None:
-    denial: Any = close(RATMS, as_dict(("110", "1", "1", "1", "retracted", "0")), "placement", "approach")
+    denial: Any = close(RATMS, as_dict(("110", "1", "1", "1", "retracted", "0", "off")), "placement", "approach")
     assert denial.code == "requirement_not_met"
     assert denial.fields == {"branch": "registration", "state": "110", "needed": ["111"]}
-    near: Any = close(RATMS, as_dict(("111", "1", "1", "1", "placed", "0")), "robot", "disconnect")
+    near: Any = close(RATMS, as_dict(("111", "1", "1", "1", "placed", "0", "off")), "robot", "disconnect")
     assert near.code == "tool_near_patient"
 
 

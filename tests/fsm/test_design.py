@@ -138,12 +138,12 @@ def test_independent_chains_are_parallel_branches() -> None:
 
 
 def test_roles_criteria_and_deadlines_arrive_at_the_operation() -> None:
-    keys = {"roles": ["physician"], "checks": ["c"], "steps": ["s"], "payload": "p", "timeout_s": 7}
+    keys = {"roles": ["operator"], "checks": ["c"], "steps": ["s"], "payload": "p", "timeout_s": 7}
     blueprint = blueprint_of(table(step("a", reopened_by=["undo"], **keys)))
     operations = blueprint.branches["a"].operations
     made = operations["do_a"]
-    assert (made.roles, made.checks, made.steps, made.payload, made.timeout_s) == (["physician"], ["c"], ["s"], "p", 7)
-    assert operations["undo"].roles == ["physician"]
+    assert (made.roles, made.checks, made.steps, made.payload, made.timeout_s) == (["operator"], ["c"], ["s"], "p", 7)
+    assert operations["undo"].roles == ["operator"]
 
 
 def test_one_operation_may_reopen_several_steps() -> None:

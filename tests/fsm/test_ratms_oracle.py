@@ -49,10 +49,10 @@ def test_the_blueprint_has_exactly_the_operations_of_the_specification() -> None
     assert [n for n, spec in RATMS.branches["placement"].operations.items() if spec.motion != "none"] == MOTIONS
 
 
-def test_the_reachable_joint_states_are_the_37_of_the_oracle() -> None:
+def test_the_reachable_joint_states_are_the_39_of_the_oracle() -> None:
     found = set(behaviour(RATMS))
     assert found == set(REACHABLE)
-    assert len(found) == 37
+    assert len(found) == 39
 
 
 def test_registration_and_digitization_have_4_joint_states() -> None:

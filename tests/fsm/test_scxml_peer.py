@@ -83,7 +83,7 @@ def test_shipped_workflows(name: str) -> None:
 
 
 def test_a_child_that_refines_one_state_is_drawn_inside_it() -> None:
-    assert nesting_of(RATMS).nested == {"placement"}
+    assert nesting_of(RATMS).nested == {"placement", "teleoperation"}
     peer = Peer(scxml(RATMS))
     assert not any(state.startswith("placement") for state in peer.configuration())
     peer.send("robot.connect")

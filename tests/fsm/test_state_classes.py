@@ -111,7 +111,7 @@ def test_corruption_is_detected(state: str, active: bool) -> None:
 
 def test_flags_mirror_the_digits() -> None:
     joint = {"registration": "110", "digitization": "1", "toolplan": "0", "robot": "1", "placement": "held"}
-    joint["alignment"] = "0"
+    joint |= {"alignment": "0", "teleoperation": "off"}
     assert flags_of(RATMS, joint) == {
         "landmarks_planned": True,
         "landmarks_digitized": True,

@@ -72,7 +72,7 @@ def test_the_tour_of_ratms_is_connected_complete_and_short() -> None:
     moves = [move for stretch in tour.stretches for move in stretch]
     assert set(moves) == set(tour.wanted)
     assert len(tour.stretches) == 1
-    assert len(moves) < 1.25 * len(tour.wanted)
+    assert len(moves) < 1.3 * len(tour.wanted)
 
 
 @given(blueprints())
@@ -139,7 +139,7 @@ def test_an_outcome_that_no_joint_state_gives_stays_uncovered() -> None:
 def test_a_workflow_with_too_many_joint_states_is_refused() -> None:
     with pytest.raises(BlueprintError, match="over 33 joint states"):
         plan_tour(RATMS, limit=33)
-    assert plan_tour(RATMS, limit=37).wanted
+    assert plan_tour(RATMS, limit=39).wanted
 
 
 def test_moves_survive_json() -> None:

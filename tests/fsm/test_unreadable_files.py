@@ -75,7 +75,7 @@ BAD_VALUES = {
         "branches.placement.level",
     ),
     "number among names": (
-        'from = ["standoff", "placed", "following"]\nto = "held"',
+        'from = ["standoff", "placed", "following", "guided"]\nto = "held"',
         'from = ["standoff", 7]\nto = "held"',
         'from = ["standoff", 7]',
         "branches.placement.revocations.0.from.1",

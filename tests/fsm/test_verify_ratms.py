@@ -37,22 +37,26 @@ def contradicts(spec: PropertySpec, replay: Replay) -> bool:
 def test_ratms_is_sound() -> None:
     found = verify(ratms())
     assert found.findings == []
-    assert found.joint_states == 37
+    assert found.joint_states == 39
 
 
 READY = {"approach_only_when_ready", "at_the_body_only_when_ready"}
 BACK_OFF = "back_off"
 BROKEN = {
     "approach without its requirement": (without("placement", "approach", "requires"), READY, 3),
-    "toolplan revokes nothing": (revoked(by=["registration"]), {"at_the_body_only_when_ready"}, 6),
+    "toolplan revokes nothing": (
+        revoked(by=["registration"]),
+        {"at_the_body_only_when_ready", "engaged_only_when_guided"},
+        6,
+    ),
     "registration revokes nothing": (
         revoked(by=["toolplan"]),
-        {"at_the_body_only_when_ready", "aligned_only_at_the_body"},
+        {"at_the_body_only_when_ready", "aligned_only_at_the_body", "engaged_only_when_guided"},
         6,
     ),
     "standoff is not revoked": (
         revoked(**{"from": ["placed"]}),
-        {"at_the_body_only_when_ready", "aligned_only_at_the_body"},
+        {"at_the_body_only_when_ready", "aligned_only_at_the_body", "engaged_only_when_guided"},
         6,
     ),
     "held fits a robot that is not connected": (

@@ -127,8 +127,8 @@ def test_a_script_is_followed_line_by_line() -> None:
         "registration.plan_landmarks: accepted",
         f"{denial.code}: {denial.text}",
         "robot.connect: accepted",
-        "registration=100 digitization=0 toolplan=0 robot=0 placement=unknown alignment=0",
-        "registration=000 digitization=0 toolplan=0 robot=0 placement=unknown alignment=0",
+        "registration=100 digitization=0 toolplan=0 robot=0 placement=unknown alignment=0 teleoperation=off",
+        "registration=000 digitization=0 toolplan=0 robot=0 placement=unknown alignment=0 teleoperation=off",
         "There is nothing to undo.",
     ]
     assert "    registration: 000 → 100" in run.output

@@ -127,6 +127,15 @@ async def test_a_peer_may_do_what_is_listed_and_always_stop(tmp_path: Path) -> N
         assert "not_allowed" in told(room)
 
 
+async def test_the_daemon_is_told_who_asks_and_in_which_role(tmp_path: Path) -> None:
+    peers = {"planner": peer(tmp_path, "planner"), "panel": peer(tmp_path, "panel", role="operator")}
+    async with open_room(tmp_path, peers) as room:
+        for name in peers:
+            await room.ask("rob_conn_onxxxxx_#1;", name)
+        asked = [(each.user, each.role) for each in room.core.commands]
+        assert asked == [("planner", "planner"), ("panel", "operator")]
+
+
 async def test_a_peer_over_its_rate_is_rejected_but_for_stop(tmp_path: Path) -> None:
     planner = peer(tmp_path, "planner", rate=2.0, burst=3)
     async with open_room(tmp_path, {"planner": planner, "panel": peer(tmp_path, "panel")}) as room:

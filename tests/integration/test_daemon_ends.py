@@ -66,6 +66,7 @@ async def test_nodes_end_by_themselves_after_the_daemon_is_killed_and_its_succes
                 "robot": "0",
                 "placement": "unknown",
                 "alignment": "0",
+                "teleoperation": "off",
             }
             assert await client.call("registration.clear_landmarks", id="before-the-crash") == planned
             await accept(client, "robot.connect")

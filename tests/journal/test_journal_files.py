@@ -9,8 +9,8 @@ import pytest
 from journal_rows import row
 
 from pcmrs.errors import JournalError
+from pcmrs.files import settle_on_disk, write_durably
 from pcmrs.journal import JournalReader
-from pcmrs.journal.files import settle_on_disk, write_durably
 from pcmrs.journal.head import Head, begin_head, head_path, read_head
 from pcmrs.journal.keys import signing_key
 from pcmrs.journal.rows import Place, encode_row

@@ -158,7 +158,7 @@ async def test_one_torn_slot_is_enough_and_is_journalled(path: Path) -> None:
         (lambda folder: (folder / HEAD).unlink(), "head is missing"),
         (lambda folder: (folder / HEAD).write_bytes(bytes(8192)), "damaged, or signed with another key"),
         (lambda folder: (folder / "journal.key").unlink(), "journal.key is missing"),
-        (lambda folder: (folder / "journal.key").chmod(0o644), "may be read by others"),
+        (lambda folder: (folder / "journal.key").chmod(0o644), "others than its owner may use this key"),
         (lambda folder: (folder / "journal.key").write_text("no key"), "not a private key"),
         (lambda folder: (folder / "journal.pub").write_text("no key"), "not the public key"),
     ],

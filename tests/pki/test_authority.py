@@ -17,7 +17,8 @@ from pcmrs.cli import main
 from pcmrs.clock import SystemClock
 from pcmrs.errors import ConfigurationError
 from pcmrs.messages.roles import INFRASTRUCTURE, ROLES
-from pcmrs.pki import Authority, check_private
+from pcmrs.pki import Authority
+from pcmrs.pki.keyfile import read_key
 
 DAY = 86400.0
 
@@ -109,15 +110,15 @@ def test_keys_are_their_owners_alone(authority: Authority, tmp_path: Path, now: 
     authority.issue("viewer", "vera", now, into=tmp_path)
     for key in (tmp_path / "vera" / "vera.key", authority.folder / "ca.key"):
         assert key.stat().st_mode & 0o777 == 0o600
-        check_private(key)
+        read_key(key)
         key.chmod(0o640)
-        with pytest.raises(ConfigurationError, match=r"mode 0640, the limit is 0600.*chmod 600"):
-            check_private(key)
-    with pytest.raises(ConfigurationError, match="may be read by others"):
+        with pytest.raises(ConfigurationError, match=r"mode 0640.*The limit is 0600: chmod 600"):
+            read_key(key)
+    with pytest.raises(ConfigurationError, match="others than its owner"):
         authority.issue("viewer", "vito", now, into=tmp_path)
     assert [each.name for each in authority.identities()] == ["vera"]
     with pytest.raises(ConfigurationError, match="cannot be read"):
-        check_private(tmp_path / "nothing.key")
+        read_key(tmp_path / "nothing.key")
 
 
 def test_a_name_is_never_given_to_two(authority: Authority, tmp_path: Path, now: float) -> None:
@@ -154,7 +155,16 @@ def test_only_who_is_dialled_has_hosts(authority: Authority, tmp_path: Path, now
     with pytest.raises(ConfigurationError, match="not dialled"):
         authority.issue("operator", "anna", now, hosts=("10.0.0.1",), into=tmp_path)
     with pytest.raises(ConfigurationError, match="say at which hosts"):
-        authority.issue("daemon", "cell1", now, into=tmp_path)
+        authority.issue("router", "gate", now, into=tmp_path)
+
+
+@pytest.mark.parametrize("cells", [(), ("",), ("lab",), ("lab/c1/x",), ("lab/C1",), ("lab/**",), ("lab/c1", "a b/c")])
+def test_what_is_no_cell_is_given_to_nobody(
+    authority: Authority, tmp_path: Path, now: float, cells: tuple[str, ...]
+) -> None:
+    with pytest.raises(ConfigurationError, match="is no cell"):
+        authority.issue("viewer", "eve", now, cells=cells, into=tmp_path)
+    assert authority.identities() == []
 
 
 def test_an_authority_is_made_once(authority: Authority, now: float) -> None:

@@ -11,11 +11,13 @@ import msgspec
 from ratms_oracle import BLUEPRINT, EVENT_OPERATIONS, all_operations
 
 from pcmrs.dispatcher import Activity, Dispatcher, Registry, Run, Workflow
+from pcmrs.dispatcher.lease import lapse
 from pcmrs.errors import DeviceError, PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import Effect, load_blueprint
 from pcmrs.journal import JournalRow, StoredRow
 from pcmrs.journal.rows import GENESIS
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Verdict
+from pcmrs.messages.roles import Role
 from pcmrs.replay.history import DaemonRun
 from pcmrs.replay.world import RowsClock
 from pcmrs.service.recorder import JournalRecorder
@@ -107,6 +109,18 @@ class Course:
         by = "detector:test" if (branch, operation) in EVENTS else source
         command = Command(id=f"c{self._number}", branch=branch, operation=operation, source=by, arguments=arguments)
         self._spawn(self.dispatcher.submit(command))
+
+    def ask(self, user: str, role: Role, name: str, arguments: dict[str, Any]) -> None:
+        """Somebody asks by name, on the bus."""
+        self._number += 1
+        branch, operation = name.split(".")
+        given = {"source": f"bus:{user}", "user": user, "role": role, "arguments": arguments}
+        command = Command(id=f"c{self._number}", branch=branch, operation=operation, **given)
+        self._spawn(self.dispatcher.submit(command))
+
+    def lose_holder(self, *, moving: bool) -> None:
+        holder = self.dispatcher.lease.holder or ""
+        self._spawn(self.dispatcher.report(lapse(holder, 10.0, moving=moving)))
 
     def stop(self, source: str) -> None:
         self._spawn(self.dispatcher.stop(source))

@@ -32,7 +32,7 @@ RESTING_ON_IT = {
     "digitization.check_landmark",
     "digitization.digitize_surface",
 }
-WITH_A_COIL = {"placement.press", "placement.follow"}
+WITH_A_COIL = {"placement.press", "placement.follow", "placement.guide"}
 TOOL = PoseMessage(position=(0.0, 0.0, 0.15), quat_wxyz=(0.0, 1.0, 0.0, 0.0))
 TIP = PoseMessage(position=(0.0, 0.0, -0.15), quat_wxyz=(1.0, 0.0, 0.0, 0.0))
 

@@ -20,6 +20,7 @@ async def test_every_step_of_the_procedure_once() -> None:
             "robot": "1",
             "placement": "retracted",
             "alignment": "0",
+            "teleoperation": "off",
         }
         assert registered.result is not None
         assert 0.0 < registered.result["residual"] < registered.result["limit"]

@@ -35,10 +35,11 @@ NOT_FOLLOWED = (
     "placement.states",
     "placement.revocations",
     "placement.activities",
-    "placement.emits.following",
-    "placement.parent.compatible.following",
+    *(f"placement.emits.{state}" for state in ("following", "guided")),
+    *(f"placement.parent.compatible.{state}" for state in ("following", "guided")),
     *(f"placement.operations.{name}" for name in ("follow", "stop_following", "following_lost", "watching_lost")),
-    "placement.operations.alignment_changed",
+    *(f"placement.operations.{name}" for name in ("guide", "stop_guiding", "guiding_lost")),
+    *(f"placement.operations.{name}" for name in ("alignment_changed", "teleoperation_changed")),
     "placement.operations.force_limit.from",
     *(
         f"placement.operations.{name}.{field}"

@@ -19,6 +19,7 @@ AT_THE_BODY: dict[str, list[Step]] = {
         ("placement.home", {}),
         ("wire:execute_bkoffset", {}),
     ],
+    "guided": [("placement.back_off", {}), ("placement.home", {}), ("placement.stop_guiding", {})],
     "following": [("placement.stop_following", {}), ("placement.home", {}), ("placement.back_off", {})],
 }
 """Placement to what is done there, one after the other."""

@@ -7,8 +7,9 @@ import shutil
 import sqlite3
 from contextlib import closing, suppress
 from pathlib import Path
+from typing import Any
 
-from pcmrs.campaign.checks import confirmed, expect, held, refused, shape, unmoved
+from pcmrs.campaign.checks import confirmed, expect, held, refused, refused_at_edge, reported, shape, unmoved
 from pcmrs.campaign.datagrams import Raw, raw_socket, refused_all
 from pcmrs.campaign.driving import PATIENCE, accept, digitized, moving, register, start_anew, until
 from pcmrs.campaign.fault import Evidence, fault
@@ -92,18 +93,19 @@ async def numbers_that_only_some_parsers_read(lab: Lab) -> Evidence:
     wrong += [f"img_fid_numxxxxx_{number};".encode() for number in WRONG_NUMBERS]
     async with lab.cell() as cell:
         await register(cell.client)
+        row = cell.last_row()
         async with unmoved(cell):
             details = await refused_all(cell, wrong)
-            for number, code in (
-                (float("nan"), "malformed"),
-                (float("inf"), "malformed"),
-                ("1", "bad_arguments"),
-                (None, "bad_arguments"),
-            ):
-                pose = {"position": [0.0, 0.0, number], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
-                await refused(cell, "toolplan.plan", pose, codes=(code,))
-                details[str(number)] = code
+            for number in (float("nan"), float("inf")):
+                await refused_at_edge(cell, "toolplan.plan", _pose(number), code="malformed")
+            for text in ("1", None):
+                await refused(cell, "toolplan.plan", _pose(text), codes=("bad_arguments",))
+            await reported(cell, row, edge="bus", code="malformed", count=2)
     return Evidence("refused, nothing changed", details)
+
+
+def _pose(number: object) -> dict[str, Any]:
+    return {"position": [0.0, 0.0, number], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
 
 
 @fault("A8", how="raw datagrams")

@@ -83,15 +83,15 @@ def _table(listing: Listing) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    from pcmrs.campaign.catalogue import RESPONSES, catalogue
-    from pcmrs.campaign.run import why_not
+    from pcmrs.campaign.catalogue import RESPONSES
+    from pcmrs.campaign.run import NO_INJECTION
 
     caption = "; ".join(f"{letter}: {meaning}" for letter, meaning in RESPONSES.items())
     table = Table(
         "", "class", "fault", "required response", "how it is injected", "needs", box=SIMPLE_HEAD, caption=caption
     )
     for row in listing.faults:
-        how = "; ".join(row.how) or why_not(catalogue()[row.id])
+        how = "; ".join(row.how) or NO_INJECTION
         needs = ", ".join(f"[bold red]{need} (missing)[/]" if need in row.missing else need for need in row.needs)
         table.add_row(row.id, row.fault_class, escape(row.title), escape(row.required), escape(how), needs)
     return table

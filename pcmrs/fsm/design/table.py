@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import msgspec
 
+from pcmrs.messages.roles import Role
+
 
 class ActionSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Something people do; the keys mean what they mean in a blueprint's operation.
@@ -13,7 +15,7 @@ class ActionSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         payload: Registered name of its arguments' type.
         checks: Failure criteria: registered names of pure checks.
         steps: Registered names of what is done, in order.
-        roles: Who may do it; empty for everybody who may send commands.
+        roles: Who of those who may ask for operations may do it; empty for all of them.
         timeout_s: Deadline of all steps together, in s of the cell's clock.
     """
 
@@ -21,7 +23,7 @@ class ActionSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     payload: str = "none"
     checks: list[str] = []
     steps: list[str] = []
-    roles: list[str] = []
+    roles: list[Role] = []
     timeout_s: float = 5.0
 
 

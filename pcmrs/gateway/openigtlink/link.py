@@ -17,8 +17,9 @@ from pcmrs.gateway.intake import Intake, source_of
 from pcmrs.gateway.openigtlink.feed import Feed
 from pcmrs.gateway.openigtlink.peer import KINDS, Peer
 from pcmrs.gateway.openigtlink.planner import Answer, Planner
-from pcmrs.gateway.settings import GatewayConfig, is_loopback
+from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.gateway.tasks import Repetition, Tasks
+from pcmrs.hosts import is_loopback
 
 LINK = "openigtlink"
 MAX_PEERS = 8

@@ -113,7 +113,7 @@ class Planner:
         try:
             verdict = await self._core.submit(
                 Command(
-                    id=uuid4().hex, branch=branch, operation=operation, source=self._source,
+                    id=uuid4().hex, branch=branch, operation=operation, source=self._source, role="planner",
                     arguments=attempt.arguments(),
                 )
             )  # fmt: skip

@@ -15,6 +15,7 @@ from pcmrs.workflows.settings.moving import (
     PressForce,
 )
 from pcmrs.workflows.settings.stimulation import StimulationSettings
+from pcmrs.workflows.settings.teleoperation import TeleoperationSettings
 from pcmrs.workflows.settings.values import PoseSetting, Positive
 from pcmrs.workflows.settings.zones import TABLE, BodySettings, BoxSettings, ToolSettings, ZoneSettings
 
@@ -33,6 +34,7 @@ __all__ = [
     "ProcedureSettings",
     "RegistrationSettings",
     "StimulationSettings",
+    "TeleoperationSettings",
     "ToolSettings",
     "TrackingSettings",
     "ZoneSettings",
@@ -68,6 +70,7 @@ class ProcedureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     following: FollowingSettings = FollowingSettings()
     contact: ContactSettings = ContactSettings()
     stimulation: StimulationSettings = StimulationSettings()
+    teleoperation: TeleoperationSettings = TeleoperationSettings()
     zones: ZoneSettings = ZoneSettings()
     body: BodySettings = BodySettings()
     limits: dict[str, float] = {}

@@ -1,10 +1,17 @@
-"""Files beside the journal, written so that a power cut leaves either nothing or all of them."""
+"""Files that a power cut leaves either as they were or whole, and secrets that nobody but their owner may read."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Final
+
+from pcmrs.errors import ConfigurationError
+
+SECRET: Final = 0o600
+"""Mode of a file that holds a secret."""
+_LONGEST: Final = 64 * 1024
 
 
 def write_durably(path: Path, content: bytes, *, mode: int) -> None:
@@ -34,6 +41,33 @@ def _sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def read_secret(path: Path) -> bytes:
+    """Reads a secret, and looks at the file that it has read: nobody can exchange it in between.
+
+    Raises:
+        ConfigurationError: Others than its owner may use it.
+        OSError: It cannot be read.
+    """
+    with path.open("rb") as file:
+        mode = os.fstat(file.fileno()).st_mode & 0o777
+        content = file.read(_LONGEST)
+    if mode & 0o077 and not _is_credential(path, mode):
+        raise ConfigurationError(
+            f"{path} has mode {mode:04o}: others than its owner may use this key. The limit is {SECRET:04o}: "
+            f"chmod 600 {path}, and make a new key if somebody may have copied it.",
+            file=str(path),
+            mode=f"{mode:04o}",
+            limit=f"{SECRET:04o}",
+        )
+    return content
+
+
+def _is_credential(path: Path, mode: int) -> bool:
+    """Whether a service manager hands the secret over, by an access list that shows as the group's right to read."""
+    folder = os.environ.get("CREDENTIALS_DIRECTORY")
+    return folder is not None and path.parent == Path(folder) and mode == 0o440 and path.stat().st_uid == 0
 
 
 def settle_on_disk(paths: Iterable[Path]) -> None:

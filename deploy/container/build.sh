@@ -1,0 +1,20 @@
+#!/usr/bin/env bash
+# Builds the image pcmrs:latest, or the one named as $1, from Debian's packages and this checkout; no registry of images is asked.
+# As root, after: make install && apt-get install mmdebstrap buildah runc
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+image=${1:-pcmrs:latest}
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+
+# Debian 12 has Python 3.11, as the environment that collects the wheels.
+mmdebstrap --variant=minbase --include=ca-certificates,libgomp1,python3,python3-venv bookworm "$work/rootfs.tar"
+
+mkdir "$work/wheels"
+sed -nE 's/^([a-z0-9._-]+==[^ ]+).*/\1/p' requirements.lock >"$work/constraints.txt"
+.venv/bin/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir "$work/wheels" .
+.venv/bin/python -m pip wheel --quiet --constraint "$work/constraints.txt" --wheel-dir "$work/wheels" \
+    "$(echo "$work"/wheels/pcmrs-*.whl)[sim,hardware]"
+
+cp deploy/container/Containerfile "$work"
+buildah bud --isolation chroot --tag "$image" "$work"

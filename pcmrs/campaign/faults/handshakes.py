@@ -1,0 +1,108 @@
+"""A flood of handshakes at the router's TLS port, from a machine behind another NAT."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+from pathlib import Path
+
+import pcmrs
+from pcmrs.campaign.checks import expect
+from pcmrs.campaign.fault import Evidence, NotRun, fault
+from pcmrs.campaign.lab import Lab
+from pcmrs.campaign.natlab import NEEDS, ROUTER, NatLab, nat_lab
+from pcmrs.clock import SystemClock
+from pcmrs.pki import Authority
+
+PORT = 7449
+RULES = Path(pcmrs.__file__).parents[1] / "deploy" / "router" / "router.nft"
+WITHIN = 1.0
+"""A legitimate client connects within this, s of the machine."""
+
+FLOOD = """
+import socket, sys, time
+held = []
+for number in range(200):
+    connection = socket.socket()
+    connection.setblocking(False)
+    connection.connect_ex((sys.argv[1], int(sys.argv[2])))
+    held.append(connection)
+time.sleep(0.5)
+for number, connection in enumerate(held):
+    try:
+        connection.send(b"garbage" if number % 2 else b"\\x16\\x03\\x01")
+    except OSError:
+        pass
+print("flooded", flush=True)
+sys.stdin.read()
+"""
+"""200 connections that are held open: half send what is no TLS, half begin a handshake and do not go on."""
+
+CONNECT = """
+import sys, time
+from pathlib import Path
+from pcmrs.bus import BusSettings
+from pcmrs.bus.settings import open_session
+from pcmrs.clock import SystemClock
+from pcmrs.pki import read_credentials
+own = read_credentials(Path(sys.argv[2]), SystemClock().wall())
+begun = time.monotonic()
+session = open_session(BusSettings(endpoint=sys.argv[1], credentials=own))
+print(time.monotonic() - begun, flush=True)
+session.close()
+"""
+"""Seconds that a client needs to be let in."""
+
+
+@fault(
+    "A13", how="network namespaces, rules for nftables of deploy/router: 200 connections", needs=NEEDS, deadline=180.0
+)
+async def handshake_flood(lab: Lab) -> Evidence:
+    """While somebody holds 200 connections open that are no TLS, a client from elsewhere is let in."""
+    if not RULES.is_file():
+        raise NotRun("deploy/router/router.nft is not there: it comes with the source, not with the wheel")
+    return await asyncio.to_thread(_flooded, lab.folder)
+
+
+def _flooded(folder: Path) -> Evidence:
+    now = SystemClock().wall()
+    authority = Authority.init(folder / "pki", "lab", now)
+    authority.issue("router", "gate", now, hosts=tuple(ROUTER.values()), into=folder)
+    authority.issue("operator", "anna", now, into=folder)
+    with nat_lab() as net:
+        _start_router(net, folder)
+        quiet = _connected(net, folder)
+        loaded = net.run("router", "nft", "-f", str(RULES))
+        expect(loaded.returncode == 0, f"The rules are not loaded: {loaded.stderr}")
+        flood = net.start(
+            "remote", sys.executable, "-c", FLOOD, ROUTER["remote"], str(PORT),
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        )  # fmt: skip
+        _line(flood)
+        flooded = _connected(net, folder)
+    expect(flooded < WITHIN, f"The client was let in after {flooded:.1f} s, without a flood after {quiet:.1f} s.")
+    return Evidence("let in, by the rules of nftables", {"flooded_s": round(flooded, 2), "quiet_s": round(quiet, 2)})
+
+
+def _start_router(net: NatLab, folder: Path) -> None:
+    words = ["router", "--identity", str(folder / "gate"), "--register", str(folder / "pki" / "register.json")]
+    router = net.start(
+        "router", sys.executable, "-m", "pcmrs.cli", *words, "--listen", f"tls/0.0.0.0:{PORT}", stdout=subprocess.PIPE
+    )
+    while _line(router) != "ready":
+        pass
+
+
+def _connected(net: NatLab, folder: Path) -> float:
+    endpoint = f"tls/{ROUTER['cell']}:{PORT}"
+    done = net.run("cell", sys.executable, "-c", CONNECT, endpoint, str(folder / "anna"), timeout=60.0)
+    expect(done.returncode == 0, f"The client was not let in: {done.stderr[-300:]}")
+    return float(done.stdout)
+
+
+def _line(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    expect(bool(line), "The process has ended.")
+    return line.strip()

@@ -1,0 +1,68 @@
+"""`pcmrs cells`: every cell that can be reached, and how it is."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from typing import Any
+
+import click
+import msgspec
+from rich.console import Console
+from rich.table import Table
+
+from pcmrs.bus import BusSettings
+from pcmrs.bus.cells import find_cells
+from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.running import readable_errors, run
+from pcmrs.errors import PcmrsError
+from pcmrs.messages import Snapshot
+
+DAEMON = "daemon"
+
+
+@click.command()
+@json_option
+@address_options
+@readable_errors
+def cells(as_json: bool, address: Address) -> None:
+    """List the cells in which you have a role and that are connected here; on a router those of all sites.
+
+    --site and --cell do not matter here.
+
+    Example: pcmrs cells --endpoint tls/router.example.org:7449 --identity anna
+    """
+    found = run(_cells(address))
+    if as_json:
+        click.echo(msgspec.json.encode(found).decode())
+        return
+    table = Table("cell", "workflow", "latched", "held by", "connected")
+    for each in found:
+        table.add_row(each["cell"], each["workflow"], each["latched"], each["holder"], " ".join(each["components"]))
+    Console().print(table)
+
+
+async def _cells(address: Address) -> list[dict[str, Any]]:
+    settings = BusSettings(endpoint=address.endpoint, credentials=address.credentials())
+    found = await find_cells(settings)
+    return await asyncio.gather(*(_shown(address, *each) for each in found.items()))
+
+
+async def _shown(address: Address, name: str, components: list[str]) -> dict[str, Any]:
+    site, cell = name.split("/")
+    shown = {"cell": name, "components": components, "workflow": "", "latched": "", "holder": ""}
+    if DAEMON not in components:
+        return shown | {"workflow": "no daemon"}
+    try:
+        async with replace(address, site=site, cell=cell).connect() as client:
+            return shown | _of(await client.state())
+    except PcmrsError:
+        return shown | {"workflow": "does not answer"}
+
+
+def _of(snapshot: Snapshot) -> dict[str, str]:
+    return {
+        "workflow": f"{snapshot.blueprint.id} {snapshot.blueprint.version}",
+        "latched": "yes" if snapshot.latched else "no",
+        "holder": snapshot.lease.holder if snapshot.lease is not None else "",
+    }

@@ -1,0 +1,123 @@
+"""`pcmrs lease`: who holds a cell; others' commands are refused meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+
+import click
+import msgspec
+
+from pcmrs.cli.cell import STATUS, event_line
+from pcmrs.cli.lazy import LazyGroup
+from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.running import readable_errors, run
+from pcmrs.messages import LeaseState, Verdict
+
+COMMANDS = {name: f"pcmrs.cli.lease:{name}" for name in ("show", "take", "hold", "confirm", "release")}
+
+over_option = click.option(
+    "--over", is_flag=True, help="From whoever holds it: at once on site, otherwise when they confirm."
+)
+
+
+@click.group(cls=LazyGroup, commands=COMMANDS)
+def lease() -> None:
+    """Hold a cell: one operator or teleoperator at a time gives commands, and planners may plan for them.
+
+    A cell that is reached from other machines takes no commands that move or change anything while nobody holds it.
+    Stop needs no lease.
+    """
+
+
+@click.command()
+@json_option
+@address_options
+@readable_errors
+def show(as_json: bool, address: Address) -> None:
+    """Say who holds the cell, and who asks for it."""
+    found = run(_shown(address))
+    if as_json:
+        click.echo(msgspec.json.encode(found).decode())
+    elif found is None:
+        click.echo("nobody holds it")
+    else:
+        click.echo(f"{found.holder} holds it" + (f"; {found.asking} asks for it" if found.asking else ""))
+
+
+@click.command()
+@over_option
+@json_option
+@address_options
+@readable_errors
+def take(over: bool, as_json: bool, address: Address) -> None:
+    """Take the lease, on site for good: from elsewhere it lapses unless it is renewed, see `hold`.
+
+    Exit status: 0 taken or asked for, 1 refused, 3 no daemon.
+    """
+    _end_with(run(_call(address, "take_over" if over else "acquire")), as_json=as_json)
+
+
+@click.command()
+@over_option
+@address_options
+@readable_errors
+def hold(over: bool, address: Address) -> None:
+    """Hold the cell until interrupted, and release it then.
+
+    Exit status: 0 released, 1 refused, 2 lost meanwhile, 3 no daemon.
+
+    Example: pcmrs lease hold --endpoint tls/router.example.org:7449 --identity anna
+    """
+    run(_hold(address, over=over))
+
+
+@click.command()
+@click.argument("user")
+@json_option
+@address_options
+@readable_errors
+def confirm(user: str, as_json: bool, address: Address) -> None:
+    """Hand the cell over to USER, who has asked for it; what moves is stopped first.
+
+    Exit status: 0 handed over, 1 refused, 3 no daemon.
+    """
+    _end_with(run(_call(address, "confirm", user=user)), as_json=as_json)
+
+
+@click.command()
+@json_option
+@address_options
+@readable_errors
+def release(as_json: bool, address: Address) -> None:
+    """Give the cell back; what moves is stopped.
+
+    Exit status: 0 released, 1 refused, 3 no daemon.
+    """
+    _end_with(run(_call(address, "release")), as_json=as_json)
+
+
+async def _shown(address: Address) -> LeaseState | None:
+    async with address.connect() as client:
+        return (await client.state()).lease
+
+
+async def _call(address: Address, operation: str, **arguments: str) -> Verdict:
+    async with address.connect() as client:
+        return await client.call(f"lease.{operation}", arguments)
+
+
+async def _hold(address: Address, *, over: bool) -> None:
+    loop, ended = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, ended.set)
+    async with address.connect() as client, client.holding(over=over):
+        click.echo("held; interrupt to release it")
+        sys.stdout.flush()
+        await ended.wait()
+
+
+def _end_with(verdict: Verdict, *, as_json: bool) -> None:
+    click.echo(msgspec.json.encode(verdict).decode() if as_json else event_line(verdict))
+    sys.exit(STATUS[verdict.decision])

@@ -1,0 +1,117 @@
+"""pcmrs teleop: guides the tool by hand, from wherever the cell's bus can be reached."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, nullcontext, suppress
+from pathlib import Path
+
+import click
+import msgspec
+from rich.console import Console
+from rich.live import Live
+
+from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
+from pcmrs.cli.teleop_line import line_of, told_line
+from pcmrs.client import Client
+from pcmrs.clock import SystemClock
+from pcmrs.errors import CommandRefusedError
+from pcmrs.teleop.demand import Mapping
+from pcmrs.teleop.devices import DEVICES, open_device
+from pcmrs.teleop.session import TeleopSession, Told
+
+SHOW_EVERY = 0.1
+"""Between two statuses shown, s."""
+
+
+@click.command()
+@click.option(
+    "--device",
+    type=click.Choice(DEVICES),
+    default="keyboard",
+    show_default=True,
+    help="What is moved by hand, or a script in its place.",
+)
+@click.option(
+    "--script",
+    type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    metavar="FILE",
+    help="For --device script: lines of a time and a twist, s, m/s and rad/s.",
+)
+@click.option("--rate", type=click.FloatRange(20, 200), default=50, show_default=True, help="Set points per second.")
+@click.option("--linear", type=click.FloatRange(0.001, 0.1), default=0.01, show_default=True, help="Full speed, m/s.")
+@click.option("--angular", type=click.FloatRange(0.01, 1), default=0.1, show_default=True, help="The same, rad/s.")
+@json_option
+@address_options
+@readable_errors
+def teleop(
+    device: str, script: Path | None, rate: float, linear: float, angular: float, as_json: bool, address: Address
+) -> None:
+    """Guide the tool near its planned pose, for as long as the clutch is held.
+
+    You hold the cell meanwhile. The tool has to stand at the standoff or at its place. It moves along its own axes, +z
+    away from the body. The cell limits its speed, the more so the later the set points come, and holds the tool when
+    they do not come any more: then somebody at the cell decides how to go on.
+
+    Exit status: 0 left, 1 not allowed, 2 ended by the cell or its silence, 3 no daemon.
+    """
+    if (device == "script") != (script is not None):
+        raise click.UsageError("--device script and --script FILE need each other.")
+    try:
+        ended = run(_teleoperate(address, device, script, Mapping(linear, angular), rate, as_json))
+    except CommandRefusedError as error:
+        click.echo(error.text, err=True)
+        sys.exit(EXIT_REJECTED)
+    if ended:
+        click.echo(ended, err=True)
+        sys.exit(EXIT_FAILED)
+
+
+async def _teleoperate(
+    address: Address, device: str, script: Path | None, mapping: Mapping, rate: float, as_json: bool
+) -> str:
+    def tell(told: Told) -> None:
+        click.echo(msgspec.json.encode(told).decode() if as_json else told_line(told), err=not as_json)
+
+    async with address.connect() as client, _held(client):
+        with open_device(device, mapping, script) as hands:
+            session = TeleopSession(client, hands, SystemClock(), rate, tell)
+            async with _shown(session, keys=device == "keyboard", as_json=as_json):
+                return await session.run()
+
+
+@asynccontextmanager
+async def _held(client: Client) -> AsyncIterator[None]:
+    """Holds the cell, unless we do already. Raises `CommandRefusedError` while somebody else does."""
+    lease = (await client.state()).lease
+    async with nullcontext() if lease is not None and lease.holder == client.user else client.holding():
+        yield
+
+
+@asynccontextmanager
+async def _shown(session: TeleopSession, *, keys: bool, as_json: bool) -> AsyncIterator[None]:
+    """Shows the status for as long as the context lasts."""
+    task = asyncio.create_task(_as_json(session) if as_json else _on_a_line(session, keys=keys))
+    try:
+        yield
+    finally:
+        task.cancel()
+        with suppress(asyncio.CancelledError):
+            await task
+
+
+async def _as_json(session: TeleopSession) -> None:
+    while True:
+        if session.status is not None:
+            click.echo(msgspec.json.encode(session.status).decode())
+        await SystemClock().sleep(SHOW_EVERY)
+
+
+async def _on_a_line(session: TeleopSession, *, keys: bool) -> None:
+    with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as live:
+        while True:
+            live.update(line_of(session.status, keys=keys), refresh=True)
+            await SystemClock().sleep(SHOW_EVERY)

@@ -1,0 +1,141 @@
+"""The lease of a cell: while one operator or teleoperator holds it, the others' commands are refused.
+
+It is asked for by commands of a branch that no workflow has. What it grants is on record like any decision; it begins
+and ends with the daemon.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from pcmrs.clock import Clock
+from pcmrs.dispatcher.admission import EVENT_SOURCES
+from pcmrs.messages import Command, DeviceEvent, LeaseState, Reason
+from pcmrs.messages.identity import LOCAL
+from pcmrs.messages.roles import HOLDING
+
+LEASE: Final = "lease"
+"""The branch of its commands, and the source of its events."""
+RENEW: Final = "renew"
+LAPSED: Final = "lease_lapsed"
+"""Code of the event that its holder has not renewed it in time."""
+TAKEN: Final = "lease_taken"
+"""Code of the Stop with which it changes hands in motion."""
+
+
+class Lease:
+    """Who holds the cell.
+
+    Args:
+        clock: The cell's.
+        required: Whether somebody has to hold it before commands are taken.
+
+    Attributes:
+        state: Its holder, and who else asks for it; None while nobody holds it.
+        renewed: When its holder was heard last, s of the clock.
+    """
+
+    def __init__(self, clock: Clock, *, required: bool = False) -> None:
+        self._clock = clock
+        self._required = required
+        self._operations: dict[str, Callable[[Command], Reason | None]] = {
+            "acquire": self._acquire,
+            RENEW: self._renew,
+            "release": self._release,
+            "take_over": self._take_over,
+            "confirm": self._confirm,
+        }
+        self.state: LeaseState | None = None
+        self.renewed = 0.0
+
+    @property
+    def holder(self) -> str | None:
+        """The user who holds it."""
+        return None if self.state is None else self.state.holder
+
+    def objection(self, command: Command) -> Reason | None:
+        """Why an operation may not be asked for now; None when it may."""
+        if command.source.startswith(EVENT_SOURCES) or command.user == self.holder:
+            return None
+        if self.holder is None:
+            text = "Nobody holds this cell: take its lease first, `pcmrs lease hold`."
+            return Reason(code="no_lease", text=text) if self._required else None
+        return None if command.role == "planner" else self._held()
+
+    def decide(self, command: Command) -> Reason | None:
+        """Does what a command of the branch `LEASE` asks for, at once; or says why not."""
+        operation = self._operations.get(command.operation)
+        if operation is None:
+            known = list(self._operations)
+            text = f"{LEASE} has no operation {command.operation!r}; it has {', '.join(known)}."
+            return Reason(code="unknown_operation", text=text, fields={"operation": command.operation, "known": known})
+        if command.role not in HOLDING:
+            text = f"A {command.role} cannot hold the lease: {' or '.join(HOLDING)} can."
+            return Reason(code="role_not_allowed", text=text, fields={"role": command.role})
+        return operation(command)
+
+    def lapsed(self, limit: float) -> str | None:
+        """The holder who has not renewed it for `limit` s; whoever is on site is there without renewing."""
+        away = self._clock.monotonic() - self.renewed
+        return self.holder if self.holder != LOCAL and away > limit else None
+
+    def follow(self, event: DeviceEvent) -> None:
+        """Frees it when it has lapsed."""
+        if (event.device, event.code) == (LEASE, LAPSED):
+            self.state = None
+
+    def _acquire(self, command: Command) -> Reason | None:
+        if self.holder not in (None, command.user):
+            return self._held()
+        self._give(command.user)
+        return None
+
+    def _renew(self, command: Command) -> Reason | None:
+        if self.holder != command.user:
+            return self._not_yours(command)
+        self.renewed = self._clock.monotonic()
+        return None
+
+    def _release(self, command: Command) -> Reason | None:
+        if self.holder != command.user:
+            return self._not_yours(command)
+        self.state = None
+        return None
+
+    def _take_over(self, command: Command) -> Reason | None:
+        """At once for who is on site; all others ask, and the holder confirms."""
+        if self.state is None or command.user in (self.holder, LOCAL):
+            self._give(command.user)
+        else:
+            self.state = LeaseState(holder=self.state.holder, asking=command.user)
+        return None
+
+    def _confirm(self, command: Command) -> Reason | None:
+        if self.state is None or self.holder != command.user:
+            return self._not_yours(command)
+        asked = command.arguments.get("user")
+        if asked is None or asked != self.state.asking:
+            text = f"{asked} does not ask for the lease; {self.state.asking or 'nobody'} does. Give the argument user."
+            return Reason(code="bad_arguments", text=text, fields={"user": asked, "asking": self.state.asking})
+        self._give(asked)
+        return None
+
+    def _give(self, user: str) -> None:
+        asking = None if self.state is None or self.state.asking == user else self.state.asking
+        self.state = LeaseState(holder=user, asking=asking)
+        self.renewed = self._clock.monotonic()
+
+    def _held(self) -> Reason:
+        text = f"{self.holder} holds this cell: ask for it, `pcmrs lease hold --take-over`, or wait."
+        return Reason(code="lease_held", text=text, fields={"holder": self.holder})
+
+    def _not_yours(self, command: Command) -> Reason:
+        text = f"{command.user} does not hold the lease; {self.holder or 'nobody'} does."
+        return Reason(code="not_holder", text=text, fields={"holder": self.holder})
+
+
+def lapse(holder: str, limit: float, *, moving: bool) -> DeviceEvent:
+    """The lease of `holder` has ended; in motion the robot is held."""
+    text = f"{holder} has not been heard for {limit:g} s and does not hold this cell any more."
+    return DeviceEvent(device=LEASE, code=LAPSED, text=text, danger=moving, fields={"holder": holder})

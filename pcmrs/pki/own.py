@@ -1,0 +1,118 @@
+"""The files with which a process proves who it is, looked at before anybody else does."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Iterable
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+from cryptography.x509.oid import NameOID
+
+from pcmrs.bus import Credentials
+from pcmrs.errors import ConfigurationError
+from pcmrs.messages.identity import Identity
+from pcmrs.messages.roles import Role
+from pcmrs.pki.authority import CERTIFICATE
+from pcmrs.pki.certificates import CELL, CLOCKS_DIFFER
+from pcmrs.pki.keyfile import read_key
+
+
+def read_credentials(folder: Path, now: float) -> Credentials:
+    """The credentials in a folder that `Authority.issue` has made, if they can be used.
+
+    Args:
+        folder: Holds one key, the certificate of the same name, and the authority's.
+        now: Wall time, s.
+
+    Raises:
+        ConfigurationError: A file is missing or another than it should be, others may read the key, or the certificate
+            does not count yet or any more.
+    """
+    path = _only_key(folder)
+    name, certificate, authority = path.stem, _read(path.with_suffix(".pem")), _read(folder / CERTIFICATE)
+    if read_key(path).public_key() != certificate.public_key():
+        raise _wrong(folder, f"{name}.key does not belong to {name}.pem")
+    try:
+        certificate.verify_directly_issued_by(authority)
+    except (ValueError, TypeError, InvalidSignature):
+        raise _wrong(folder, f"{name}.pem was not issued by {CERTIFICATE}") from None
+    if [each.value for each in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)] != [name]:
+        raise _wrong(folder, f"{name}.pem is the certificate of somebody else")
+    for file, each in ((f"{name}.pem", certificate), (CERTIFICATE, authority)):
+        _check_time(folder / file, each, now)
+    return Credentials(
+        name=name,
+        cells=_cells(certificate),
+        certificate=str(path.with_suffix(".pem").absolute()),
+        key=str(path.absolute()),
+        authority=str((folder / CERTIFICATE).absolute()),
+        ends=certificate.not_valid_after_utc.timestamp(),
+    )
+
+
+def check_registered(own: Credentials, members: Iterable[Identity], role: Role, cell: str = "") -> None:
+    """Refuses to run as what the register does not have: nobody could say what it may do.
+
+    Args:
+        own: Of the process.
+        members: The register.
+        role: What the process is.
+        cell: ``<site>/<cell>`` that it serves; empty for a router.
+
+    Raises:
+        ConfigurationError: The register lacks it, has revoked it, or has it with another role or for other cells.
+    """
+    found = next((each for each in members if each.name == own.name), None)
+    wrong = None
+    if found is None:
+        wrong = "is not in the register: copy the authority's present one"
+    elif found.revoked is not None:
+        wrong = "is revoked: have a new identity issued"
+    elif found.role != role:
+        wrong = f"has the role {found.role}, not {role}: have one issued with that role"
+    elif cell and not any(fnmatchcase(cell, each) for each in found.cells):
+        wrong = f"may serve {' '.join(found.cells)}, not {cell}: have one issued for this cell"
+    if wrong is not None:
+        raise ConfigurationError(f"{own.name} {wrong}.", name=own.name, role=role, cell=cell)
+
+
+def _only_key(folder: Path) -> Path:
+    keys = sorted(folder.glob("*.key"))
+    if len(keys) != 1:
+        raise _wrong(folder, f"it holds {len(keys)} files that end in .key, not one")
+    return keys[0]
+
+
+def _read(path: Path) -> x509.Certificate:
+    try:
+        return x509.load_pem_x509_certificate(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise _wrong(path.parent, f"{path.name} cannot be read: {error}") from None
+
+
+def _check_time(path: Path, certificate: x509.Certificate, now: float) -> None:
+    begins, ends = certificate.not_valid_before_utc.timestamp(), certificate.not_valid_after_utc.timestamp()
+    if now >= ends:
+        text = f"{path} has expired on {_shown(ends)}: have a new one issued, `pcmrs pki issue`, or set the clock."
+        raise ConfigurationError(text, file=str(path), ended=ends, now=now)
+    if now < begins - CLOCKS_DIFFER:
+        text = f"{path} counts from {_shown(begins)} only, and it is {_shown(now)} here: set the clock."
+        raise ConfigurationError(text, file=str(path), begins=begins, now=now)
+
+
+def _cells(certificate: x509.Certificate) -> tuple[str, ...]:
+    names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    found = names.get_values_for_type(x509.UniformResourceIdentifier)
+    return tuple(each.removeprefix(CELL) for each in found if each.startswith(CELL))
+
+
+def _shown(wall: float) -> str:
+    return f"{datetime.datetime.fromtimestamp(wall, datetime.UTC):%Y-%m-%d %H:%M:%S} UTC"
+
+
+def _wrong(folder: Path, why: str) -> ConfigurationError:
+    text = f"{folder} is no identity as `pcmrs pki issue` makes it: {why}."
+    return ConfigurationError(text, folder=str(folder))

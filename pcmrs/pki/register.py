@@ -1,0 +1,22 @@
+"""The register: everybody who has been given a certificate, and who has lost it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from pcmrs.errors import ConfigurationError
+from pcmrs.messages.identity import Identity
+
+
+def read_register(path: Path) -> list[Identity]:
+    """Reads the register of an authority, or a copy of it.
+
+    Raises:
+        ConfigurationError: It cannot be read.
+    """
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=list[Identity])
+    except (OSError, msgspec.DecodeError) as error:
+        raise ConfigurationError(f"{path} cannot be read: {error}. Put it back from a copy.", path=str(path)) from None

@@ -1,0 +1,42 @@
+"""Watches that whoever holds the cell is still there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from pcmrs.clock import Clock
+from pcmrs.dispatcher import Dispatcher
+from pcmrs.dispatcher.lease import lapse
+from pcmrs.service.supervisor import mark
+
+LOOKS = 10
+"""Looks in the time after which a lease lapses."""
+
+
+class LeaseWatch:
+    """Ends the lease of a holder who does not renew it; what moves then is held.
+
+    Args:
+        dispatcher: Keeps the lease.
+        moving: Whether the robot moves.
+        clock: The cell's.
+        limit: Time without renewal, s of the clock.
+    """
+
+    def __init__(
+        self, dispatcher: Dispatcher[Any, Any], moving: Callable[[], bool], clock: Clock, limit: float
+    ) -> None:
+        self._dispatcher = dispatcher
+        self._moving = moving
+        self._clock = clock
+        self._limit = limit
+
+    async def run(self) -> None:
+        """Watches until cancelled."""
+        while True:
+            mark()
+            holder = self._dispatcher.lease.lapsed(self._limit)
+            if holder is not None:
+                await self._dispatcher.report(lapse(holder, self._limit, moving=self._moving()))
+            await self._clock.sleep(self._limit / LOOKS)

@@ -1,0 +1,35 @@
+"""All input devices by name."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+
+from pcmrs.teleop.demand import InputDevice, Mapping
+
+DEVICES = ("keyboard", "spacemouse", "gamepad", "script")
+
+
+def open_device(name: str, mapping: Mapping, script: Path | None = None) -> AbstractContextManager[InputDevice]:
+    """Opens a device; to be entered where the event loop runs that is to read it.
+
+    Args:
+        name: One of `DEVICES`.
+        mapping: From deflections to twists.
+        script: File of the device ``script``.
+
+    Raises:
+        ConfigurationError: It cannot be read, on entering at the latest.
+    """
+    if script is not None:
+        from pcmrs.teleop.script import read_script
+
+        return nullcontext(read_script(script))
+    if name == "keyboard":
+        from pcmrs.teleop.keyboard import open_keyboard  # for terminals only
+
+        return open_keyboard(mapping)
+    from pcmrs.teleop.controllers import GAMEPAD, SPACEMOUSE
+    from pcmrs.teleop.kernel_input import open_controller
+
+    return open_controller(SPACEMOUSE if name == "spacemouse" else GAMEPAD, mapping)

@@ -1,0 +1,85 @@
+"""What the two documents name is there: tests, rows of the campaign, requirements, and the software of a cell."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from pcmrs.campaign.catalogue import catalogue
+
+ROOT = Path(__file__).parents[2]
+THREATS = ROOT / "docs" / "threat-model.md"
+SAFETY = ROOT / "docs" / "safety.md"
+THREAT_TABLES = ("Threats from a network", "Threats on the machine")
+NAMED = re.compile(r"`([\w/]+\.py)::(test_\w+)`")
+ROW = re.compile(r"\b[OSBNPTCA]\d{1,2}\b")
+
+
+def rows_of(text: str, heading: str) -> list[list[str]]:
+    """Cells of the tables under a heading, without their heads."""
+    section = text.partition(f"## {heading}\n")[2].partition("\n## ")[0]
+    lines = [line for line in section.splitlines() if line.startswith("|") and not line.startswith("| ---")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[1:]]
+
+
+def all_threats() -> list[list[str]]:
+    return [row for heading in THREAT_TABLES for row in rows_of(THREATS.read_text(), heading)]
+
+
+@pytest.mark.parametrize("document", [THREATS, SAFETY], ids=lambda path: path.stem)
+def test_every_test_that_is_named_exists(document: Path) -> None:
+    named = NAMED.findall(document.read_text())
+
+    assert named
+    for file, test in named:
+        assert re.search(rf"^(async )?def {test}\(", (ROOT / "tests" / file).read_text(), re.MULTILINE), (file, test)
+
+
+def test_every_threat_has_a_control_and_what_shows_it() -> None:
+    threats = all_threats()
+
+    assert [row[0] for row in threats] == [f"X{number}" for number in range(1, len(threats) + 1)]
+    for _, threat, assets, control, shown in threats:
+        assert threat
+        assert control
+        assert set(assets.split()) <= set("MSWJKPV")
+        assert NAMED.search(shown) or ROW.search(shown), threat
+
+
+def test_every_row_of_the_campaign_that_is_named_exists() -> None:
+    shown = [row[4] for row in all_threats()]
+    shown += [row[3] for row in rows_of(SAFETY.read_text(), "Requirements and their tests")]
+
+    for cell in shown:
+        assert set(ROW.findall(NAMED.sub("", cell))) <= catalogue().keys(), cell
+
+
+def test_every_row_against_an_adversary_is_answered() -> None:
+    wanted = {row.id for row in catalogue().values() if row.fault_class == "adversary"}
+
+    assert wanted <= set(ROW.findall(THREATS.read_text()))
+
+
+def test_every_hazard_has_controls_and_every_requirement_a_hazard() -> None:
+    text = SAFETY.read_text()
+    hazards, requirements = rows_of(text, "Hazards"), rows_of(text, "Requirements and their tests")
+    known = {row[0] for row in requirements}
+
+    for name, *_, before, controls, after in hazards:
+        assert set(controls.split(", ")) <= known, name
+        assert re.fullmatch(r"S[1-4] P[1-4]", before), name
+        assert re.fullmatch(r"S[1-4] P[1-4]", after), name
+        assert (after[:2], after < before) == (before[:2], True), name  # software changes the probability only
+    assert {control for row in hazards for control in row[6].split(", ")} == known
+
+
+def test_the_software_is_that_of_the_lock_file() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    wanted = {re.split(r"[><=]", each)[0] for each in (*project["dependencies"], *extras["sim"], *extras["hardware"])}
+    locked = dict(re.findall(r"^([a-z0-9._-]+)==(\S+)", (ROOT / "requirements.lock").read_text(), re.MULTILINE))
+
+    listed = {row[0]: row[1] for row in rows_of(SAFETY.read_text(), "Third-party software")}
+
+    assert listed == {name: locked[name] for name in wanted}
