@@ -58,7 +58,7 @@ class JumpGuard:
         if before is not None and exposed <= before[0]:
             return "stamp_not_advancing"
         self._seen[body] = exposed, tracker_from_body
-        if before is not None and self._jumped(before[1], tracker_from_body, exposed - before[0]):
+        if before is not None and self._leapt(body, before[1], tracker_from_body, exposed - before[0]):
             self._steady[body] = -1
         if body in self._steady:
             self._steady[body] += 1
@@ -75,6 +75,14 @@ class JumpGuard:
         """The tracker was restarted: nothing is known of the body any more."""
         for known in (self._seen, self._believed, self._steady):
             known.pop(body, None)
+
+    def _leapt(self, body: str, before: Transform, now: Transform, time: float) -> bool:
+        """Whether it cannot have gone so far, or has come to the place of another one in a single step.
+
+        After frames that are missing a body may have gone far, but not to where another one was.
+        """
+        at_once = distance(before, now) > SAME_PLACE and self._at_place_of_another(body, now)
+        return at_once or self._jumped(before, now, time)
 
     def _jumped(self, before: Transform, now: Transform, time: float) -> bool:
         if distance(before, now) > self._limits.speed * time:

@@ -72,6 +72,7 @@ NEEDS = {
     **{row: {"libfaketime"} for row in ("C1", "C2", "C3")},
     "P6": {"control groups for memory", "root"},
     "P8": {"control groups for the processor", "root"},
+    "A13": {"root", "ip", "nft", "network namespaces with NAT and loss"},
 }
 
 

@@ -65,6 +65,16 @@ def test_bodies_taken_for_each_other_are_never_believed_there() -> None:
         assert _doubts(guard, [place] * (LIMITS.steady + 1), body, start=103)[-1] == ""
 
 
+@pytest.mark.parametrize("missing", [0, 1, 3, 30])
+def test_bodies_taken_for_each_other_are_not_believed_after_missing_frames_either(missing: int) -> None:
+    guard, places = JumpGuard(LIMITS), {"coil": _at(0.0), "body_ref": _at(0.1)}
+    for body, place in places.items():
+        assert set(_doubts(guard, [place] * 3, body)) == {""}
+    for number in range(3 + missing, 50 + missing):
+        for body, other in (("coil", "body_ref"), ("body_ref", "coil")):
+            assert _doubts(guard, [places[other]], body, start=number) == ["swapped"]
+
+
 def test_a_body_that_comes_near_another_without_a_jump_is_believed() -> None:
     guard = JumpGuard(LIMITS)
     _doubts(guard, [_at(0.0)], "body_ref")

@@ -67,7 +67,7 @@ async def replayed(lab: Lab) -> Evidence:
     """What the peer has sent is refused when somebody sends it again."""
     async with reachable_cell(lab) as open_cell:
         signer = Signer("slicer", read_key(open_cell.peer_key), itertools.count(1).__next__)
-        sent = [signer.sign(b"stop_visualizexx;") for _ in range(20)]
+        sent = [signer.sign(b"stop_visualizexx_#%d;" % number) for number in range(20)]
         async with raw_socket(open_cell.cell.ready.links["planner"]) as raw:
             for datagram in sent:
                 raw.send(datagram)
