@@ -17,6 +17,10 @@ from pcmrs.messages.identity import LOCAL, Identity
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 SECURED: Final = "tls/"
 """Begins every endpoint that is not this machine's own."""
+NEAR: Final = 1000
+"""A link on one machine that carries nothing for so long is closed, ms."""
+FAR: Final = 4000
+"""The same where links go over a network: TCP stalls for more than a second when a fifth of the packets is lost."""
 _LARGEST: Final = MAX_BYTES + 64 * 1024
 """Bytes of the largest message that is taken from a link, its envelope with it."""
 
@@ -89,7 +93,7 @@ class BusSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             "adminspace/permissions": {"read": True, "write": False},
             "transport/link/protocols": ["tcp"] if self.credentials is None else ["tcp", "tls"],
             "transport/link/rx/max_message_size": _LARGEST,
-            "transport/link/tx/lease": 1000,
+            "transport/link/tx/lease": NEAR if self.credentials is None else FAR,
             "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
             "transport/shared_memory/enabled": False,
         } | self._secrets()

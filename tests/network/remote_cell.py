@@ -149,7 +149,7 @@ class RemoteCell:
     def restart_router(self) -> None:
         """Kills the router, and starts it again."""
         self.router.kill()
-        self.router.wait()
+        _end(self.router)
         self.router = start_router(self.network, self.folder)
 
     def _local(self, words: list[str]) -> list[str]:

@@ -60,7 +60,7 @@ def test_the_workflow_runs_through_a_router_on_loopback(tmp_path: Path) -> None:
 @needs_namespaces
 @pytest.mark.nightly
 def test_packets_are_lost(tmp_path: Path) -> None:
-    with behind_nats() as network, remote_cell(network, tmp_path) as cell:
+    with behind_nats() as network, remote_cell(network, tmp_path, "access.lease_s=15") as cell:
         for side in ("cell", "remote"):
             network.lab.lose(side, 0.2)
         with holding(cell):
@@ -78,7 +78,7 @@ def test_a_side_is_cut_in_motion(tmp_path: Path, side: str) -> None:
             moving = cell.begin("call", "placement.approach", "--json")
             cell.until(lambda shown: any(each["operation"] == "approach" for each in shown["running"]))
             network.lab.cut(side)  # type: ignore[arg-type]
-            held = cell.until(lambda shown: shown["latched"])
+            held = cell.until(lambda shown: shown["latched"] and not shown["running"])
             assert held["branches"]["placement"] == "held"
             assert held["lease"] is None
             network.lab.mend(side)  # type: ignore[arg-type]

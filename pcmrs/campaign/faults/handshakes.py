@@ -45,14 +45,21 @@ from pathlib import Path
 from pcmrs.bus import BusSettings
 from pcmrs.bus.settings import open_session
 from pcmrs.clock import SystemClock
+from pcmrs.errors import BusError
 from pcmrs.pki import read_credentials
 own = read_credentials(Path(sys.argv[2]), SystemClock().wall())
 begun = time.monotonic()
-session = open_session(BusSettings(endpoint=sys.argv[1], credentials=own))
+while True:
+    try:
+        session = open_session(BusSettings(endpoint=sys.argv[1], credentials=own))
+        break
+    except BusError:
+        if time.monotonic() - begun > 60.0:
+            raise
 print(time.monotonic() - begun, flush=True)
 session.close()
 """
-"""Seconds that a client needs to be let in."""
+"""Seconds that a client needs to be let in, however often it has to try."""
 
 
 @fault(
@@ -72,17 +79,24 @@ def _flooded(folder: Path) -> Evidence:
     authority.issue("operator", "anna", now, into=folder)
     with nat_lab() as net:
         _start_router(net, folder)
-        quiet = _connected(net, folder)
+        unprotected = _connected_beside_a_flood(net, folder)
         loaded = net.run("router", "nft", "-f", str(RULES))
         expect(loaded.returncode == 0, f"The rules are not loaded: {loaded.stderr}")
-        flood = net.start(
-            "remote", sys.executable, "-c", FLOOD, ROUTER["remote"], str(PORT),
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        )  # fmt: skip
-        _line(flood)
-        flooded = _connected(net, folder)
-    expect(flooded < WITHIN, f"The client was let in after {flooded:.1f} s, without a flood after {quiet:.1f} s.")
-    return Evidence("let in, by the rules of nftables", {"flooded_s": round(flooded, 2), "quiet_s": round(quiet, 2)})
+        protected = _connected_beside_a_flood(net, folder)
+    expect(unprotected > WITHIN, f"Without the rules, too, the client was let in after {unprotected:.2f} s.")
+    expect(protected < WITHIN, f"The client was let in after {protected:.2f} s.")
+    details = {"let_in_after_s": round(protected, 2), "control": f"without the rules after {unprotected:.1f} s"}
+    return Evidence("let in, by the rules of nftables", details)
+
+
+def _connected_beside_a_flood(net: NatLab, folder: Path) -> float:
+    """Seconds until a client is let in while 200 connections are held open elsewhere."""
+    pipe = subprocess.PIPE
+    flood = net.start("remote", sys.executable, "-c", FLOOD, ROUTER["remote"], str(PORT), stdin=pipe, stdout=pipe)
+    _line(flood)
+    taken = _connected(net, folder)
+    flood.communicate()
+    return taken
 
 
 def _start_router(net: NatLab, folder: Path) -> None:
@@ -96,7 +110,7 @@ def _start_router(net: NatLab, folder: Path) -> None:
 
 def _connected(net: NatLab, folder: Path) -> float:
     endpoint = f"tls/{ROUTER['cell']}:{PORT}"
-    done = net.run("cell", sys.executable, "-c", CONNECT, endpoint, str(folder / "anna"), timeout=60.0)
+    done = net.run("cell", sys.executable, "-c", CONNECT, endpoint, str(folder / "anna"), timeout=90.0)
     expect(done.returncode == 0, f"The client was not let in: {done.stderr[-300:]}")
     return float(done.stdout)
 
