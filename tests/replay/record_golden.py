@@ -43,6 +43,8 @@ TOUR = 12.0
 """Of the machine, s."""
 LIMIT = 100_000
 IN_MOTION = 0.25
+DIGITIZING = "sim.digitization.reach_time=8"
+"""So long, s of the cell, that Stop finds landmarks being digitized and something else waiting."""
 """So long after it was asked for, a motion is under way, s of the machine."""
 
 UNSEEN = ("pose_missing", "pose_stale")
@@ -186,7 +188,7 @@ async def _located(client: Client) -> None:
 
 async def record(workflow: str, folder: Path) -> None:
     """Records the journal of one workflow into `GOLDEN`."""
-    settings = [*own_settings(folder), f"workflow={workflow}"]
+    settings = [*own_settings(folder), f"workflow={workflow}", DIGITIZING]
     with running_daemon(settings, folder) as daemon:
         async with daemon.client() as client:
             await first_run(daemon, client, workflow)
