@@ -60,7 +60,8 @@ async def first_run(daemon: ServeProcess, client: Client, workflow: str) -> None
     landmarks, pose = arguments["landmarks"], _planning(workflow, arguments)
     await _told(client, "registration.register")
     await _told(client, "registration.plan_landmarks", {"landmarks": [{"name": "one", "position": [120.0, 0.0, 0.0]}]})
-    await _told(client, "registration.plan_landmarks", landmarks)
+    for _ in range(2):
+        await _told(client, "registration.plan_landmarks", landmarks)
     await _told(client, "digitization.digitize_one", {"index": 99})
     await _told(client, "digitization.digitize_one", {"index": 0})
     await _stopped(client, _told(client, "digitization.digitize_all"), _told(client, "registration.clear_landmarks"))
