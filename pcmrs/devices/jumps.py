@@ -81,8 +81,13 @@ class JumpGuard:
 
         After frames that are missing a body may have gone far, but not to where another one was.
         """
-        at_once = distance(before, now) > SAME_PLACE and self._at_place_of_another(body, now)
-        return at_once or self._jumped(before, now, time)
+        if (
+            self._limits.speed < math.inf
+            and distance(before, now) > SAME_PLACE
+            and self._at_place_of_another(body, now)
+        ):
+            return True
+        return self._jumped(before, now, time)
 
     def _jumped(self, before: Transform, now: Transform, time: float) -> bool:
         if distance(before, now) > self._limits.speed * time:

@@ -43,9 +43,14 @@ with socket.create_connection((sys.argv[1], int(sys.argv[2])), 1.0) as connectio
 DATAGRAMS = """
 import socket, sys
 udp, answered = socket.socket(type=socket.SOCK_DGRAM), 0
-udp.settimeout(0.5)
+udp.settimeout(0.02)  # few are under way at a time, so that no buffer overflows
 for number in range(int(sys.argv[3])):
     udp.sendto(b"%d" % number, (sys.argv[1], int(sys.argv[2])))
+    try:
+        answered += bool(udp.recv(1024))
+    except TimeoutError:
+        pass
+udp.settimeout(0.5)
 try:
     while udp.recv(1024):
         answered += 1
@@ -113,7 +118,7 @@ def test_nothing_reaches_a_side_from_outside(lab: NatLab, side: Side) -> None:
 def test_so_many_packets_are_lost_on_one_side_only(lab: NatLab) -> None:
     lab.lose("remote", 0.2)
 
-    assert 0.5 < datagrams(lab, "remote", ROUTER["remote"], 500) / 500 < 0.78  # 0.8², by six standard deviations
+    assert 0.44 < datagrams(lab, "remote", ROUTER["remote"], 200) / 200 < 0.84  # 0.8², by six standard deviations
     assert datagrams(lab, "cell", ROUTER["cell"], 100) == 100
     lab.mend("remote")
     assert datagrams(lab, "remote", ROUTER["remote"], 100) == 100
