@@ -22,7 +22,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pcmrs.campaign.catalogue import choose
 from pcmrs.campaign.faults.adversary import FLOOD, stop_times
 from pcmrs.campaign.flood import flood
 from pcmrs.campaign.lab import open_cell
@@ -80,9 +79,8 @@ def _faults(*words: object, seeds: int = SEED) -> dict[str, Any]:
 
 
 def _catalogue(seeds: int, jobs: int) -> dict[str, Any]:
-    """Every fault that needs no access control."""
-    ids = [word for row in choose() if not row.access_control for word in ("--id", row.id)]
-    report = _faults("run", *ids, "--jobs", jobs, seeds=seeds)
+    """Every fault."""
+    report = _faults("run", "--jobs", jobs, seeds=seeds)
     results = report.get("faults", [])
     rest = {f"{each['id']} seed {each['seed']}": each["response"] for each in results if each["outcome"] != "passed"}
     counts = Counter[str](each["outcome"] for each in results)

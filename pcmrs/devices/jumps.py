@@ -81,13 +81,10 @@ class JumpGuard:
 
         After frames that are missing a body may have gone far, but not to where another one was.
         """
-        if (
-            self._limits.speed < math.inf
-            and distance(before, now) > SAME_PLACE
-            and self._at_place_of_another(body, now)
-        ):
+        if self._jumped(before, now, time):
             return True
-        return self._jumped(before, now, time)
+        is_guarded = self._limits.speed < math.inf
+        return is_guarded and distance(before, now) > SAME_PLACE and self._at_place_of_another(body, now)
 
     def _jumped(self, before: Transform, now: Transform, time: float) -> bool:
         if distance(before, now) > self._limits.speed * time:

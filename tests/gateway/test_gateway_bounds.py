@@ -14,7 +14,8 @@ from structlog.testing import capture_logs
 
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway import intake, links, session
-from pcmrs.gateway.settings import GatewayConfig, is_loopback
+from pcmrs.gateway.settings import GatewayConfig
+from pcmrs.hosts import is_loopback
 
 
 async def test_what_is_refused_to_a_client_without_verdicts_is_logged(cell: Any) -> None:

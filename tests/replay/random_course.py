@@ -114,8 +114,15 @@ class Course:
         """Somebody asks by name, on the bus."""
         self._number += 1
         branch, operation = name.split(".")
-        given = {"source": f"bus:{user}", "user": user, "role": role, "arguments": arguments}
-        command = Command(id=f"c{self._number}", branch=branch, operation=operation, **given)
+        command = Command(
+            id=f"c{self._number}",
+            branch=branch,
+            operation=operation,
+            source=f"bus:{user}",
+            user=user,
+            role=role,
+            arguments=arguments,
+        )
         self._spawn(self.dispatcher.submit(command))
 
     def lose_holder(self, *, moving: bool) -> None:
