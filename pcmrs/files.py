@@ -51,9 +51,10 @@ def read_secret(path: Path) -> bytes:
         OSError: It cannot be read.
     """
     with path.open("rb") as file:
-        mode = os.fstat(file.fileno()).st_mode & 0o777
+        status = os.fstat(file.fileno())
         content = file.read(_LONGEST)
-    if mode & 0o077 and not _is_credential(path, mode):
+    mode = status.st_mode & 0o777
+    if mode & 0o077 and not _is_credential(path, status):
         raise ConfigurationError(
             f"{path} has mode {mode:04o}: others than its owner may use this key. The limit is {SECRET:04o}: "
             f"chmod 600 {path}, and make a new key if somebody may have copied it.",
@@ -64,10 +65,11 @@ def read_secret(path: Path) -> bytes:
     return content
 
 
-def _is_credential(path: Path, mode: int) -> bool:
+def _is_credential(path: Path, status: os.stat_result) -> bool:
     """Whether a service manager hands the secret over, by an access list that shows as the group's right to read."""
     folder = os.environ.get("CREDENTIALS_DIRECTORY")
-    return folder is not None and path.parent == Path(folder) and mode == 0o440 and path.stat().st_uid == 0
+    handed_over = status.st_uid == 0 and status.st_mode & 0o777 == 0o440
+    return handed_over and folder is not None and path.parent == Path(folder)
 
 
 def settle_on_disk(paths: Iterable[Path]) -> None:

@@ -16,7 +16,7 @@ from pcmrs.bus.qos import class_of
 from pcmrs.messages.identity import EVERY_CELL, LOCAL, Identity
 from pcmrs.messages.roles import PEOPLE, Role
 
-ON_SITE: Final[tuple[Role, ...]] = ("operator", "device", "daemon")
+ROLES_ON_SITE: Final[tuple[Role, ...]] = ("operator", "device", "daemon")
 """What runs on the cell's own machine, without certificates: consoles, device nodes, the daemon's own helpers."""
 
 _NAMES: Final = re.compile(r"<[a-z]+>")
@@ -48,7 +48,7 @@ def access_control(members: Iterable[Identity], *, on_site: bool = False) -> dic
         if member.revoked is None:
             access.add({"cert_common_names": [member.name]}, member.name, [member.role], member.cells)
     if on_site:
-        access.add({"interfaces": ["lo"], "link_protocols": ["tcp"]}, LOCAL, ON_SITE, EVERY_CELL)
+        access.add({"interfaces": ["lo"], "link_protocols": ["tcp"]}, LOCAL, ROLES_ON_SITE, EVERY_CELL)
     return {
         "enabled": True,
         "default_permission": "deny",

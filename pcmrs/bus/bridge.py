@@ -48,7 +48,8 @@ class Bridge:
     @property
     def waiting(self) -> int:
         """Calls that wait for the loop."""
-        return len(self._urgent) + len(self._ordered) + sum(map(len, self._newest.values()))
+        with self._lock:
+            return len(self._urgent) + len(self._ordered) + sum(map(len, self._newest.values()))
 
     def post(self, call: Call, *, urgent: bool = False) -> bool:
         """Queues a call; returns False, and forgets it, when its queue is full or closed."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -15,7 +16,8 @@ from pcmrs.campaign.lab import Lab, LabCell
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.experiment.process import free_port
-from pcmrs.gateway.keys import new_key
+from pcmrs.gateway.keys import new_key, read_key
+from pcmrs.gateway.signing import Signer
 from pcmrs.messages.identity import EVERY_CELL
 from pcmrs.messages.roles import Role
 from pcmrs.pki import Authority
@@ -89,6 +91,10 @@ class ReachableCell:
         if name is None:
             own = msgspec.structs.replace(own, certificate="", key="")
         return BusSettings(endpoint=self.endpoint, cell=self.cell.name, credentials=own)
+
+    def signer(self) -> Signer:
+        """Signs string commands as the peer."""
+        return Signer("slicer", read_key(self.peer_key), itertools.count(1).__next__)
 
     @asynccontextmanager
     async def client(self, name: str) -> AsyncIterator[Client]:

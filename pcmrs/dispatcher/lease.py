@@ -127,7 +127,7 @@ class Lease:
         self.renewed = self._clock.monotonic()
 
     def _held(self) -> Reason:
-        text = f"{self.holder} holds this cell: ask for it, `pcmrs lease hold --take-over`, or wait."
+        text = f"{self.holder} holds this cell: ask for it, `pcmrs lease hold --over`, or wait."
         return Reason(code="lease_held", text=text, fields={"holder": self.holder})
 
     def _not_yours(self, command: Command) -> Reason:

@@ -15,7 +15,8 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.correction import check_correctable
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.floors import Floors
-from pcmrs.workflows.ways import arrange
+from pcmrs.workflows.twists import within
+from pcmrs.workflows.ways import arrange, place_body
 
 LARGEST_ERROR, LARGEST_TURN = 5e-4, float(np.radians(0.25))
 """A tool that is farther behind a quick body errs no more than this by the arm's fault, m and rad."""
@@ -79,7 +80,7 @@ class Follower:
         self._check_beside(error, passed)
         if not self._lags:  # a tool that is limited in its speed is behind, not beside
             gain = passed / self._settings.correction_time
-            step = gain * _within(_twist(error), LARGEST_ERROR, LARGEST_TURN)
+            step = gain * within(_twist(error), LARGEST_ERROR, LARGEST_TURN)
             self._correction = self._correction @ Transform.from_rotvec(step[:3], step[3:])
             check_correctable(self._correction, self._cell.settings.placement)
         return error
@@ -136,9 +137,9 @@ class Follower:
         with_body = _twist(earlier.inverse() @ goal) / passed
         catching_up = _twist(self._base_from_coil.inverse() @ earlier) / max(settings.smoothing_time, passed)
         asked = with_body + catching_up
-        wanted = _within(asked, settings.linear_velocity, settings.angular_velocity)
+        wanted = within(asked, settings.linear_velocity, settings.angular_velocity)
         most = settings.linear_acceleration * passed, settings.angular_acceleration * passed
-        self._velocity = self._velocity + _within(wanted - self._velocity, *most)
+        self._velocity = self._velocity + within(wanted - self._velocity, *most)
         self._lags = not np.allclose(self._velocity, asked)
         step = self._velocity * passed
         self._base_from_coil = self._base_from_coil @ Transform.from_rotvec(step[:3], step[3:])
@@ -148,11 +149,7 @@ class Follower:
 
     def _keep_out(self, base_from_body_ref: Transform) -> None:
         """Places what moves with the body, and raises `RefusalError` where the arm would come too near to a zone."""
-        cell = self._cell
-        cell.base_from_body_ref = base_from_body_ref
-        cell.zones.model.look_from(self._base_from_tracker.translation, base_from_body_ref.translation)
-        if cell.body_ref_from_image is not None:
-            cell.zones.place_body(base_from_body_ref @ cell.body_ref_from_image)
+        place_body(self._cell, self._base_from_tracker, base_from_body_ref)
         entered = self._floors.passed(self.positions)
         if entered is not None:
             raise entered
@@ -161,9 +158,3 @@ class Follower:
 def _twist(way: Transform) -> Floats:
     """Translation (m) before rotation vector (rad), (6,)."""
     return np.concatenate((way.translation, way.rotvec))
-
-
-def _within(twist: Floats, linear: float, angular: float) -> Floats:
-    """A twist (6,), shortened where its translation or its rotation is longer than these."""
-    excess = max(float(np.linalg.norm(twist[:3])) / linear, float(np.linalg.norm(twist[3:])) / angular)
-    return twist / excess if excess > 1.0 else twist

@@ -13,7 +13,8 @@ from pcmrs.kinematics.zones import MOUNT, TOOL
 from pcmrs.messages.teleop import Limit
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.plan_limits import PlanLimits, within
+from pcmrs.workflows.plan_limits import PlanLimits
+from pcmrs.workflows.twists import within
 from pcmrs.workflows.zones import BODY
 
 

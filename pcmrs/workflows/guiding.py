@@ -17,7 +17,7 @@ from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.following import FIRST_FRAMES
 from pcmrs.workflows.guide import Guide
 from pcmrs.workflows.setpoints import Admission
-from pcmrs.workflows.ways import arrange
+from pcmrs.workflows.ways import arrange, place_body
 
 Activity = AnyActivity[Cell, PlacementData]
 
@@ -130,10 +130,7 @@ class Guiding:
             self._frame_number = frame["coil"].frame_number
             self._body.take(frame)
         base_from_body_ref = self._base_from_tracker @ self._body.pose(self._body.stamp(now))
-        cell.base_from_body_ref = base_from_body_ref
-        cell.zones.model.look_from(self._base_from_tracker.translation, base_from_body_ref.translation)
-        if cell.body_ref_from_image is not None:
-            cell.zones.place_body(base_from_body_ref @ cell.body_ref_from_image)
+        place_body(cell, self._base_from_tracker, base_from_body_ref)
         self.guide.see(base_from_body_ref @ self._body_ref_from_plan)
 
 

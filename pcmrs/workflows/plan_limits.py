@@ -67,12 +67,6 @@ class PlanLimits:
         return bool(np.all(self.margins(after) >= least - 1e-9))
 
 
-def within(twist: Floats, linear: float, angular: float) -> Floats:
-    """A twist (6,), shortened where its translation (m/s) or its rotation (rad/s) is longer than these."""
-    excess = max(float(np.linalg.norm(twist[:3])) / linear, float(np.linalg.norm(twist[3:])) / angular)
-    return twist / excess if excess > 1.0 else twist
-
-
 def _brakes_within(margin: float, acceleration: float, period: float) -> float:
     """Greatest speed held for one `period` and braked from then within `margin`: v T + v² / 2a = margin."""
     if margin <= 0.0:

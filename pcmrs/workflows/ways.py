@@ -69,6 +69,14 @@ def arrange(cell: Cell, data: PlacementData) -> None:
         cell.zones.place_body(cell.base_from_body_ref @ cell.body_ref_from_image)
 
 
+def place_body(cell: Cell, base_from_tracker: Transform, base_from_body_ref: Transform) -> None:
+    """Places a body that moves, and the lines of sight to it."""
+    cell.base_from_body_ref = base_from_body_ref
+    cell.zones.model.look_from(base_from_tracker.translation, base_from_body_ref.translation)
+    if cell.body_ref_from_image is not None:
+        cell.zones.place_body(base_from_body_ref @ cell.body_ref_from_image)
+
+
 def joint_way(run: AnyRun[Cell, P], start: npt.ArrayLike, goal: npt.ArrayLike) -> JointTrajectory:
     """All joints together from rest to rest, rad, (n,), slower near the body.
 

@@ -115,18 +115,11 @@ class RemoteCell:
 
     def on_site(self) -> dict[str, Any]:
         """The state, asked on the cell's own machine."""
-        words = ["state", "--json", "--endpoint", "tcp/127.0.0.1:7447", "--site", SITE, "--cell", CELL]
-        command = [*self.network.prefix("cell"), *PCMRS, *self._local(words)]
-        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE)
-        snapshot: dict[str, Any] = json.loads(done.stdout)
-        return snapshot
+        return self._on_site("state")
 
     def call_on_site(self, name: str) -> str:
         """Decision on an operation that somebody on site asks for."""
-        words = ["call", name, "--json", "--endpoint", "tcp/127.0.0.1:7447", "--site", SITE, "--cell", CELL]
-        command = [*self.network.prefix("cell"), *PCMRS, *self._local(words)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE)
-        return str(json.loads(done.stdout)["decision"])
+        return str(self._on_site("call", name)["decision"])
 
     def until(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         """The first state on site of which the condition holds."""
@@ -152,9 +145,15 @@ class RemoteCell:
         _end(self.router)
         self.router = start_router(self.network, self.folder)
 
-    def _local(self, words: list[str]) -> list[str]:
-        port = (self.folder / "port").read_text()
-        return [word.replace("7447", port) for word in words]
+    def _on_site(self, *words: str) -> dict[str, Any]:
+        """What a command says that is given on the cell's own machine."""
+        endpoint = f"tcp/127.0.0.1:{(self.folder / 'port').read_text()}"
+        address = ["--endpoint", endpoint, "--site", SITE, "--cell", CELL]
+        command = [*self.network.prefix("cell"), *PCMRS, *words, "--json", *address]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE)
+        assert done.stdout, done.stderr
+        answer: dict[str, Any] = json.loads(done.stdout)
+        return answer
 
 
 def start_router(network: Network, folder: Path) -> subprocess.Popen[str]:

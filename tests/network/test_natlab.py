@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 
 import pytest
+from programs import python, said
 
 from pcmrs.campaign.natlab import INSIDE, OUTSIDE, ROUTER, SIDES, NatLab, Place, Side, missing, nat_lab
 
@@ -77,16 +78,6 @@ def lab() -> Iterator[NatLab]:
             server = python(made, place, ECHO, PORT)
             assert said(server) == "ready"
         yield made
-
-
-def python(lab: NatLab, place: Place, program: str, *arguments: str) -> subprocess.Popen[str]:
-    pipe = subprocess.PIPE
-    return lab.start(place, sys.executable, "-c", program, *arguments, stdin=pipe, stdout=pipe)
-
-
-def said(process: subprocess.Popen[str]) -> str:
-    assert process.stdout is not None
-    return process.stdout.readline().strip()
 
 
 def ask(lab: NatLab, place: Place, address: str) -> str:

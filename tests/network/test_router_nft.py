@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from programs import python, said
 
-from pcmrs.campaign.natlab import OUTSIDE, ROUTER, NatLab, Place, missing, nat_lab
+from pcmrs.campaign.natlab import OUTSIDE, ROUTER, NatLab, missing, nat_lab
 
 RULES = Path(__file__).parents[2] / "deploy" / "router" / "router.nft"
 PORT = "7449"
@@ -61,16 +62,6 @@ def lab() -> Iterator[NatLab]:
         for port in (PORT, "8000"):
             assert said(python(made, "router", HELLO, port)) == "ready"
         yield made
-
-
-def python(lab: NatLab, place: Place, program: str, *arguments: str) -> subprocess.Popen[str]:
-    pipe = subprocess.PIPE
-    return lab.start(place, sys.executable, "-c", program, *arguments, stdin=pipe, stdout=pipe)
-
-
-def said(process: subprocess.Popen[str]) -> str:
-    assert process.stdout is not None
-    return process.stdout.readline().strip()
 
 
 def ask(lab: NatLab, port: str) -> str:

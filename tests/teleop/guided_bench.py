@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import itertools
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
-from workflow_bench import WorkflowBench
+from workflow_bench import WorkflowBench, background
 
 from pcmrs.messages import Command, DeviceEvent, TeleopSetpoint, TeleopStatus, Verdict
 from pcmrs.messages.teleop import AT_REST, Twist
@@ -96,13 +96,8 @@ class Teleoperator:
                     group.create_task(self.send_late(self.setpoint()))
                     await self.bench.clock.sleep(PERIOD)
 
-        task = asyncio.create_task(run())
-        try:
+        async with background(run()):
             yield
-        finally:
-            task.cancel()
-            with suppress(asyncio.CancelledError):
-                await task
 
     async def steer(self, twist: Twist, seconds: float) -> None:
         """Asks for a twist for so long, then for rest until the tool stands."""

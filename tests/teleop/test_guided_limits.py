@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.spatial import Floats, Transform
-from pcmrs.workflows.plan_limits import PlanLimits, within
+from pcmrs.workflows.plan_limits import PlanLimits
 from pcmrs.workflows.settings import TeleoperationSettings
+from pcmrs.workflows.twists import within
 
 SETTINGS = TeleoperationSettings(range=0.03, turn_deg=10.0)
 PERIOD = SETTINGS.period

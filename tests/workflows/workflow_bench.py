@@ -248,14 +248,15 @@ async def open_bench(
     clock = SimulatedClock(asyncio.get_running_loop())
     async with open_devices(DEVICES, {"sim": values["sim"]}, clock) as opened:
         bench = WorkflowBench(opened_workflow, opened, settings, clock, journal)
-        async with _background(bench.pump()):
+        async with background(bench.pump()):
             await bench.until(lambda: bench.cell.poses.seen("coil") and bench.cell.joints is not None)
             yield bench
             await bench.dispatcher.close()
 
 
 @asynccontextmanager
-async def _background(work: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
+async def background(work: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
+    """Runs something beside the block, for as long as that lasts."""
     task = asyncio.create_task(work)
     try:
         yield

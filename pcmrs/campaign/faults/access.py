@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import itertools
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -19,6 +18,7 @@ from pcmrs.campaign.driving import accept, said
 from pcmrs.campaign.fault import Evidence, fault
 from pcmrs.campaign.lab import Lab
 from pcmrs.campaign.reachable import EXPIRED, FOREIGN, REVOKED, ReachableCell, reachable_cell
+from pcmrs.campaign.samples import sample
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.errors import BusError, ConfigurationError
@@ -57,8 +57,8 @@ async def spoofed_source(lab: Lab) -> Evidence:
     """Whoever says to be somebody else is refused and gets no answer."""
     async with reachable_cell(lab, 'gateway.unsigned_peers=["127.0.0.2"]') as open_cell:
         key = bytes(reversed(read_key(open_cell.peer_key)))
-        other = [Signer("slicer", key, itertools.count(1).__next__).sign(b"img_fid_numxxxxx_4;") for _ in range(FORGED)]
-        unknown = [Signer("mallory", key, itertools.count(1).__next__).sign(b"img_fid_numxxxxx_4;")]
+        other = [Signer("slicer", key, lambda: 1).sign(b"img_fid_numxxxxx_4;") for _ in range(FORGED)]
+        unknown = [Signer("mallory", key, lambda: 1).sign(b"img_fid_numxxxxx_4;")]
         return await _ignored(open_cell, [*other, *unknown, b"img_fid_numxxxxx_4;"])
 
 
@@ -66,7 +66,7 @@ async def spoofed_source(lab: Lab) -> Evidence:
 async def replayed(lab: Lab) -> Evidence:
     """What the peer has sent is refused when somebody sends it again."""
     async with reachable_cell(lab) as open_cell:
-        signer = Signer("slicer", read_key(open_cell.peer_key), itertools.count(1).__next__)
+        signer = open_cell.signer()
         sent = [signer.sign(b"stop_visualizexx_#%d;" % number) for number in range(20)]
         async with raw_socket(open_cell.cell.ready.links["planner"]) as raw:
             for datagram in sent:
@@ -81,7 +81,7 @@ async def replayed(lab: Lab) -> Evidence:
 async def flipped_bit(lab: Lab) -> Evidence:
     """A signed command of which any bit was changed is refused."""
     async with reachable_cell(lab) as open_cell:
-        signer = Signer("slicer", read_key(open_cell.peer_key), itertools.count(1).__next__)
+        signer = open_cell.signer()
         datagram = signer.sign(b"img_fid_numxxxxx_4;")
         flipped = [
             bytes(byte ^ (1 << bit % 8) if place == bit // 8 else byte for place, byte in enumerate(datagram))
@@ -131,13 +131,13 @@ async def wrong_role(lab: Lab) -> Evidence:
 async def enormous_message(lab: Lab) -> Evidence:
     """A message that is too long is not taken, and nobody else is kept waiting."""
     async with reachable_cell(lab) as open_cell, open_cell.client("anna") as anna:
-        before = _resident(open_cell.cell.process.pid)
+        before = sample(open_cell.cell.process.pid).memory
         with open_session(open_cell.settings("bob")) as session:
             for _ in range(4):
                 session.put(f"pcmrs/lab/{open_cell.cell.name}/cmd/bob/registration/reinit", bytes(LARGE))
             async with _unmoved(open_cell):
                 await asyncio.sleep(QUIET)
-        grown = _resident(open_cell.cell.process.pid) - before
+        grown = sample(open_cell.cell.process.pid).memory - before
         expect(grown < 4 * LARGE, f"The daemon has grown by {grown / 2**20:.0f} MiB.")
         async with anna.holding():
             await accept(anna, "registration.reinit")
@@ -273,11 +273,6 @@ async def _unmoved(open_cell: ReachableCell) -> AsyncIterator[None]:
     expect(shape(await cell.client.state()) == shape(before), "The state has changed.")
     decided = [each for each in cell.rows(row) if each.kind in ("intent", "outcome")]
     expect(not decided, f"{len(decided)} commands got to the dispatcher.")
-
-
-def _resident(pid: int) -> int:
-    """Bytes of memory that a process has."""
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096
 
 
 def _why_not(folder: Path, now: float) -> str:
