@@ -16,6 +16,7 @@ from pcmrs.bus import DEFAULT_ENDPOINT, Bus, BusSettings, Credentials, Empty
 from pcmrs.bus.codec import convert
 from pcmrs.bus.envelope import Envelope
 from pcmrs.bus.keys import KeyTable, command_key
+from pcmrs.bus.settings import SECURED
 from pcmrs.bus.stop import Stopping
 from pcmrs.clock import SystemClock
 from pcmrs.errors import BusError, CommandRefusedError, DeviceError, PayloadError, UnknownOutcomeError
@@ -30,8 +31,10 @@ _TTL = 5.0
 """Seconds after which a command that was held up on its way is refused, not run late."""
 _RENEWED = 1.0
 """Between two renewals of the lease, s."""
-_PATIENCE = 3.0
-"""So long a daemon may take to answer what it decides at once, s."""
+_PATIENCE, _FAR_PATIENCE = 1.5, 10.0
+"""For what a daemon decides at once, s: on this machine, and over a network that loses packets."""
+_ASKED_AGAIN = 0.5
+"""Between two askings for the verdict of a command whose link broke, s."""
 _BACKLOG = 1024
 """Events that may wait for who watches."""
 
@@ -48,6 +51,8 @@ class Client:
         self._bus = bus
         self._user = user
         self._clock = SystemClock()
+        self._is_far = bus.settings.endpoint.startswith(SECURED)
+        self._patience = _FAR_PATIENCE if self._is_far else _PATIENCE
 
     @classmethod
     @asynccontextmanager
@@ -91,6 +96,9 @@ class Client:
     ) -> Verdict:
         """Asks for an operation and waits for its outcome.
 
+        Over a network a link that breaks meanwhile is not the end: for some seconds the daemon is asked again by the
+        command's id, which begins nothing twice.
+
         Args:
             name: ``branch.operation``.
             arguments: Of the operation.
@@ -101,39 +109,52 @@ class Client:
             UnknownOutcomeError: The daemon fell silent before it answered.
             PayloadError: The name is no ``branch.operation``, or an argument cannot be sent.
         """
+        key, envelope = self._command(name, arguments, id)
+        end = self._clock.monotonic() + timeout
+        while True:
+            try:
+                left = max(end - self._clock.monotonic(), _ASKED_AGAIN)
+                return await self._bus.request(key, envelope, Verdict, left)
+            except UnknownOutcomeError:
+                end = min(end, self._clock.monotonic() + _FAR_PATIENCE)
+                if not self._is_far or self._clock.monotonic() >= end:
+                    raise
+            await self._clock.sleep(_ASKED_AGAIN)
+
+    def _command(self, name: str, arguments: Mapping[str, Any] | None, id: str | None) -> tuple[str, Envelope]:
         branch, dot, operation = name.partition(".")
         if not dot:
             raise PayloadError(f"'{name}' is no operation: write branch.operation.", name=name)
         envelope = Envelope(
             id=id or uuid.uuid4().hex, sent=self._clock.wall(), ttl=_TTL, arguments=dict(arguments or {})
         )
-        return await self._bus.request(command_key(self._user, branch, operation), envelope, Verdict, timeout)
+        return command_key(self._user, branch, operation), envelope
 
-    async def state(self, timeout: float = 1.5) -> Snapshot:
+    async def state(self, timeout: float | None = None) -> Snapshot:
         """The present state of all branches.
 
         Raises:
-            UnknownOutcomeError: The daemon did not answer within `timeout` (s).
+            UnknownOutcomeError: The daemon did not answer within `timeout` (s); over a network None is longer.
         """
-        return await self._bus.request("svc/snapshot", Empty(), Snapshot, timeout)
+        return await self._bus.request("svc/snapshot", Empty(), Snapshot, timeout or self._patience)
 
-    async def keys(self, timeout: float = 1.5) -> KeyTable:
+    async def keys(self, timeout: float | None = None) -> KeyTable:
         """Everything that can be published and subscribed, with payloads.
 
         Raises:
             UnknownOutcomeError: The daemon did not answer within `timeout` (s).
         """
-        return await self._bus.request("svc/keys", Empty(), KeyTable, timeout)
+        return await self._bus.request("svc/keys", Empty(), KeyTable, timeout or self._patience)
 
-    async def health(self, timeout: float = 1.5) -> Health:
+    async def health(self, timeout: float | None = None) -> Health:
         """How the daemon is, and why it is not well.
 
         Raises:
             UnknownOutcomeError: The daemon did not answer within `timeout` (s).
         """
-        return await self._bus.request("svc/health", Empty(), Health, timeout)
+        return await self._bus.request("svc/health", Empty(), Health, timeout or self._patience)
 
-    async def stop(self, timeout: float = 1.5) -> None:
+    async def stop(self, timeout: float | None = None) -> None:
         """Stops every motion: told to all listeners at once, and returns when the daemon has begun.
 
         Raises:
@@ -141,7 +162,7 @@ class Client:
         """
         key = f"stop/{self._user}"
         self._bus.publish(key, Empty())
-        await self._bus.request(key, Empty(), Stopping, timeout)
+        await self._bus.request(key, Empty(), Stopping, timeout or self._patience)
 
     @property
     def user(self) -> str:
@@ -183,7 +204,8 @@ class Client:
                 await self._lease("renew")
 
     async def _lease(self, operation: str) -> None:
-        verdict = await self.call(f"lease.{operation}", timeout=_PATIENCE)
+        key, envelope = self._command(f"lease.{operation}", None, None)
+        verdict = await self._bus.request(key, envelope, Verdict, self._patience)
         if verdict.decision != "accepted":
             text = verdict.reason.text if verdict.reason is not None else f"The lease was {verdict.decision}."
             raise CommandRefusedError(text, verdict=verdict)

@@ -108,10 +108,14 @@ def _as_user(row: KeyInfo, key: str) -> Iterator[_Way]:
             yield _Way((*_HEARING, *_ASKING, *_SEEING), (*_SENDING, *_ANSWERING, *_LIVING), f"{key}/@adv/**")
             yield _Way((), ("reply",), key)  # what the cache has goes by the key of the data
     else:
+        # Who answers or hears declares that for all users at once; a sender who is not told of it sends nothing more.
+        declared = _expression(row.key, "*")
         if "query" in row.use:
-            yield _Way(_ASKING, _ANSWERING, key)
+            yield _Way(_ASKING, ("reply",), key)
+            yield _Way((), ("declare_queryable",), declared)
         if "put" in row.use:
-            yield _Way(_SENDING, _HEARING, key)
+            yield _Way(_SENDING, (), key)
+            yield _Way((), _HEARING, declared)
 
 
 def _as_owner(row: KeyInfo, key: str) -> Iterator[_Way]:

@@ -17,6 +17,8 @@ SLICE = 0.02
 """A narrow stream is passed on in pieces of so many seconds, and a cut one is looked at as often."""
 
 CHUNK = 65536
+ON_THE_WAY = 256
+"""Pieces of a stream that may be under way at once; the sender of more waits."""
 CLOCK = SystemClock()
 
 
@@ -67,20 +69,40 @@ async def tcp_proxy(server: Address, weather: Weather) -> AsyncIterator[Address]
 
 
 async def _pass_on(source: asyncio.StreamReader, sink: asyncio.StreamWriter, weather: Weather, direction: str) -> None:
+    """Each piece arrives after its delay, and none before an earlier one."""
+    on_the_way: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue(ON_THE_WAY)
+    arrives = 0.0
     try:
-        while data := await source.read(_most(weather)):
-            while not getattr(weather, direction):
-                await CLOCK.sleep(SLICE)
-            if weather.rate is not None:
-                await CLOCK.sleep(len(data) / weather.rate)
-            if weather.delay:
-                await CLOCK.sleep(weather.delay)
-            sink.write(data)
-            await sink.drain()
-    except ConnectionError:
+        async with asyncio.TaskGroup() as pipe:
+            pipe.create_task(_deliver(on_the_way, sink, weather, direction))
+            while True:
+                data = await source.read(_most(weather))
+                if weather.rate is not None:
+                    await CLOCK.sleep(len(data) / weather.rate)
+                now = CLOCK.monotonic()
+                arrives = max(arrives, now + weather.wait(now))
+                await on_the_way.put((arrives, data))
+                if not data:
+                    break
+    except* ConnectionError:
         pass  # one end has gone: that is nothing of the proxy's, and the other end learns of it, as over a wire
     finally:
         sink.close()
+
+
+async def _deliver(
+    on_the_way: asyncio.Queue[tuple[float, bytes]], sink: asyncio.StreamWriter, weather: Weather, direction: str
+) -> None:
+    """Writes what arrives, until the piece without data that ends a stream."""
+    while True:
+        arrives, data = await on_the_way.get()
+        await CLOCK.sleep(max(0.0, arrives - CLOCK.monotonic()))
+        while not getattr(weather, direction):
+            await CLOCK.sleep(SLICE)
+        if not data:
+            return
+        sink.write(data)
+        await sink.drain()
 
 
 def _most(weather: Weather) -> int:

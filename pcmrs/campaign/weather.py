@@ -43,9 +43,10 @@ class Weather:
             return []
         copies = 2 if self._random.random() < self.doubled else 1
         self.counted["doubled"] += copies - 1
-        return [self._delay(now) for _ in range(copies)]
+        return [self.wait(now) for _ in range(copies)]
 
-    def _delay(self, now: float) -> float:
+    def wait(self, now: float) -> float:
+        """How long what is sent at this moment takes, s, if it arrives."""
         delay = self.delay + self.jitter * self._random.random()
         self.counted["overtaken"] += now + delay < self._latest
         self._latest = max(self._latest, now + delay)

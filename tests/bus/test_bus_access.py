@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -216,6 +217,32 @@ def test_who_may_say_that_it_is_there(lab: Lab) -> None:
     assert seen == expected
     for token in tokens:
         token.undeclare()
+
+
+def test_who_may_send_is_told_that_all_users_are_heard(lab: Lab) -> None:
+    """The daemon hears or serves all users by one declaration; a session that is not told of it sends nothing more."""
+    daemon = lab.sessions["dae1"]
+    senders: list[tuple[str, str, Any]] = []
+    declared: list[Any] = []
+    for row in (row for row in KEYS if "daemon" in row.owners and row.use != "subscribe" and "<user>" in row.key):
+        served = f"{HERE}/{re.sub('<[a-z]+>', '*', row.key)}"
+        for role in (role for role in row.users if role != "daemon"):
+            key = f"{HERE}/{concrete(row.key, role[:3] + '1')}"
+            session = lab.sessions[role[:3] + "1"]
+            if "put" in row.use:
+                declared.append(daemon.declare_subscriber(served, lambda _: None))
+                senders.append((key, "put", session.declare_publisher(key)))
+            if "query" in row.use:
+                declared.append(daemon.declare_queryable(served, lambda _: None))
+                senders.append((key, "query", session.declare_querier(key)))
+    end, deaf = time.monotonic() + PATIENCE, senders
+    while deaf and time.monotonic() < end:
+        time.sleep(0.05)
+        deaf = [each for each in deaf if not each[2].matching_status.matching]
+    assert len(senders) > 8
+    assert not deaf
+    for each in (*(sender for *_, sender in senders), *declared):
+        each.undeclare()
 
 
 def test_a_viewer_who_comes_late_is_given_the_last_snapshot(lab: Lab) -> None:

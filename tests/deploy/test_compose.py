@@ -1,12 +1,14 @@
 """Every container is closed, and none but the router is dialled."""
 
 import shutil
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
+from pcmrs.devices.ndi.tools import placeholder
 from pcmrs.settings import read_settings
 
 FOLDER = Path(__file__).parents[2] / "deploy" / "container"
@@ -56,3 +58,12 @@ def test_the_cell_s_settings_are_read(tmp_path: Path) -> None:
 
     assert set(settings.drivers()) == {"kst", "ndi"}
     assert settings.access.routers == ("tls/router:7449",)
+
+
+def test_each_tool_that_the_cell_names_is_mounted_and_known_to_the_virtual_tracker() -> None:
+    tools = tomllib.loads((FOLDER / "cell.toml").read_text())["ndi"]["tools"]
+
+    assert "./tools:/etc/pcmrs/tools:ro" in SERVICES["cell"]["volumes"]
+    assert {"coil", "body_ref", "pointer"} <= tools.keys()
+    for body, file in tools.items():
+        assert (FOLDER / Path(file).relative_to("/etc/pcmrs")).read_bytes() == placeholder(body)

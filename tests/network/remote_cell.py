@@ -35,6 +35,19 @@ RATMS: list[tuple[str, Mapping[str, Any]]] = [
 ]
 """A whole placement, from the plan to the arm at rest."""
 
+LONG_WAY = """
+import asyncio, sys
+from pcmrs.campaign.proxy import tcp_proxy
+from pcmrs.campaign.weather import Weather
+
+async def run(host, port, delay, jitter):
+    async with tcp_proxy((host, int(port)), Weather(delay=float(delay), jitter=float(jitter))) as (_, proxied):
+        print(proxied, flush=True)
+        await asyncio.Event().wait()
+
+asyncio.run(run(*sys.argv[1:]))
+"""
+
 
 class Network(Protocol):
     """Where the processes run, and how they dial the router."""
@@ -62,18 +75,16 @@ class Namespaces:
 
 
 class Loopback:
-    """One machine; `dialled` is where the remote side dials, such as a proxy's port."""
+    """One machine."""
 
     def __init__(self) -> None:
-        self.port = free_port()
-        self.dialled = self.port
-        self.listen = f"tls/127.0.0.1:{self.port}"
+        self.listen = f"tls/127.0.0.1:{free_port()}"
 
     def prefix(self, _: Place) -> list[str]:
         return []
 
-    def endpoint(self, side: Side) -> str:
-        return f"tls/127.0.0.1:{self.dialled if side == 'remote' else self.port}"
+    def endpoint(self, _: Side) -> str:
+        return self.listen
 
 
 @dataclass
@@ -101,6 +112,12 @@ class RemoteCell:
         """A command of the console that goes on."""
         command = [*self.network.prefix("remote"), *PCMRS, *words, *self.console]
         return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    def guide(self, script: str) -> subprocess.Popen[str]:
+        """A teleoperator whose hands follow a script, and who tells statuses."""
+        file = self.folder / "script.txt"
+        file.write_text(script)
+        return self.begin("teleop", "--device", "script", "--script", str(file), "--json")
 
     def call(self, name: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """The verdict on an operation that the console asks for."""
@@ -170,8 +187,21 @@ def start_router(network: Network, folder: Path) -> subprocess.Popen[str]:
 
 
 @contextmanager
-def remote_cell(network: Network, folder: Path, *settings: str) -> Iterator[RemoteCell]:
-    """Router, cell and the identities of a console, ended with the block."""
+def long_way(network: Network, delay: float, jitter: float) -> Iterator[str]:
+    """A proxy on the remote side that delays everything each way, s; yields where the console dials then."""
+    host, _, port = network.endpoint("remote").removeprefix("tls/").rpartition(":")
+    command = [*network.prefix("remote"), sys.executable, "-c", LONG_WAY, host, port, str(delay), str(jitter)]
+    proxy = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert proxy.stdout is not None
+        yield f"tls/127.0.0.1:{proxy.stdout.readline().strip()}"
+    finally:
+        _end(proxy)
+
+
+@contextmanager
+def remote_cell(network: Network, folder: Path, *settings: str, dialled: str = "") -> Iterator[RemoteCell]:
+    """Router, cell and the identities of a console, ended with the block; `dialled` is a long way to the router."""
     now = SystemClock().wall()
     authority = Authority.init(folder / "pki", SITE, now)
     authority.issue("router", "gate", now, hosts=(*ROUTER.values(), "127.0.0.1"), into=folder)
@@ -189,7 +219,7 @@ def remote_cell(network: Network, folder: Path, *settings: str) -> Iterator[Remo
     )  # fmt: skip
     words = [word for each in overrides for word in ("--set", each)]
     with ExitStack() as stack:
-        console = ["--endpoint", network.endpoint("remote"), "--identity", str(folder / "tom")]
+        console = ["--endpoint", dialled or network.endpoint("remote"), "--identity", str(folder / "tom")]
         cell = RemoteCell(network, folder, start_router(network, folder), [*console, "--site", SITE, "--cell", CELL])
         stack.callback(lambda: _end(cell.router))
         log = stack.enter_context((folder / "daemon.log").open("w"))

@@ -5,18 +5,22 @@ Everything simulated runs in real time. Marked nightly but for one, since each t
 
 from __future__ import annotations
 
+import json
 import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
-from remote_cell import RATMS, Loopback, RemoteCell, behind_nats, remote_cell
+from remote_cell import RATMS, Loopback, RemoteCell, behind_nats, long_way, remote_cell
 
-from pcmrs.campaign.natlab import missing
+from pcmrs.campaign.natlab import Side, missing
 
 REAL_TIME = ("cell.rate=1",)
+PATIENT = (*REAL_TIME, "procedure.teleoperation.deadman=0.5", "robot.deadman=1.0")
+"""A busy machine may be late itself."""
 needs_namespaces = pytest.mark.skipif(bool(missing()), reason=missing())
 pytestmark = pytest.mark.timeout(400)
 
@@ -52,9 +56,54 @@ def test_the_workflow_runs_from_behind_another_nat(tmp_path: Path) -> None:
         assert cell.on_site()["lease"] is None
 
 
-def test_the_workflow_runs_through_a_router_on_loopback(tmp_path: Path) -> None:
-    with remote_cell(Loopback(), tmp_path) as cell, holding(cell):
-        perform(cell)
+@pytest.mark.parametrize(
+    "network", [Loopback, pytest.param(behind_nats, marks=[needs_namespaces, pytest.mark.nightly])]
+)
+def test_the_tool_is_guided_from_far_away(tmp_path: Path, network: Callable[[], Any]) -> None:
+    with ExitStack() as stack:
+        way = network()
+        way = stack.enter_context(way) if isinstance(way, AbstractContextManager) else way
+        dialled = stack.enter_context(long_way(way, delay=0.15, jitter=0.03))
+        cell = stack.enter_context(remote_cell(way, tmp_path, *PATIENT, dialled=dialled))
+        with holding(cell):
+            perform(cell, upto="placement.approach")
+            guiding = cell.guide("0.0 0 0 0.005 0 0 0\n2.0 0 0 0 0 0 0\n3.0 open\n3.5 open\n")
+            said, complaint = guiding.communicate(timeout=120.0)
+            assert guiding.returncode == 0, complaint
+            cell.accept("placement.back_off")
+            cell.accept("placement.home")
+    told = [json.loads(line) for line in said.splitlines()]
+    assert max(each["height"] for each in told) - told[0]["height"] > 0.001, "the tool has moved"
+    slowed = [each for each in told if each["round_trip"] is not None]
+    assert min(each["round_trip"] for each in slowed) >= 0.3
+    assert all(each["scale"] < 1.0 for each in slowed)
+
+
+@needs_namespaces
+@pytest.mark.nightly
+@pytest.mark.parametrize("side", ["remote", "cell"])
+def test_a_side_is_cut_while_the_tool_is_guided(tmp_path: Path, side: Side) -> None:
+    with behind_nats() as network, remote_cell(network, tmp_path, *REAL_TIME) as cell:
+        with holding(cell):
+            perform(cell, upto="placement.approach")
+            guiding = cell.guide("0.0 0 0 0.002 0 0 0\n60.0 open\n")
+            assert guiding.stdout is not None
+            heights = (json.loads(line)["height"] for line in guiding.stdout)
+            start = next(heights)
+            assert any(height > start + 0.001 for height in heights), "the tool moves"
+            network.lab.cut(side)
+            held = cell.until(lambda shown: shown["latched"] and not shown["running"])
+            assert (held["branches"]["placement"], held["branches"]["teleoperation"]) == ("held", "off")
+            network.lab.mend(side)
+            guiding.communicate(timeout=120.0)
+            assert guiding.returncode != 0, "who guides is told"
+            assert cell.pcmrs("state", "--json").returncode == 0, "the way is open again, and nothing was started anew"
+            assert cell.on_site()["branches"]["placement"] == "held"
+        assert len(cell.rows("teleoperator_lost")) == 1, "the deadman has held it, and nothing else"
+        assert len([row for row in cell.rows("guide") if row["kind"] == "intent"]) == 1
+        assert cell.call_on_site("lease.acquire") == "accepted"
+        assert cell.call_on_site("robot.acknowledge") == "accepted"
+        assert cell.call_on_site("placement.back_off") == "accepted"
 
 
 @needs_namespaces
@@ -71,17 +120,17 @@ def test_packets_are_lost(tmp_path: Path) -> None:
 @needs_namespaces
 @pytest.mark.nightly
 @pytest.mark.parametrize("side", ["remote", "cell"])
-def test_a_side_is_cut_in_motion(tmp_path: Path, side: str) -> None:
+def test_a_side_is_cut_in_motion(tmp_path: Path, side: Side) -> None:
     with behind_nats() as network, remote_cell(network, tmp_path, *REAL_TIME) as cell:
         with holding(cell):
             perform(cell, upto="robot.connect")
             moving = cell.begin("call", "placement.approach", "--json")
             cell.until(lambda shown: any(each["operation"] == "approach" for each in shown["running"]))
-            network.lab.cut(side)  # type: ignore[arg-type]
+            network.lab.cut(side)
             held = cell.until(lambda shown: shown["latched"] and not shown["running"])
             assert held["branches"]["placement"] == "held"
             assert held["lease"] is None
-            network.lab.mend(side)  # type: ignore[arg-type]
+            network.lab.mend(side)
             moving.communicate(timeout=60.0)
             time.sleep(2.0)  # nothing is to happen in it
             assert cell.on_site()["branches"]["placement"] == "held"
