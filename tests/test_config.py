@@ -145,6 +145,7 @@ def test_the_configuration_as_a_table_reads_back(tmp_path: Path) -> None:
         ("procedure.registration.residual_limit_mm=0", ("residual_limit_mm",)),
         ("procedure.registration.residual_limit_mm=inf", ("residual_limit_mm", "inf")),
         ("procedure.placement.confirm_offset=0.07", ("confirm_offset", "0.07", "standoff")),
+        ("procedure.teleoperation.range=0.07", ("teleoperation.range", "0.07", "approach")),
         ("procedure.motion.joint_speed_fraction=1.5", ("joint_speed_fraction", "1.0")),
         ("gateway.planner.port=70000", ("port", "65535")),
         ("gateway.unsigned_peers=['10.0.0.1']", ("10.0.0.1", "loopback")),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import threading
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -18,6 +17,7 @@ from pcmrs.bus.asking import ask
 from pcmrs.bus.bridge import Bridge
 from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
+from pcmrs.bus.ignored import Ignored
 from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.qos import class_of
 from pcmrs.bus.reasons import busy
@@ -26,8 +26,6 @@ from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.errors import PayloadError, PcmrsError
 
 T = TypeVar("T")
-
-_log = logging.getLogger(__name__)
 
 
 class Bus:
@@ -43,6 +41,7 @@ class Bus:
         self._session = session
         self._loop = asyncio.get_running_loop()
         self._bridge = Bridge(self._loop)
+        self._ignored = Ignored()
         self._pool = ThreadPoolExecutor(4, thread_name_prefix="pcmrs-bus")
         self._publishers: dict[str, zenoh.Publisher | ext.AdvancedPublisher] = {}
         self._declaring = threading.Lock()
@@ -89,13 +88,13 @@ class Bus:
             kind: Type of the messages; an empty payload is one without fields.
             handler: Runs in the event loop and returns soon.
             refuse: Called in place of `handler` for a message that is malformed or one too many; without it,
-                that is logged. It may run in any thread.
+                that is counted, and logged once a second. It may run in any thread.
 
         Returns:
             A coroutine function without parameters that ends the subscription; closing the bus does it too.
         """
         data = class_of(key)
-        refuse = refuse or _log_refusal
+        refuse = refuse or self._ignored.take
 
         def deliver(sample: zenoh.Sample) -> None:
             received = self._relative(sample)
@@ -180,10 +179,11 @@ class Bus:
         return token
 
     def counters(self) -> dict[str, int]:
-        """Messages refused and replaced since the start, and what waits and is answered now."""
+        """Messages refused, ignored and replaced since the start, and what waits and is answered now."""
         bridge = self._bridge
         return {
             "bus.refused": bridge.refused,
+            "bus.ignored": self._ignored.count,
             "bus.replaced": bridge.replaced,
             "bus.waiting": bridge.waiting,
             "bus.answering": len(self._tasks),
@@ -219,7 +219,3 @@ class Bus:
 def _undeclare(entities: list[Any]) -> None:
     for entity in entities:
         entity.undeclare()
-
-
-def _log_refusal(key: str, error: PcmrsError) -> None:
-    _log.warning("Ignored a message on %s: %s", key, error.text)

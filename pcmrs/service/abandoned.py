@@ -15,8 +15,8 @@ AT_REST = {"placement": ("unknown", "retracted", "held"), "stimulation": ("disar
 class AbandonedWatch:
     """Reports a danger when no person has asked for anything for too long while the tool is at the body, or armed.
 
-    What devices report and activities post is no sign of a person; an operation that still runs is one of whoever asked
-    for it. The danger goes the way of Stop.
+    Hands that guide the tool are a sign of a person, too. What devices report and activities post is none; an
+    operation that still runs is one of whoever asked for it. The danger goes the way of Stop.
 
     Args:
         dispatcher: Of the cell.
@@ -58,7 +58,11 @@ class AbandonedWatch:
 
     def _hear(self, message: Snapshot | Verdict | DeviceEvent) -> None:
         if isinstance(message, Verdict) and not self._is_event(message):
-            self._asked = self._clock.monotonic()
+            self.see()
+
+    def see(self) -> None:
+        """Somebody is there."""
+        self._asked = self._clock.monotonic()
 
     def _is_event(self, verdict: Verdict) -> bool:
         branch = self._dispatcher.procedure.blueprint.branches.get(verdict.branch)

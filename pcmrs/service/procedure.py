@@ -122,7 +122,7 @@ class RunningProcedure:
         link.subscribe("dev/*/state", DeviceHealth, self.health.take)
         link.subscribe("dev/*/beat", Beat, self._take_beat)
         link.subscribe("dev/*/event", DeviceEvent, lambda _, event: dispatcher.report_later(event))
-        connect_teleoperators(link, self.cell.teleop)
+        connect_teleoperators(link, self.cell.teleop, self._abandoned.see)
         self._supervisor.start("beats and robot watch", self.watch.run, quiet=QUIET)
         self._supervisor.start("reference watch", self._reference.run, quiet=QUIET)
         self._supervisor.start("abandoned watch", self._abandoned.run)

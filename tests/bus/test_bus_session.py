@@ -32,6 +32,18 @@ async def test_messages_arrive_in_the_loop_with_their_relative_key() -> None:
         assert await asyncio.wait_for(received.get(), TIMEOUT) == ("state/pose/coil", pose(3))
 
 
+async def test_a_flood_of_what_is_no_message_is_counted_and_hardly_logged(caplog: pytest.LogCaptureFixture) -> None:
+    async with open_pair() as (router, client):
+        received: asyncio.Queue[BodyPose] = asyncio.Queue()
+        router.subscribe("dev/robot/event", BodyPose, lambda _, message: received.put_nowait(message))
+        for _ in range(200):
+            client.publish("dev/robot/event", {"no": "pose"})
+        client.publish("dev/robot/event", pose(1))
+        await asyncio.wait_for(received.get(), TIMEOUT)
+        assert router.counters()["bus.ignored"] == 200
+        assert 1 <= sum("Ignored a message on dev/robot/event" in line for line in caplog.messages) < 20
+
+
 async def test_a_late_joiner_gets_the_last_snapshot() -> None:
     async with open_pair() as (router, client):
         for sequence in range(5):

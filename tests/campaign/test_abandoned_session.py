@@ -9,17 +9,31 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import msgspec
 import pytest
 from clock import ManualClock, settle
 
 import pcmrs
+from pcmrs.devices.link import Link
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.fsm import load_blueprint
-from pcmrs.messages import BlueprintTag, DeviceEvent, Running, Snapshot, Verdict
+from pcmrs.messages import BlueprintTag, DeviceEvent, Running, Snapshot, TeleopStatus, Verdict
 from pcmrs.service.abandoned import AbandonedWatch
+from pcmrs.service.teleoperation import connect_teleoperators
+from pcmrs.workflows.teleop_port import TeleopPort
 
 BLUEPRINT = load_blueprint(Path(pcmrs.__file__).parent / "workflows" / "ratms_threshold.toml")
 AFTER = 10.0
+
+
+class Unheard:
+    """A link to nobody."""
+
+    def publish(self, *_: object) -> None:
+        pass
+
+    def subscribe(self, *_: object) -> None:
+        pass
 
 
 class Session:
@@ -35,6 +49,8 @@ class Session:
         self._listeners: list[Callable[[Any], None]] = []
         watch = AbandonedWatch(cast(Dispatcher[Any, Any], self), AFTER, self.clock)
         self.watch = asyncio.create_task(watch.run())
+        self.teleoperators = TeleopPort()
+        connect_teleoperators(cast(Link, Unheard()), self.teleoperators, watch.see)
 
     def on_publish(self, callback: Callable[[Any], None]) -> None:
         self._listeners.append(callback)
@@ -129,4 +145,17 @@ async def test_it_watches_on_after_an_operator_has_confirmed() -> None:
     session.ask("robot", "acknowledge")
     await session.let(2.5 * AFTER)
     assert len(session.reported) == 2
+    await session.close()
+
+
+async def test_hands_that_guide_the_tool_are_there_and_a_tool_that_nobody_guides_yet_is_not_theirs() -> None:
+    session = Session(placement="guided")
+    status = TeleopStatus(stamp=0.0, distance=0.0, height=0.0, turn=0.0, user="alice", sequence=7)
+    for _ in range(5):
+        await session.let(AFTER - 1.0)
+        session.teleoperators.tell(status)
+    assert session.reported == []
+    session.teleoperators.tell(msgspec.structs.replace(status, sequence=0))
+    await session.let(AFTER + 0.5)
+    assert session.reported
     await session.close()

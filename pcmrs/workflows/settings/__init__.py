@@ -53,6 +53,9 @@ class ProcedureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
             armed, the session is held, s of the machine.
         tool: What the workflow places; the calibration file of another type of tool is refused.
         limits: Further limits of the workflow's own checks, by name; its blueprint's defaults name them all.
+
+    Raises:
+        ValueError: `teleoperation.range` is not beyond `placement.standoff`, where guiding begins.
     """
 
     patient: str = "phantom"
@@ -74,3 +77,10 @@ class ProcedureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     zones: ZoneSettings = ZoneSettings()
     body: BodySettings = BodySettings()
     limits: dict[str, float] = {}
+
+    def __post_init__(self) -> None:
+        reach, standoff = self.teleoperation.range, self.placement.standoff
+        if not reach > standoff:
+            raise ValueError(
+                f"teleoperation.range is {reach:g} m, but an approach ends at {standoff:g} m from the plan"
+            )
