@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -96,12 +96,14 @@ class RemoteCell:
         folder: Of everything.
         router: The router's process.
         console: Endpoint and identity of the console, as options of every command.
+        links: Host and port of each of the gateway's links.
     """
 
     network: Network
     folder: Path
     router: subprocess.Popen[str]
     console: list[str]
+    links: dict[str, tuple[str, int]] = field(default_factory=dict)
 
     def pcmrs(self, *words: str, timeout: float = PATIENCE) -> subprocess.CompletedProcess[str]:
         """A command of the console, run to its end."""
@@ -224,12 +226,14 @@ def remote_cell(network: Network, folder: Path, *settings: str, dialled: str = "
         stack.callback(lambda: _end(cell.router))
         log = stack.enter_context((folder / "daemon.log").open("w"))
         daemon = subprocess.Popen(
-            [*network.prefix("cell"), *PCMRS, "serve", "--json", *words],
+            [*network.prefix("cell"), *PCMRS, "serve", "--verbose", "--json", *words],
             stdout=subprocess.PIPE, stderr=log, text=True,
         )  # fmt: skip
         stack.callback(_end, daemon)
         assert daemon.stdout is not None
-        assert daemon.stdout.readline(), (folder / "daemon.log").read_text()
+        ready = daemon.stdout.readline()
+        assert ready, (folder / "daemon.log").read_text()
+        cell.links = json.loads(ready)["links"]
         yield cell
 
 
