@@ -49,6 +49,8 @@ EVERYBODY: Final[tuple[Role, ...]] = ("operator", "planner", "viewer", "device",
 READERS: Final[tuple[Role, ...]] = ("operator", "planner", "viewer", "teleoperator", "daemon")
 DAEMON: Final[tuple[Role, ...]] = ("daemon",)
 DEVICE: Final[tuple[Role, ...]] = ("device",)
+TOLD_ON_SITE: Final[tuple[Role, ...]] = ("device", "daemon")
+"""Sent by devices; those on the daemon's machine are behind it, so that to a router it is the daemon who sends."""
 
 
 def _row(
@@ -76,8 +78,15 @@ KEYS = [
     ),
     _row("state/fsm", "subscribe", "Snapshot", "State of all branches after each commit; the last is kept.", READERS),
     _row("state/event", "subscribe", "Verdict | DeviceEvent", "Decisions and device events as they happen.", READERS),
-    _row("state/joints", "subscribe", "JointState", "Measured joints of the arm.", READERS, DEVICE),
-    _row("state/pose/<body>", "subscribe", "BodyPose", "Pose of a tracked body in the tracker frame.", READERS, DEVICE),
+    _row("state/joints", "subscribe", "JointState", "Measured joints of the arm.", READERS, TOLD_ON_SITE),
+    _row(
+        "state/pose/<body>",
+        "subscribe",
+        "BodyPose",
+        "Pose of a tracked body in the tracker frame.",
+        READERS,
+        TOLD_ON_SITE,
+    ),
     _row("state/flags", "subscribe", "Flags", "The flags that mirror the states, for displays.", READERS),
     _row("state/target", "subscribe", "Target", "Planned tool pose in the image, and the registration.", READERS),
     _row("teleop/<user>", "put", "TeleopSetpoint", "Set points of who has engaged the clutch.", HOLDING),
@@ -93,7 +102,7 @@ KEYS = [
     ),
     _row("svc/keys", "query", "nothing -> KeyTable", "This table.", READERS),
     _row("dev/<device>/cmd", "query", "DeviceRequest -> DeviceReply", "Calls a method of a device.", DAEMON, DEVICE),
-    _row("dev/<device>/state", "subscribe", "DeviceHealth", "Whether a device is well.", READERS, DEVICE),
+    _row("dev/<device>/state", "subscribe", "DeviceHealth", "Whether a device is well.", READERS, TOLD_ON_SITE),
     _row(
         "dev/<device>/beat",
         "subscribe",

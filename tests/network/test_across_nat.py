@@ -5,18 +5,24 @@ Everything simulated runs in real time. Marked nightly but for one, since each t
 
 from __future__ import annotations
 
+import asyncio
 import json
 import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
-from remote_cell import RATMS, Loopback, RemoteCell, behind_nats, long_way, remote_cell
+from remote_cell import CELL, PATIENCE, RATMS, SITE, Loopback, RemoteCell, behind_nats, long_way, remote_cell
 
 from pcmrs.campaign.natlab import Side, missing
+from pcmrs.client import Client
+from pcmrs.clock import SystemClock
+from pcmrs.messages import BodyPose, DeviceHealth, JointState, Snapshot
+from pcmrs.pki import read_credentials
 
 REAL_TIME = ("cell.rate=1",)
 PATIENT = (*REAL_TIME, "procedure.teleoperation.deadman=0.5", "robot.deadman=1.0")
@@ -104,6 +110,26 @@ def test_a_side_is_cut_while_the_tool_is_guided(tmp_path: Path, side: Side) -> N
         assert cell.call_on_site("lease.acquire") == "accepted"
         assert cell.call_on_site("robot.acknowledge") == "accepted"
         assert cell.call_on_site("placement.back_off") == "accepted"
+
+
+async def test_what_devices_tell_on_site_is_heard_through_the_router(tmp_path: Path) -> None:
+    told: dict[str, type[Any]] = {
+        "state/joints": JointState, "state/pose/*": BodyPose, "dev/*/state": DeviceHealth, "state/fsm": Snapshot,
+    }  # fmt: skip
+    network = Loopback()
+    with remote_cell(network, tmp_path):
+        tom = read_credentials(tmp_path / "tom", SystemClock().wall())
+        untold, complete = set(told), asyncio.Event()
+
+        def hear(key: str) -> None:
+            untold.discard(key)
+            if not untold:
+                complete.set()
+
+        async with Client.connect(network.listen, SITE, CELL, credentials=tom) as client, asyncio.timeout(PATIENCE):
+            for key, kind in told.items():
+                client.listen(key, kind, partial(lambda key, _: hear(key), key))
+            await complete.wait()
 
 
 @needs_namespaces
