@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 WORKFLOW := ratms
 INSTALLED := $(VENV)/installed.stamp
 
-.PHONY: help install demo test mutants tools lint lock clean
+.PHONY: help install demo test mutants tools browser lint lock clean
 
 help: ## List these targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  make \1\t\2/p' Makefile
@@ -20,13 +20,17 @@ demo: install ## Run a procedure on the simulated cell and print its errors; WOR
 	$(BIN)/pcmrs demo --workflow $(WORKFLOW)
 
 test: install ## Run the whole test suite; a running daemon does not disturb it
-	$(BIN)/pytest -n auto
+	$(BIN)/pytest -n auto -m "not nightly and not browser"
+	$(BIN)/pytest -m "browser and not nightly"
 
 mutants: install ## Take guards out of the product, one at a time, and count how many the tests miss; tens of minutes
 	$(BIN)/python tests/mutants/run_removed_guards.py
 
 tools: ## Install what faults are injected with (Debian packages, as root); without them such faults are not run
 	apt-get install --yes --no-install-recommends e2fsprogs faketime iproute2 mount nftables strace
+
+browser: ## Install the browser that the console is tested in (Debian packages, as root); without it those tests are skipped
+	apt-get install --yes --no-install-recommends chromium
 
 lint: install ## Check style, format, types and import contracts
 	$(BIN)/ruff check
@@ -38,7 +42,7 @@ lint: install ## Check style, format, types and import contracts
 lock: install ## Remake requirements.lock from pyproject.toml; keeps the versions that still fit
 	CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras \
 	    --no-emit-index-url --no-emit-trusted-host --no-emit-find-links \
-	    --extra sim --extra hardware --extra dev --build-deps-for editable --output-file requirements.lock pyproject.toml
+	    --extra sim --extra hardware --extra console --extra dev --build-deps-for editable --output-file requirements.lock pyproject.toml
 
 clean: ## Remove .venv, caches and what was built
 	rm -rf $(VENV) dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -23,6 +23,7 @@ from pcmrs.errors import BusError, CommandRefusedError, DeviceError, PayloadErro
 from pcmrs.messages import DeviceEvent, DeviceReply, DeviceRequest, Snapshot, TeleopSetpoint, Verdict
 from pcmrs.messages.health import Health
 from pcmrs.messages.identity import LOCAL
+from pcmrs.messages.setup import Gathered, Setup
 
 Event = Snapshot | Verdict | DeviceEvent
 T = TypeVar("T")
@@ -154,6 +155,22 @@ class Client:
         """
         return await self._bus.request("svc/health", Empty(), Health, timeout or self._patience)
 
+    async def setup(self, timeout: float | None = None) -> Setup:
+        """How the cell is set up, and what we may do there.
+
+        Raises:
+            UnknownOutcomeError: The daemon did not answer within `timeout` (s).
+        """
+        return await self._bus.request(f"svc/setup/{self._user}", Empty(), Setup, timeout or self._patience)
+
+    async def gathered(self, timeout: float | None = None) -> Gathered:
+        """Landmarks, digitization, registration and plan so far.
+
+        Raises:
+            UnknownOutcomeError: The daemon did not answer within `timeout` (s).
+        """
+        return await self._bus.request("svc/data", Empty(), Gathered, timeout or self._patience)
+
     async def stop(self, timeout: float | None = None) -> None:
         """Stops every motion: told to all listeners at once, and returns when the daemon has begun.
 
@@ -184,7 +201,7 @@ class Client:
             CommandRefusedError: Somebody else holds it, or it was lost meanwhile: then the block is cancelled.
             UnknownOutcomeError: The daemon did not answer at the beginning.
         """
-        await self._lease("take_over" if over else "acquire")
+        await self.lease("take_over" if over else "acquire")
         try:
             while not self._holds(await self.state()):
                 await self._clock.sleep(_RENEWED)
@@ -192,7 +209,7 @@ class Client:
                 yield
         finally:
             with suppress(CommandRefusedError, UnknownOutcomeError):  # it was lost, or the daemon has ended
-                await self._lease("release")
+                await self.lease("release")
 
     def _holds(self, snapshot: Snapshot) -> bool:
         return snapshot.lease is not None and snapshot.lease.holder == self._user
@@ -201,9 +218,15 @@ class Client:
         while True:
             await self._clock.sleep(_RENEWED)
             with suppress(UnknownOutcomeError):  # a line that is slow now may be quick enough before the lease lapses
-                await self._lease("renew")
+                await self.lease("renew")
 
-    async def _lease(self, operation: str) -> None:
+    async def lease(self, operation: str) -> None:
+        """Asks for ``acquire``, ``take_over``, ``renew`` or ``release``; see `holding`.
+
+        Raises:
+            CommandRefusedError: It was not accepted.
+            UnknownOutcomeError: The daemon did not answer in time.
+        """
         key, envelope = self._command(f"lease.{operation}", None, None)
         verdict = await self._bus.request(key, envelope, Verdict, self._patience)
         if verdict.decision != "accepted":

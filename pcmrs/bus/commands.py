@@ -12,8 +12,6 @@ from pcmrs.bus.session import Bus
 from pcmrs.bus.stop import StopLane
 from pcmrs.errors import PayloadError, PcmrsError
 from pcmrs.messages import Command, Verdict
-from pcmrs.messages.identity import ON_SITE
-from pcmrs.messages.roles import Role
 
 _COMMANDS = "cmd/*/*/*"
 
@@ -30,7 +28,6 @@ class CommandEdge:
 
     def __init__(self, bus: Bus, submit: Submit, refused: Refused, lane: StopLane) -> None:
         self._bus = bus
-        self._roles = {each.name: each.role for each in bus.settings.members}
         self._submit = submit
         self._refused = refused
         self._lane = lane
@@ -67,14 +64,14 @@ class CommandEdge:
 
     async def _answer(self, key: str, envelope: Envelope) -> Verdict:
         try:
-            command = command_from(key, envelope, self._role)
+            command = command_from(key, envelope, self._bus.settings.role_of)
         except PayloadError as error:
             return self._refusal(key, error)
         return await self._submit(command)
 
     def _take(self, key: str, envelope: Envelope) -> None:
         try:
-            command = command_from(key, envelope, self._role)
+            command = command_from(key, envelope, self._bus.settings.role_of)
         except PayloadError as error:
             self._refuse(key, error)
         else:
@@ -82,12 +79,6 @@ class CommandEdge:
                 self._spawn(command)
             else:
                 self._refuse(key, busy())
-
-    def _role(self, user: str) -> Role:
-        """The register's. Without one everybody is on site; with one nobody is, but under that name."""
-        if not self._roles or user == ON_SITE.user:
-            return ON_SITE.role
-        return self._roles.get(user, "viewer")
 
     def _spawn(self, command: Command) -> None:
         task = asyncio.ensure_future(self._submit(command))

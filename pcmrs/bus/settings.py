@@ -12,7 +12,8 @@ from pcmrs.bus.access import access_control
 from pcmrs.bus.codec import MAX_BYTES
 from pcmrs.errors import BusError, ConfigurationError
 from pcmrs.hosts import is_loopback
-from pcmrs.messages.identity import LOCAL, Identity
+from pcmrs.messages.identity import LOCAL, ON_SITE, Identity
+from pcmrs.messages.roles import Role
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 SECURED: Final = "tls/"
@@ -74,6 +75,12 @@ class BusSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         """The user in the keys of this process."""
         on_site = self.endpoint and not self.endpoint.startswith(SECURED)
         return LOCAL if self.credentials is None or on_site else self.credentials.name
+
+    def role_of(self, user: str) -> Role:
+        """The register's. Without one everybody is on site; with one nobody is, but under that name."""
+        if not self.members or user == ON_SITE.user:
+            return ON_SITE.role
+        return next((each.role for each in self.members if each.name == user), "viewer")
 
     def values(self) -> dict[str, Any]:
         """Zenoh's configuration: nothing is found by multicast or gossip, nobody gets in whom `members` does not have.

@@ -16,6 +16,7 @@ COMMANDS = {
     "keys": "pcmrs.cli.cell:keys",
     "lease": "pcmrs.cli.lease:lease",
     "cells": "pcmrs.cli.cells:cells",
+    "console": "pcmrs.cli.console:console",
     "health": "pcmrs.cli.health:health",
     "stop": "pcmrs.cli.cell:stop",
     "journal": "pcmrs.cli.journal:journal",

@@ -7,6 +7,7 @@ import fcntl
 import uuid
 from collections.abc import AsyncIterator, Iterable, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -31,6 +32,7 @@ from pcmrs.service.publishing import answer_queries
 from pcmrs.service.recorder import JournalRecorder
 from pcmrs.service.recording import RecorderProcess
 from pcmrs.service.recovery import conclude, keep_journal, recover
+from pcmrs.service.showing import setup_of
 from pcmrs.service.stall import StallWatch
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.settings import Settings
@@ -141,7 +143,8 @@ class Daemon:
                 gateway=gateway,
                 metrics_trouble=lambda: metrics.trouble,
             )
-            answer_queries(bus, dispatcher, journal.reader, inspection.health)
+            shown = partial(setup_of, procedure.cell, settings, blueprint)
+            answer_queries(bus, dispatcher, journal.reader, inspection.health, shown)
             stack.push_async_callback(metrics.close)
             metrics.start(inspection.health)
             bus.alive("daemon")

@@ -23,6 +23,8 @@ from pcmrs.messages import (
     Verdict,
 )
 from pcmrs.messages.health import Health
+from pcmrs.messages.setup import Gathered, Setup
+from pcmrs.service.showing import gathered
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 
@@ -55,9 +57,13 @@ class Publishing:
 
 
 def answer_queries(
-    bus: Bus, dispatcher: Dispatcher[Cell, PlacementData], journal: JournalReader, health: Callable[[], Health]
+    bus: Bus,
+    dispatcher: Dispatcher[Cell, PlacementData],
+    journal: JournalReader,
+    health: Callable[[], Health],
+    setup: Callable[[], Setup],
 ) -> None:
-    """Serves the read-only queries below ``svc/``."""
+    """Serves the read-only queries below ``svc/``; `setup` reads a file."""
 
     async def snapshot(_key: str, _request: Empty) -> Snapshot:
         return dispatcher.snapshot()
@@ -68,10 +74,20 @@ def answer_queries(
     async def well(_key: str, _request: Empty) -> Health:
         return health()
 
+    async def data(_key: str, _request: Empty) -> Gathered:
+        return gathered(dispatcher.procedure.data)
+
+    async def laid_out(key: str, _request: Empty) -> Setup:
+        user = key.rpartition("/")[2]
+        shown = await asyncio.to_thread(setup)
+        return msgspec.structs.replace(shown, user=user, role=bus.settings.role_of(user))
+
     async def page(_key: str, query: JournalQuery) -> JournalPage:
         return await asyncio.to_thread(_journal_page, journal.path, query)
 
     bus.serve("svc/snapshot", Empty, snapshot)
+    bus.serve("svc/setup/*", Empty, laid_out)
+    bus.serve("svc/data", Empty, data)
     bus.serve("svc/keys", Empty, keys)
     bus.serve("svc/health", Empty, well)
     bus.serve("svc/journal", JournalQuery, page)

@@ -200,13 +200,14 @@ def test_the_reference_runs_in_an_old_slicer() -> None:
 _MAIN = """
 using System;
 using System.Text;
+using Pcmrs;
 
 public static class Vectors
 {
     public static void Main(string[] words)
     {
-        byte[] key = PcmrsSigner.ReadKey(words[1]);
-        var signer = new PcmrsSigner(words[0], key, () => long.Parse(words[2]));
+        byte[] key = Signer.ReadKey(words[1]);
+        var signer = new Signer(words[0], key, () => long.Parse(words[2]));
         Console.Write(Encoding.ASCII.GetString(signer.Sign(words[3])));
     }
 }
@@ -219,10 +220,11 @@ public static class Vectors
 def test_the_csharp_signer_makes_the_bytes_of_the_vectors(tmp_path: Path) -> None:
     main, program, key = tmp_path / "Vectors.cs", tmp_path / "vectors.exe", tmp_path / "peer.key"
     main.write_text(_MAIN, encoding="ascii")
-    source = CLIENTS / "csharp" / "PcmrsSigner.cs"
+    source = CLIENTS / "unity" / "Runtime" / "Core" / "Signer.cs"
     subprocess.run(["mcs", "-langversion:7", "-warnaserror", f"-out:{program}", source, main], check=True)
     for vector in VECTORS:
         key.write_text(vector["key"] + "\n", encoding="ascii")
         words = [vector["peer"], key, str(vector["counter"]), vector["command"]]
         ran = subprocess.run(["mono", program, *words], check=True, capture_output=True)
-        assert ran.stdout == vector["datagram"].encode()
+        # On a line before, mono may tell that it does not know how this process is scheduled.
+        assert ran.stdout.splitlines()[-1] == vector["datagram"].encode()

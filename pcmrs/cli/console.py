@@ -1,0 +1,69 @@
+"""pcmrs console: the operating room's view, in a browser."""
+
+from __future__ import annotations
+
+import secrets
+import sys
+from pathlib import Path
+
+import click
+import msgspec
+
+from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.running import readable_errors, run
+from pcmrs.errors import ConfigurationError
+from pcmrs.files import read_secret
+
+
+@click.command()
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address at which browsers reach it.")
+@click.option("--port", default=8080, type=click.IntRange(0, 65535), show_default=True, help="0 takes a free one.")
+@click.option(
+    "--name",
+    "names",
+    multiple=True,
+    metavar="HOST:PORT",
+    help="Another name for it, as behind a proxy; may be repeated.",
+)
+@click.option(
+    "--token-file",
+    type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    metavar="FILE",
+    help="The token to use, in a file that only you may read; a new one at every start without it.",
+)
+@click.option("--language", type=click.Choice(["en", "de"]), default="en", show_default=True)
+@json_option
+@address_options
+@readable_errors
+def console(
+    host: str,
+    port: int,
+    names: tuple[str, ...],
+    token_file: Path | None,
+    language: str,
+    as_json: bool,
+    address: Address,
+) -> None:
+    """Serve the page that shows a cell: workflow, scene, planning, signals and session.
+
+    Prints the address with its token: whoever has it does there what your role may do. It is a client of the bus and
+    may end at any time; the cell works on.
+
+    Exit status: 0 ended, 3 the port is taken, 4 the identity cannot be used.
+
+    Example: pcmrs console --endpoint tls/router.example.org:7449 --identity anna
+    """
+    try:
+        from pcmrs.console.server import Place, serve_console  # loads the web server
+    except ModuleNotFoundError as error:
+        text = f"The page is served by the package {error.name}, which is missing: pip install pcmrs[console]."
+        raise ConfigurationError(text, package=error.name) from None
+
+    address.credentials()  # what cannot be used is said before anything is served
+    token = secrets.token_urlsafe(24) if token_file is None else read_secret(token_file).decode().strip()
+
+    def ready(url: str) -> None:
+        click.echo(msgspec.json.encode({"url": url}).decode() if as_json else f"open {url}")
+        sys.stdout.flush()
+
+    run(serve_console(address.connect, Place(host, port, names), token, language, ready))

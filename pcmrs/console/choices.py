@@ -1,0 +1,83 @@
+"""What may be asked for now, and of everything else why not. Pure; the daemon decides all the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pcmrs.fsm import Blueprint, Engine, OperationSpec
+from pcmrs.fsm.closure import Denial
+from pcmrs.messages import Snapshot
+from pcmrs.messages.roles import COMMANDING
+from pcmrs.messages.setup import Setup
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """One operation for a person to ask for.
+
+    Attributes:
+        title: In the workflow's words, or its name.
+        why_not: Why it would be rejected now; empty if it would not, as far as a console can tell.
+        payload: Registered name of its arguments' type; ``none`` for none.
+        moves: Whether it moves the robot.
+    """
+
+    branch: str
+    operation: str
+    title: str
+    why_not: str
+    payload: str
+    moves: bool
+
+    @property
+    def name(self) -> str:
+        return f"{self.branch}.{self.operation}"
+
+
+class Choices:
+    """The operations of one workflow.
+
+    Args:
+        blueprint: The workflow.
+    """
+
+    def __init__(self, blueprint: Blueprint) -> None:
+        self.blueprint = blueprint
+        self._engine = Engine(blueprint)
+
+    def all(self, shown: Snapshot, setup: Setup) -> dict[str, list[Choice]]:
+        """By branch, what people may ask for, in the blueprint's order."""
+        self._engine.place(shown.branches)
+        return {
+            name: [
+                self._choice(name, operation, spec, shown, setup)
+                for operation, spec in branch.operations.items()
+                if not (spec.iio or spec.event)
+            ]
+            for name, branch in self.blueprint.branches.items()
+        }
+
+    def _choice(self, branch: str, operation: str, spec: OperationSpec, shown: Snapshot, setup: Setup) -> Choice:
+        return Choice(
+            branch=branch,
+            operation=operation,
+            title=spec.title or operation.replace("_", " ").capitalize(),
+            why_not=self._why_not(branch, operation, spec, shown, setup),
+            payload=spec.payload,
+            moves=spec.moves,
+        )
+
+    def _why_not(self, branch: str, operation: str, spec: OperationSpec, shown: Snapshot, setup: Setup) -> str:
+        allowed = [role for role in COMMANDING if not spec.roles or role in spec.roles]
+        if setup.role not in allowed:
+            return f"A {setup.role} may not ask for it: {' or '.join(allowed)} may."
+        holder = None if shown.lease is None else shown.lease.holder
+        if holder not in (None, setup.user) and setup.role != "planner":
+            return f"{holder} holds this cell."
+        if holder is None and setup.lease_required:
+            return "Nobody holds this cell: take the lease first."
+        if shown.latched and spec.halts:
+            release = " or ".join(self.blueprint.unlatching)
+            return f"Stop is latched: acknowledge with {release} first."
+        answer = self._engine.ask(branch, operation)
+        return answer.text if isinstance(answer, Denial) else ""

@@ -1,0 +1,154 @@
+"""What the cell tells, kept for all open pages: one client of the bus, dialled again when the daemon is gone."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, aclosing, suppress
+
+from pcmrs.client import Client, Event
+from pcmrs.clock import SystemClock
+from pcmrs.errors import CommandRefusedError, PcmrsError, UnknownOutcomeError
+from pcmrs.messages import BodyPose, DeviceEvent, JointState, Snapshot, TeleopStatus, Verdict
+from pcmrs.messages.setup import Gathered, Setup
+
+DIALLED_AGAIN = 1.0
+"""Between two tries to reach the daemon, s."""
+LOOKED_AFTER = 2.0
+"""So often it is asked whether it is still there, s."""
+RENEWED = 1.0
+"""Between two renewals of the lease, s."""
+EVENTS = 500
+"""So many of the newest decisions and events are kept."""
+
+Dial = Callable[[], AbstractAsyncContextManager[Client]]
+
+
+class Feed:
+    """The newest of everything.
+
+    Args:
+        dial: Reaches the daemon.
+
+    Attributes:
+        client: None while the daemon is not there.
+        trouble: Why not.
+        setup: Of the cell, from the last time it was reached.
+        snapshot: None before the first.
+        data: What the procedure had gathered at the last snapshot.
+        poses: By body.
+        heard: When joints and bodies were heard last, s of this machine's monotonic clock.
+        events: Decisions and device events, oldest first.
+        version: Grows with everything that changes what a page says in words.
+    """
+
+    def __init__(self, dial: Dial) -> None:
+        self._dial = dial
+        self._clock = SystemClock()
+        self._renewed = asyncio.Event()
+        self._holds = False
+        self.client: Client | None = None
+        self.trouble = "The daemon has not been reached yet."
+        self.setup: Setup | None = None
+        self.snapshot: Snapshot | None = None
+        self.data = Gathered(landmarks=[], surface=[])
+        self.joints: JointState | None = None
+        self.teleop: TeleopStatus | None = None
+        self.poses: dict[str, BodyPose] = {}
+        self.heard: dict[str, float] = {}
+        self.events: deque[tuple[float, Verdict | DeviceEvent]] = deque(maxlen=EVENTS)
+        self.version = 0
+
+    async def run(self) -> None:
+        """Keeps up with the cell until it is cancelled."""
+        while True:
+            try:
+                async with self._dial() as client:
+                    await self._keep_up(client)
+            except* PcmrsError as errors:
+                self.trouble = "; ".join(error.text for error in errors.exceptions if isinstance(error, PcmrsError))
+            self.client = None
+            self.version += 1
+            await self._clock.sleep(DIALLED_AGAIN)
+
+    async def hold(self, operation: str) -> None:
+        """Asks for the lease, ``acquire`` or ``take_over``, and renews it from then on; or ``release``.
+
+        Raises:
+            CommandRefusedError: It was not accepted.
+            UnknownOutcomeError: The daemon is silent or gone.
+        """
+        if self.client is None:
+            raise UnknownOutcomeError(self.trouble)
+        await self.client.lease(operation)
+        self._holds = operation != "release"
+
+    def age(self, what: str) -> float | None:
+        """Seconds since a body or the joints were heard; None if never."""
+        return self._clock.monotonic() - self.heard[what] if what in self.heard else None
+
+    async def _keep_up(self, client: Client) -> None:
+        self.setup = await client.setup()
+        async with AsyncExitStack() as stack, asyncio.TaskGroup() as group:
+            for end in (
+                client.listen("state/joints", JointState, self._take_joints),
+                client.listen("state/pose/*", BodyPose, self._take_pose),
+                client.listen("state/teleop", TeleopStatus, self._take_teleop),
+            ):
+                stack.push_async_callback(end)
+            self.client, self.trouble = client, ""
+            group.create_task(self._gather(client))
+            group.create_task(self._renew(client))
+            async with aclosing(client.watch()) as events:
+                group.create_task(self._look_after(client))
+                async for event in events:
+                    self._take(event)
+
+    async def _look_after(self, client: Client) -> None:
+        """Raises `UnknownOutcomeError` when the daemon has fallen silent twice."""
+        silent = False
+        while True:
+            await self._clock.sleep(LOOKED_AFTER)
+            try:
+                await client.state()
+                silent = False
+            except UnknownOutcomeError:
+                if silent:
+                    raise
+                silent = True
+
+    async def _renew(self, client: Client) -> None:
+        while True:
+            await self._clock.sleep(RENEWED)
+            holder = None if self.snapshot is None or self.snapshot.lease is None else self.snapshot.lease.holder
+            if self._holds and holder == client.user:
+                with suppress(CommandRefusedError, UnknownOutcomeError):  # it may be in time yet, or the page shows it
+                    await client.lease("renew")
+
+    async def _gather(self, client: Client) -> None:
+        """Asks for what was gathered whenever the state has changed."""
+        while True:
+            self._renewed.clear()
+            self.data = await client.gathered()
+            self.version += 1
+            await self._renewed.wait()
+
+    def _take(self, event: Event) -> None:
+        if isinstance(event, Snapshot):
+            self.snapshot = event
+            self._renewed.set()
+        else:
+            self.events.append((self._clock.wall(), event))
+        self.version += 1
+
+    def _take_joints(self, joints: JointState) -> None:
+        self.joints = joints
+        self.heard["joints"] = self._clock.monotonic()
+
+    def _take_pose(self, pose: BodyPose) -> None:
+        self.poses[pose.body] = pose
+        self.heard[pose.body] = self._clock.monotonic()
+
+    def _take_teleop(self, status: TeleopStatus) -> None:
+        self.teleop = status

@@ -1,0 +1,132 @@
+"""Where everything is that the scene shows, in the robot's base. Pure."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pcmrs.messages import BodyPose, PoseMessage
+from pcmrs.messages.setup import ArmShown, Gathered, Setup, SurfaceShown
+from pcmrs.spatial import Floats, Transform, distance, rotation_angle
+
+
+def transform(pose: PoseMessage | BodyPose) -> Transform:
+    """A pose as it is computed with."""
+    return Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """How far the tool is from its plan: the measured pose in the planned one.
+
+    Attributes:
+        mm: Distance of the tool points, and its parts along the axes of the planned tool, (4,).
+        degrees: Angle between both.
+    """
+
+    mm: tuple[float, float, float, float]
+    degrees: float
+
+
+def vertices_of(surface: SurfaceShown) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Corners, m, (V, 3), and faces, (F, 3)."""
+    vertices = np.frombuffer(surface.vertices, "<f4").reshape(-1, 3).astype(float)
+    return vertices, np.frombuffer(surface.faces, "<u4").reshape(-1, 3).astype(np.int64)
+
+
+def as_stl(vertices: Floats, faces: npt.NDArray[np.int64]) -> bytes:
+    """A mesh as binary STL, for the browser: corners (V, 3), m, and faces (F, 3)."""
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    rows = np.zeros(len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    rows["normal"] = normals / np.where(lengths > 0.0, lengths, 1.0)
+    rows["corners"] = corners
+    return b"\0" * 80 + struct.pack("<I", len(faces)) + rows.tobytes()
+
+
+class Arm:
+    """The arm's joints as frames.
+
+    Args:
+        shown: The arm, as the daemon describes it.
+    """
+
+    def __init__(self, shown: ArmShown) -> None:
+        self._fixed = [transform(each) for each in shown.joints]
+        self._flange = transform(shown.flange)
+        self.radius = shown.link_radius
+
+    @property
+    def spans(self) -> list[Floats]:
+        """From each joint's origin to the next, and from the last to the flange, in its own frame, m, (n, 3)."""
+        return [each.translation for each in (*self._fixed[1:], self._flange)]
+
+    def frames(self, positions: npt.ArrayLike) -> list[Transform]:
+        """``base_from_joint`` of all joints, and of the flange at the end, at joint positions rad, (n,)."""
+        found: list[Transform] = []
+        pose = Transform.identity()
+        for fixed, angle in zip(self._fixed, np.asarray(positions, dtype=float).tolist(), strict=True):
+            pose = pose @ fixed @ Transform.from_rotvec((0.0, 0.0, 0.0), (0.0, 0.0, angle))
+            found.append(pose)
+        return [*found, pose @ self._flange]
+
+
+class Sight:
+    """Joins what the joints say and what the tracker sees.
+
+    The tracker's place comes from the tool, which both know of; it is kept while the tool is not seen.
+
+    Args:
+        setup: Of the cell.
+
+    Attributes:
+        base_from_tracker: None until tool and joints were known together.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self.arm = Arm(setup.arm)
+        self._flange_from_coil = transform(setup.flange_from_coil)
+        self.base_from_tracker: Transform | None = None
+
+    def see(self, positions: npt.ArrayLike, coil: BodyPose | None, *, moving: bool) -> list[Transform]:
+        """Takes the present joints, rad, (n,), and pose of the tool; returns `Arm.frames`."""
+        frames = self.arm.frames(positions)
+        if coil is not None and coil.valid and not moving:
+            self.base_from_tracker = frames[-1] @ self._flange_from_coil @ transform(coil).inverse()
+        return frames
+
+    def in_base(self, body: BodyPose | None) -> Transform | None:
+        """Where a body is that the tracker sees."""
+        if body is None or not body.valid or self.base_from_tracker is None:
+            return None
+        return self.base_from_tracker @ transform(body)
+
+
+def placement(data: Gathered, coil: BodyPose | None, body_ref: BodyPose | None) -> Placement | None:
+    """How far the tool is from its plan, as the tracker sees it; None while that is not known."""
+    if data.plan is None or data.body_ref_from_image is None:
+        return None
+    if coil is None or body_ref is None or not (coil.valid and body_ref.valid):
+        return None
+    tracker_from_planned = transform(body_ref) @ transform(data.body_ref_from_image) @ transform(data.plan)
+    planned_from_measured = tracker_from_planned.inverse() @ transform(coil)
+    x, y, z = (1000.0 * planned_from_measured.translation).tolist()
+    away = 1000.0 * distance(planned_from_measured, Transform.identity())
+    angle = np.degrees(rotation_angle(planned_from_measured, Transform.identity()))
+    return Placement((away, x, y, z), float(angle))
+
+
+def residuals(data: Gathered) -> list[float | None]:
+    """How far each landmark is from where it was digitized, by the registration in force, m."""
+    if data.body_ref_from_image is None:
+        return [None] * len(data.landmarks)
+    registered = transform(data.body_ref_from_image)
+    return [
+        None if each.digitized is None
+        else float(np.linalg.norm(registered @ np.array(each.planned) - np.array(each.digitized)))
+        for each in data.landmarks
+    ]  # fmt: skip

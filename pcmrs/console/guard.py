@@ -1,0 +1,83 @@
+"""Who may open the page: whoever has the token, from a page of this console; everybody else gets nothing."""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import Awaitable, Callable, Iterable, MutableMapping
+from http.cookies import CookieError, SimpleCookie
+from typing import Any, Final
+from urllib.parse import parse_qs
+
+COOKIE: Final = "pcmrs_console"
+
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+
+class Guard:
+    """Stands before the whole application, WebSockets too.
+
+    The token comes once with the address, ``/?token=...``, and is a cookie from then on. The names under which the
+    console is reached are fixed, so that a name that somebody else has pointed here (DNS rebinding) opens nothing, and
+    pages of others can neither connect nor post.
+
+    Args:
+        app: What is behind it.
+        token: Whoever has it is let in.
+        hosts: ``host:port`` of the addresses at which the console is reached.
+    """
+
+    def __init__(self, app: App, token: str, hosts: Iterable[str]) -> None:
+        self._app = app
+        self._token = token.encode()
+        self._hosts = frozenset(hosts)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Lets a request through, or answers it here."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        headers = {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
+        refusal = self._refusal(scope, headers)
+        if refusal is None:
+            await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008})
+        else:
+            status, text, more = refusal
+            await _answer(send, status, text, more)
+
+    def _refusal(self, scope: Scope, headers: dict[str, str]) -> tuple[int, str, dict[str, str]] | None:
+        """Status, text and headers of the answer to a request that does not get through."""
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if host not in self._hosts:
+            return 421, "This console does not go by that name.", {}
+        if (origin is not None or scope["type"] == "websocket") and origin not in (f"http://{host}", f"https://{host}"):
+            return 403, "Pages of others may not talk to this console.", {}
+        if self._is_token(_cookie(headers.get("cookie", ""))):
+            return None
+        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
+        if scope["type"] == "http" and scope["method"] == "GET" and self._is_token(given):
+            cookie = f"{COOKIE}={given}; Path=/; HttpOnly; SameSite=Strict"
+            return 303, "", {"location": scope["path"], "set-cookie": cookie}
+        return 401, "Open the address with the token that the console has printed.", {}
+
+    def _is_token(self, given: str) -> bool:
+        return hmac.compare_digest(given.encode(), self._token)
+
+
+def _cookie(header: str) -> str:
+    try:
+        found = SimpleCookie(header).get(COOKIE)
+    except CookieError:
+        return ""
+    return "" if found is None else found.value
+
+
+async def _answer(send: Send, status: int, text: str, more: dict[str, str]) -> None:
+    headers = {"content-type": "text/plain; charset=utf-8", "cache-control": "no-store", **more}
+    listed = [(name.encode(), value.encode("latin-1")) for name, value in headers.items()]
+    await send({"type": "http.response.start", "status": status, "headers": listed})
+    await send({"type": "http.response.body", "body": text.encode()})

@@ -1,0 +1,142 @@
+"""The console's web server, in an event loop of its own process: never in the one that controls."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import uvicorn
+from fastapi import FastAPI, Response
+from nicegui import ui
+
+from pcmrs.console.feed import Dial, Feed
+from pcmrs.console.geometry import as_stl, vertices_of
+from pcmrs.console.guard import Guard
+from pcmrs.console.page import Page
+from pcmrs.console.scene import SURFACE
+from pcmrs.console.texts import Texts
+from pcmrs.errors import BusError
+from pcmrs.fsm import Blueprint, parse_blueprint
+
+LARGEST = 2**20
+"""Bytes of a message of a browser."""
+ENDING_TIME = 1
+"""Open pages keep the server so long from ending, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the console listens, and under which names it is reached.
+
+    Attributes:
+        port: 0 takes a free one.
+        names: Further ``host:port`` under which it is reached, as behind a proxy.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8080
+    names: tuple[str, ...] = ()
+
+
+async def serve_console(dial: Dial, place: Place, token: str, language: str, ready: Callable[[str], None]) -> None:
+    """Serves the page until a signal ends it.
+
+    Args:
+        dial: Reaches the daemon; the page is served while it does not answer, too.
+        place: Where.
+        token: Whoever has it is let in.
+        language: Of whoever asks for none.
+        ready: Called with the address, token included, as soon as it can be opened.
+
+    Raises:
+        BusError: The port is taken, or the address is not ours.
+    """
+    feed = Feed(dial)
+    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    _build(app, feed, language)
+    ui.run_with(app, title="PCMRS", show_welcome_message=False, reconnect_timeout=30.0)
+    listening = _listen(place)
+    host, port = listening.getsockname()[:2]
+    guarded = Guard(app, token, {f"{name}:{port}" for name in (host, "127.0.0.1", "localhost")} | {*place.names})
+    server = _Server(
+        uvicorn.Config(
+            guarded, log_level="warning", access_log=False, ws_max_size=LARGEST, timeout_graceful_shutdown=ENDING_TIME
+        )
+    )
+    async with asyncio.TaskGroup() as group:
+        following = group.create_task(feed.run())
+        serving = group.create_task(server.serve(sockets=[listening]))
+        await server.begun.wait()
+        ready(f"http://{host}:{port}/?token={token}")
+        await serving
+        following.cancel()
+
+
+class _Server(uvicorn.Server):
+    """Tells when it has begun to serve."""
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self.begun = asyncio.Event()
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Ends at the usual signals, in order and without raising them again."""
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self._end)
+        yield
+
+    def _end(self) -> None:
+        self.should_exit = True
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        self.begun.set()
+
+
+def _listen(place: Place) -> socket.socket:
+    try:
+        return socket.create_server((place.host, place.port))
+    except OSError as error:
+        text = f"The console cannot listen at {place.host}:{place.port}: {error.strerror}. Give another --port."
+        raise BusError(text, host=place.host, port=place.port) from None
+
+
+def _build(app: FastAPI, feed: Feed, language: str) -> None:
+    """Declares what the server answers."""
+    workflows: dict[str, Blueprint] = {}
+
+    @app.get(SURFACE)
+    def surface() -> Response:
+        shown = None if feed.setup is None else feed.setup.surface
+        if shown is None:
+            return Response(status_code=404)
+        return Response(as_stl(*vertices_of(shown)), media_type="model/stl")
+
+    @ui.page("/")
+    def page(language: str = language) -> None:
+        texts, setup = Texts(language), feed.setup
+        if setup is None:
+            _wait(feed, texts)
+            return
+        if setup.blueprint not in workflows:
+            workflows[setup.blueprint] = parse_blueprint(setup.blueprint.encode(), origin="workflow")
+        Page(feed, setup, workflows[setup.blueprint], texts)
+
+
+def _wait(feed: Feed, texts: Texts) -> None:
+    """Until the daemon was reached for the first time."""
+    ui.label(texts("title")).classes("text-h5")
+    why = ui.label().props('data-testid="trouble"')
+
+    def look() -> None:
+        why.set_text(texts("unreachable", why=feed.trouble))
+        if feed.setup is not None:
+            ui.navigate.reload()
+
+    ui.timer(0.5, look)

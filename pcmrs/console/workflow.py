@@ -1,0 +1,166 @@
+"""The workflow: what may be asked for now, what runs, what was refused and why."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import msgspec
+from nicegui import ui
+
+from pcmrs.console.asking import Asking
+from pcmrs.console.choices import Choice, Choices
+from pcmrs.console.feed import Feed
+from pcmrs.console.texts import Texts
+from pcmrs.messages import DeviceEvent, Verdict
+from pcmrs.messages.setup import Setup
+
+REFUSED = 4
+"""So many of the last refusals are shown."""
+
+
+class WorkflowPanel:
+    """Buttons by branch, the running operation and the last refusals.
+
+    Args:
+        feed: What the cell tells.
+        setup: Of the cell.
+        choices: The operations.
+        texts: Of the page's language.
+        asking: Asks the daemon.
+    """
+
+    def __init__(self, feed: Feed, setup: Setup, choices: Choices, texts: Texts, asking: Asking) -> None:
+        self._feed, self._setup, self._choices, self._texts, self._asking = feed, setup, choices, texts, asking
+        self._buttons: dict[str, tuple[ui.button, ui.tooltip]] = {}
+        self._states: dict[str, ui.label] = {}
+        with ui.row().classes("items-center w-full no-wrap"):
+            self._spinner = ui.spinner(size="sm")
+            self._running = ui.label().classes("text-weight-medium").props('data-testid="running"')
+        self._progress = ui.linear_progress(show_value=False).props("instant-feedback")
+        self._residual = ui.label().props('data-testid="residual"')
+        self._unknown = ui.column().classes("w-full gap-0")
+        for name, branch in choices.blueprint.branches.items():
+            with ui.card().classes("w-full q-pa-sm gap-1").props("flat bordered"):
+                with ui.row().classes("items-baseline w-full no-wrap"):
+                    ui.label(branch.title or name).classes("text-weight-bold")
+                    self._states[name] = ui.label().classes("text-grey-8").props(f'data-testid="state-{name}"')
+                with ui.row().classes("gap-1"):
+                    self._add_buttons(name)
+        ui.label(texts("rejections")).classes("text-weight-bold q-mt-sm")
+        self._refused = ui.column().classes("w-full gap-1").props('data-testid="refused"')
+
+    def _add_buttons(self, branch: str) -> None:
+        for operation, spec in self._choices.blueprint.branches[branch].operations.items():
+            if spec.iio or spec.event:
+                continue
+            name = f"{branch}.{operation}"
+            with ui.element("div"):
+                button = ui.button(spec.title or operation.replace("_", " ")).props("dense no-caps size=sm")
+                button.props(f'data-testid="{name}"').on_click(partial(self._press, name))
+                tooltip = ui.tooltip()
+            self._buttons[name] = (button, tooltip)
+
+    def refresh(self) -> None:
+        """Shows what is now."""
+        shown = self._feed.snapshot
+        if shown is None:
+            return
+        for branch, state in shown.branches.items():
+            meaning = self._choices.blueprint.branches[branch].states[state]
+            self._states[branch].set_text(f"{state}: {meaning}")
+        for choices in self._choices.all(shown, self._setup).values():
+            for choice in choices:
+                button, tooltip = self._buttons[choice.name]
+                possible = not choice.why_not and self._feed.client is not None
+                button.set_enabled(possible)
+                button.props(f"color={'primary' if choice.moves else 'blue-grey-7'}")
+                tooltip.set_text(choice.why_not or choice.name)
+        residual = self._feed.data.residual
+        if residual is not None:
+            limit = self._texts("within", limit=1000.0 * self._setup.residual_limit)
+            self._residual.set_text(f"{self._texts('residual')}: {1000.0 * residual:.2f} mm ({limit})")
+        self._residual.set_visibility(residual is not None)
+        running = shown.running[0] if shown.running else None
+        self._spinner.set_visibility(running is not None)
+        self._progress.set_visibility(running is not None)
+        self._progress.set_value(0.0 if running is None else running.progress)
+        if running is None:
+            self._running.set_text(self._texts("nothing_runs"))
+        else:
+            self._running.set_text(self._texts("running", name=f"{running.branch}.{running.operation}"))
+        self._unknown.clear()
+        with self._unknown:
+            for each in shown.unknown:
+                ui.label(f"{self._texts('unsettled')}: {each.branch}.{each.operation}").classes("text-orange-9")
+        self._show_refused()
+
+    def _show_refused(self) -> None:
+        self._refused.clear()
+        bad = [event for _, event in self._feed.events if _is_bad(event)][-REFUSED:]
+        with self._refused:
+            for event in reversed(bad):
+                with ui.card().classes("w-full q-pa-xs gap-0 bg-orange-1").props("flat bordered"):
+                    ui.label(heading(event, self._texts)).classes("text-weight-medium")
+                    ui.label(why(event)).classes("text-body2")
+                    if isinstance(event, Verdict) and event.allowed:
+                        ui.label(self._texts("allowed", names=", ".join(event.allowed))).classes("text-grey-8")
+
+    async def _press(self, name: str) -> None:
+        choice = self._choice(name)
+        if choice is None or choice.why_not:
+            return
+        if choice.payload == "none":
+            await self._asking.ask(name, {})
+            return
+        arguments = await self._arguments(choice)
+        if arguments is not None:
+            await self._asking.ask(name, arguments)
+
+    def _choice(self, name: str) -> Choice | None:
+        if self._feed.snapshot is None:
+            return None
+        found = self._choices.all(self._feed.snapshot, self._setup)
+        return next(each for choices in found.values() for each in choices if each.name == name)
+
+    async def _arguments(self, choice: Choice) -> dict[str, Any] | None:
+        """Asks the person for the arguments, as JSON; None if they think better of it."""
+        texts = self._texts
+        with ui.dialog() as dialog, ui.card().classes("w-96"):
+            ui.label(f"{choice.title} ({choice.payload})").classes("text-weight-bold")
+            given = ui.textarea(texts("arguments"), value=EXAMPLES.get(choice.payload, "{}")).classes("w-full")
+            given.props('data-testid="arguments"')
+            with ui.row():
+                ui.button(texts("ask"), on_click=lambda: dialog.submit(given.value)).props('data-testid="ask"')
+                ui.button(texts("cancel"), on_click=lambda: dialog.submit(None)).props("flat")
+        try:
+            text = await dialog
+            if text is None:
+                return None
+            return msgspec.json.decode(text, type=dict[str, Any])
+        except msgspec.DecodeError as error:
+            ui.notify(texts("invalid", why=error), type="negative")
+            return None
+        finally:
+            dialog.delete()
+
+
+EXAMPLES = {"landmark_index": '{"index": 0}'}
+
+
+def heading(event: Verdict | DeviceEvent, texts: Texts) -> str:
+    """What was decided or reported, in a few words."""
+    if isinstance(event, Verdict):
+        return texts("asked", name=f"{event.branch}.{event.operation}", decision=event.decision)
+    return f"{event.device}: {event.code}"
+
+
+def why(event: Verdict | DeviceEvent) -> str:
+    """The text that goes with it; empty where there is none."""
+    if isinstance(event, DeviceEvent):
+        return event.text
+    return "" if event.reason is None else event.reason.text
+
+
+def _is_bad(event: Verdict | DeviceEvent) -> bool:
+    return event.decision != "accepted" if isinstance(event, Verdict) else event.danger

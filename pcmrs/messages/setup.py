@@ -1,0 +1,108 @@
+"""What a console needs once, to show a cell: who asks, the workflow, the arm, the tool, the body."""
+
+from __future__ import annotations
+
+from pcmrs.messages.base import Message
+from pcmrs.messages.poses import PoseMessage
+from pcmrs.messages.roles import Role
+
+Point = tuple[float, float, float]
+
+
+class BoxShown(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Something fixed that the arm keeps out of: its middle in the robot's base, and its edges, m."""
+
+    name: str
+    pose: PoseMessage
+    size: Point
+
+
+class SurfaceShown(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The body's surface in the image.
+
+    Attributes:
+        vertices: Little-endian float32, m, (V, 3) row by row.
+        faces: Little-endian uint32, corners counter-clockwise seen from outside, (F, 3) row by row.
+    """
+
+    vertices: bytes
+    faces: bytes
+
+
+class ArmShown(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The arm as joints that turn about their own z.
+
+    Attributes:
+        joints: Each in the frame of the one before it at position 0; the first in the robot's base.
+        flange: In the frame of the last joint.
+        link_radius: Of all links, m.
+    """
+
+    name: str
+    joints: list[PoseMessage]
+    flange: PoseMessage
+    link_radius: float
+
+
+class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The answer to ``svc/setup/<user>``.
+
+    Attributes:
+        role: What the user may do.
+        lease_required: Whether somebody has to hold the cell before anything that changes it.
+        blueprint: The workflow, as TOML.
+        flange_from_coil: Where the tool is on the arm.
+        tool_radius: Of the tool, a disc or rod about its z axis, m.
+        tool_half_length: The same along it.
+        surface: None where none is configured.
+        patient: Whose session it is.
+        operator: Who is responsible for it.
+        sigma: Noise of a landmark per axis, from which the error elsewhere is predicted, m.
+        residual_limit: Mean distance of the landmarks beyond which a registration is rejected, m.
+        drivers: Device to the driver that serves it; ``sim`` is simulated.
+    """
+
+    user: str
+    role: Role
+    lease_required: bool
+    blueprint: str
+    arm: ArmShown
+    flange_from_coil: PoseMessage
+    tool_radius: float
+    tool_half_length: float
+    boxes: list[BoxShown]
+    surface: SurfaceShown | None
+    patient: str
+    operator: str
+    sigma: float
+    residual_limit: float
+    drivers: dict[str, str]
+
+
+class LandmarkShown(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """A landmark: planned in the image, and where it was digitized in body_ref, m; None while it is open."""
+
+    name: str
+    planned: Point
+    digitized: Point | None = None
+
+
+class Gathered(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The answer to ``svc/data``: what the procedure has gathered so far.
+
+    Attributes:
+        surface: Points touched on the skin, in body_ref, m.
+        body_ref_from_image: The registration in force.
+        residual: Mean distance of its landmarks, m.
+        plan: ``image_from_coil`` of the accepted tool plan.
+        nudge_translation: Of the tool since the approach, in its frame, m.
+        nudge_rotation_zyx: The same, rad.
+    """
+
+    landmarks: list[LandmarkShown]
+    surface: list[Point]
+    body_ref_from_image: PoseMessage | None = None
+    residual: float | None = None
+    plan: PoseMessage | None = None
+    nudge_translation: Point = (0.0, 0.0, 0.0)
+    nudge_rotation_zyx: Point = (0.0, 0.0, 0.0)

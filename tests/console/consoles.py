@@ -1,0 +1,69 @@
+"""The console as a process of its own, and a browser that opens it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+CHROMIUM = shutil.which("chromium") or ""
+FLAGS = [
+    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
+    "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+]  # fmt: skip
+
+
+@contextmanager
+def console(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A console on a free port; yields its process and address."""
+    command = [sys.executable, "-m", "pcmrs.cli", "console", "--port", "0", "--json", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            yield process, json.loads(process.stdout.readline())["url"]
+        finally:
+            process.terminate()
+            try:
+                process.wait(20.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+
+@contextmanager
+def browser(url: str) -> Iterator[Page]:
+    """A page of headless Chromium; what it asks of other hosts, or its scripts stumble over, fails the test."""
+    from playwright.sync_api import sync_playwright
+
+    trouble: list[str] = []
+    with sync_playwright() as playwright, TemporaryDirectory() as folder:
+        chromium = playwright.chromium.launch(executable_path=_behind_others(Path(folder)), args=FLAGS)
+        page = chromium.new_page(viewport={"width": 1280, "height": 720})
+        page.set_default_timeout(60_000)
+        page.on("pageerror", lambda error: trouble.append(str(error)))
+        here = url.partition("?")[0]
+        page.on("request", lambda request: None if _is_own(request.url, here) else trouble.append(request.url))
+        page.goto(url)
+        yield page
+        chromium.close()
+    assert not trouble
+
+
+def _behind_others(folder: Path) -> Path:
+    """Chromium that takes only the time that others leave: without a graphics card it would keep the daemon waiting."""
+    program = folder / "chromium"
+    program.write_text(f'#!/bin/sh\nexec chrt -i 0 {CHROMIUM} "$@"\n')
+    program.chmod(0o700)
+    return program
+
+
+def _is_own(url: str, here: str) -> bool:
+    return url.startswith((here, here.replace("http://", "ws://"), "data:", "blob:"))

@@ -1,0 +1,202 @@
+"""The page in a real browser, on a real daemon: a procedure by clicking, and what may go wrong in it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from consoles import CHROMIUM, browser, console
+from remote_cell import CELL, SITE, Loopback, remote_cell
+
+from pcmrs.experiment.process import own_settings, serve_command
+
+pytest.importorskip("playwright")
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Locator, Page
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.timeout(400),
+    pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed: apt-get install chromium"),
+]
+PATIENT = (
+    "procedure.max_pose_age=3", "robot.deadman=1.0", "sim.arm.physics=kinematic",
+    "recording.enabled=false",
+)  # fmt: skip
+"""A browser that renders without a graphics card takes most of this machine."""
+FACE = ((0.5, 0.45), (0.45, 0.35), (0.55, 0.35), (0.5, 0.65), (0.44, 0.55), (0.56, 0.55))
+"""Where the head is clicked, parts of the picture's width and height."""
+
+
+@pytest.fixture
+def address(tmp_path: Path) -> Iterator[list[str]]:
+    """Options that reach a running cell."""
+    command = serve_command([*own_settings(tmp_path / "cell", "seen"), *PATIENT])
+    with (tmp_path / "log").open("w") as log:
+        daemon = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
+    with daemon:
+        assert daemon.stdout is not None
+        line = daemon.stdout.readline()
+        assert line, (tmp_path / "log").read_text()
+        ready = json.loads(line)
+        _, site, cell = ready["prefix"].split("/")
+        yield ["--endpoint", ready["endpoint"], "--site", site, "--cell", cell]
+        daemon.terminate()
+        daemon.wait(30.0)
+
+
+def state(address: list[str]) -> dict[str, Any]:
+    command = [sys.executable, "-m", "pcmrs.cli", "state", "--json", *address]
+    shown: dict[str, Any] = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
+    return shown
+
+
+def until(address: list[str], **branches: str) -> None:
+    while not branches.items() <= state(address)["branches"].items():
+        pass
+
+
+class Operator:
+    """Whoever clicks."""
+
+    def __init__(self, page: Page) -> None:
+        from playwright.sync_api import expect
+
+        self.page, self.expect = page, expect
+        page.locator("canvas").first.wait_for()
+
+    def at(self, name: str) -> Locator:
+        return self.page.get_by_test_id(name)
+
+    def press(self, name: str) -> None:
+        self.expect(self.at(name)).to_be_enabled(timeout=60_000)
+        self.at(name).click()
+
+    def shows(self, name: str, text: str) -> None:
+        self.expect(self.at(name)).to_contain_text(text, timeout=60_000)
+
+    def open(self, tab: str) -> None:
+        self.at(f"tab-{tab}").click()
+
+    def plan_landmarks(self) -> None:
+        self.open("planning")
+        canvas = self.at("planning").locator("canvas")
+        canvas.wait_for()
+        box = canvas.bounding_box()
+        assert box is not None
+        for number, (x, y) in enumerate(FACE, start=1):
+            self._click_until(canvas, {"x": x * box["width"], "y": y * box["height"]}, f"landmark_{number}:")
+        self.press("send-landmarks")
+        self.open("workflow")
+        self.shows("state-registration", "100")
+
+    def plan_tool(self) -> None:
+        self.open("planning")
+        self.at("mode").get_by_text("Tool pose").click()
+        self.at("tool-point").fill("4 -12 143")
+        self.press("place-tool")
+        self.shows("tool-pose", "4.0 -12.0 143.0")
+        self.at("tool-pose").click()
+        self.page.keyboard.press("ArrowUp")
+        self.shows("tool-pose", "4.0 -11.0 143.0")
+        self.press("send-tool")
+        self.open("workflow")
+        self.shows("state-toolplan", "1")
+
+    def to_standoff(self) -> None:
+        self.plan_landmarks()
+        self.press("digitization.digitize_all")
+        self.press("registration.register")
+        self.shows("state-registration", "111")
+        self.plan_tool()
+        self.press("robot.connect")
+        self.shows("state-placement", "retracted")
+
+    def _click_until(self, canvas: Locator, position: Any, name: str) -> None:
+        """The surface is loaded after its scene: what is clicked before that hits nothing."""
+        for _ in range(20):
+            canvas.click(position=position)
+            try:
+                self.expect(self.at("landmarks")).to_contain_text(name, timeout=2_000)
+            except AssertionError:
+                continue
+            return
+        raise AssertionError(f"no {name}")
+
+
+def test_a_procedure_by_clicking(address: list[str]) -> None:
+    with console(*address) as (_, url), browser(url) as page:
+        operator = Operator(page)
+        operator.expect(operator.at("placement.approach")).to_be_disabled()
+        operator.at("placement.approach").hover(force=True)
+        operator.expect(page.get_by_role("tooltip")).to_contain_text("does not allow approach")
+        operator.press("registration.use_previous")
+        operator.shows("refused", "registration.use_previous: rejected")
+        operator.to_standoff()
+        operator.shows("residual", "mm")
+        operator.press("placement.approach")
+        operator.shows("running", "placement.approach")
+        page.keyboard.press("Escape")
+        operator.expect(operator.at("latched")).to_be_visible()
+        operator.shows("state-placement", "held")
+        operator.expect(operator.at("placement.back_off")).to_be_disabled()
+        operator.press("robot.acknowledge")
+        operator.press("placement.back_off")
+        operator.shows("state-placement", "retracted")
+        operator.press("placement.approach")
+        operator.shows("state-placement", "standoff")
+        operator.press("placement.confirm")
+        operator.shows("state-placement", "placed")
+        millimetres = float(operator.at("error").inner_text().split()[0])
+        assert millimetres < 1.0
+        operator.press("placement.back_off")
+        operator.shows("state-placement", "standoff")
+        operator.press("placement.home")
+        operator.shows("state-placement", "retracted")
+        operator.open("session")
+        operator.shows("timeline", "placement.home: accepted")
+        operator.open("signals")
+        operator.shows("ages", "body_ref: ")
+        page.get_by_role("tab", name="State chart").click()
+        operator.expect(page.locator("#state-placement-retracted.current")).to_be_visible()
+        page.get_by_text("de", exact=True).click()
+        operator.shows("stop", "STOPP")
+
+
+@pytest.mark.nightly
+def test_a_console_that_is_killed_in_motion_changes_nothing(address: list[str]) -> None:
+    with console(*address) as (process, url), browser(url) as page:
+        operator = Operator(page)
+        operator.to_standoff()
+        operator.press("placement.approach")
+        operator.shows("running", "placement.approach")
+        process.kill()
+        until(address, placement="standoff")
+        assert not state(address)["latched"]
+    with console(*address) as (_, url), browser(url) as page:
+        Operator(page).shows("state-placement", "standoff")
+
+
+@pytest.mark.nightly
+def test_a_viewer_sees_all_and_commands_nothing(tmp_path: Path) -> None:
+    network = Loopback()
+    with remote_cell(network, tmp_path, *PATIENT) as cell:
+        where = ("--endpoint", network.listen, "--site", SITE, "--cell", CELL)
+        with console(*where, "--identity", str(tmp_path / "eve")) as (_, url), browser(url) as page:
+            viewer = Operator(page)
+            viewer.shows("signed-in", "eve (viewer)")
+            viewer.shows("state-registration", "000")
+            buttons = page.locator("button[data-testid*='.']")
+            viewer.expect(buttons.first).to_be_visible()
+            assert buttons.count() > 30
+            for button in buttons.all():
+                viewer.expect(button).to_be_disabled()
+            assert cell.on_site()["branches"]["registration"] == "000"
+            page.keyboard.press("Escape")
+            viewer.expect(viewer.at("latched")).to_be_visible()

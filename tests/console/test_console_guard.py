@@ -1,0 +1,83 @@
+"""Who has no token, comes by another name or from a page of others gets nothing of the console."""
+
+from __future__ import annotations
+
+import http.client
+import re
+from collections.abc import Iterator
+from urllib.parse import urlsplit
+
+import pytest
+from consoles import console
+
+from pcmrs.console.guard import COOKIE
+from pcmrs.experiment.process import free_port
+
+HANDSHAKE = {
+    "Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+}  # fmt: skip
+SOCKET = "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[tuple[str, str]]:
+    """Host with port, and token, of a console that reaches no daemon."""
+    with console("--endpoint", f"tcp/127.0.0.1:{free_port()}") as (_, url):
+        parts = urlsplit(url)
+        yield parts.netloc, parts.query.removeprefix("token=")
+
+
+def ask(netloc: str, path: str, method: str = "GET", **headers: str) -> http.client.HTTPResponse:
+    connection = http.client.HTTPConnection(netloc, timeout=20.0)
+    connection.putrequest(method, path, skip_host="Host" in headers)
+    for name, value in headers.items():
+        connection.putheader(name, value)
+    connection.endheaders()
+    response = connection.getresponse()
+    response.body = response.read()  # type: ignore[attr-defined]
+    connection.close()
+    return response
+
+
+@pytest.mark.parametrize(
+    "path", ["/", "/?token=", "/?token=wrong", "/body.stl", "/_nicegui/3.18.0/components/x", SOCKET]
+)
+@pytest.mark.parametrize("cookie", ["", f"{COOKIE}=wrong", f"{COOKIE}=", "other=1"])
+def test_without_the_token_there_is_nothing(address: tuple[str, str], path: str, cookie: str) -> None:
+    response = ask(address[0], path, **({"Cookie": cookie} if cookie else {}))
+    assert response.status == 401
+    assert b"nicegui" not in response.body  # type: ignore[attr-defined]
+
+
+def test_the_token_becomes_a_cookie_that_scripts_cannot_read(address: tuple[str, str]) -> None:
+    netloc, token = address
+    response = ask(netloc, f"/?token={token}")
+    assert (response.status, response.getheader("Location")) == (303, "/")
+    cookie = response.getheader("Set-Cookie") or ""
+    assert {"HttpOnly", "SameSite=Strict"} <= {part.strip() for part in cookie.split(";")}
+    page = ask(netloc, "/", Cookie=cookie.partition(";")[0])
+    assert page.status == 200
+    body: bytes = page.body  # type: ignore[attr-defined]
+    assert not re.findall(rb'(?:src|href)="(?:https?:)?//', body), "nothing is loaded from elsewhere"
+    assert token.encode() not in body
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:8080", "127.0.0.1", "127.0.0.1:1", ""])
+def test_by_another_name_there_is_nothing(address: tuple[str, str], host: str) -> None:
+    netloc, token = address
+    assert ask(netloc, "/", Host=host, Cookie=f"{COOKIE}={token}").status in (400, 421)
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1", "file://"])
+def test_pages_of_others_get_nothing(address: tuple[str, str], origin: str) -> None:
+    netloc, token = address
+    assert ask(netloc, "/", Origin=origin, Cookie=f"{COOKIE}={token}").status == 403
+    assert ask(netloc, SOCKET, Origin=origin, Cookie=f"{COOKIE}={token}", **HANDSHAKE).status == 403
+
+
+def test_a_websocket_needs_origin_and_token(address: tuple[str, str]) -> None:
+    netloc, token = address
+    own = {"Origin": f"http://{netloc}", "Cookie": f"{COOKIE}={token}"}
+    assert ask(netloc, SOCKET, Cookie=own["Cookie"], **HANDSHAKE).status == 403
+    assert ask(netloc, SOCKET, Origin=own["Origin"], **HANDSHAKE).status == 403
