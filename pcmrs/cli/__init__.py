@@ -38,6 +38,7 @@ COMMANDS = {
     "repair": "pcmrs.cli.record:repair",
     "play": "pcmrs.cli.play:play",
     "export-session": "pcmrs.cli.export_session:export_session",
+    "report": "pcmrs.cli.report:report",
 }
 
 

@@ -45,17 +45,16 @@ class Choices:
         self.blueprint = blueprint
         self._engine = Engine(blueprint)
 
-    def all(self, shown: Snapshot, setup: Setup) -> dict[str, list[Choice]]:
-        """By branch, what people may ask for, in the blueprint's order."""
+    def all(self, shown: Snapshot, setup: Setup) -> dict[str, Choice]:
+        """By name, what people may ask for, in the blueprint's order."""
         self._engine.place(shown.branches)
-        return {
-            name: [
-                self._choice(name, operation, spec, shown, setup)
-                for operation, spec in branch.operations.items()
-                if not (spec.iio or spec.event)
-            ]
+        found = (
+            self._choice(name, operation, spec, shown, setup)
             for name, branch in self.blueprint.branches.items()
-        }
+            for operation, spec in branch.operations.items()
+            if not (spec.iio or spec.event)
+        )
+        return {choice.name: choice for choice in found}
 
     def _choice(self, branch: str, operation: str, spec: OperationSpec, shown: Snapshot, setup: Setup) -> Choice:
         return Choice(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from nicegui import events, ui
 
 from pcmrs.console.asking import Asking
@@ -34,7 +36,7 @@ class Page:
 
     def __init__(self, feed: Feed, setup: Setup, blueprint: Blueprint, texts: Texts) -> None:
         self._feed, self._setup, self._blueprint, self._texts = feed, setup, blueprint, texts
-        self._asking = Asking(feed, texts)
+        self._asking, self._choices = Asking(feed, texts), Choices(blueprint)
         self._version = -1
         self._drawn: dict[str, str] = {}
         ui.keyboard(on_key=self._key, ignore=["input", "textarea"])
@@ -90,7 +92,7 @@ class Page:
                 ui.tab(name, texts(name)).props(f'data-testid="tab-{name}"')
         with ui.tab_panels(tabs, value="workflow", animated=False, keep_alive=True).classes("w-full"):
             with ui.tab_panel("workflow").classes("p-1"):
-                self._workflow = WorkflowPanel(feed, setup, Choices(self._blueprint), texts, self._asking)
+                self._workflow = WorkflowPanel(feed, setup, self._blueprint, texts, self._asking)
             with ui.tab_panel("planning").classes("p-1"):
                 self._planning = PlanningPanel(feed, setup, texts, self._asking)
             with ui.tab_panel("signals").classes("p-1"):
@@ -117,7 +119,11 @@ class Page:
         if shown.branches != self._drawn:
             self._drawn = dict(shown.branches)
             self._chart.set_content(svg(self._blueprint, shown.branches))
-        self._workflow.refresh()
+        choices = self._choices.all(shown, self._setup)
+        if feed.client is None:
+            choices = {name: replace(each, why_not=feed.trouble) for name, each in choices.items()}
+        self._workflow.refresh(shown, choices)
+        self._planning.refresh(choices)
         self._timeline.refresh()
 
     async def _hold(self) -> None:

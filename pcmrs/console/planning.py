@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ from nicegui import events, ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
 from pcmrs.console.asking import Asking
+from pcmrs.console.choices import Choice
 from pcmrs.console.feed import Feed
 from pcmrs.console.geometry import transform, vertices_of
 from pcmrs.console.scene import AXES, PLANNED, SKIN, SURFACE, put, show
@@ -45,6 +47,7 @@ class PlanningPanel:
         self._landmarks: list[LandmarkShown] = list(feed.data.landmarks)
         self._pose: Transform | None = None if feed.data.plan is None else transform(feed.data.plan)
         self._balls: list[Object3D] = []
+        self._sending: dict[str, ui.button] = {}
         with ui.scene(width=10, height=10, grid=False, on_click=self._click, background_color="#f4f6f8") as scene:
             self._scene = scene.classes("w-full").style("height: 300px").props('data-testid="planning"')
             if setup.surface is not None:
@@ -78,8 +81,10 @@ class PlanningPanel:
                     'data-testid="add-landmark"'
                 )
             with ui.row():
-                ui.button(texts("send_landmarks"), on_click=self._send_landmarks).props("no-caps").props(
-                    'data-testid="send-landmarks"'
+                self._sending["registration.plan_landmarks"] = (
+                    ui.button(texts("send_landmarks"), on_click=self._send_landmarks)
+                    .props("no-caps")
+                    .props('data-testid="send-landmarks"')
                 )
                 ui.button(texts("clear"), on_click=self._clear).props("flat no-caps").props(
                     'data-testid="clear-landmarks"'
@@ -95,7 +100,16 @@ class PlanningPanel:
                     'data-testid="place-tool"'
                 )
             self._shown = ui.label().props('data-testid="tool-pose"')
-            ui.button(texts("send_tool"), on_click=self._send_pose).props("no-caps").props('data-testid="send-tool"')
+            self._sending["toolplan.plan"] = (
+                ui.button(texts("send_tool"), on_click=self._send_pose)
+                .props("no-caps")
+                .props('data-testid="send-tool"')
+            )
+
+    def refresh(self, choices: Mapping[str, Choice]) -> None:
+        """Lets be sent what may be asked for."""
+        for name, button in self._sending.items():
+            button.set_enabled(name in choices and not choices[name].why_not)
 
     def key(self, key: str) -> None:
         """Moves the tool along the surface, or turns it; other keys do nothing."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -9,10 +10,11 @@ import msgspec
 from nicegui import ui
 
 from pcmrs.console.asking import Asking
-from pcmrs.console.choices import Choice, Choices
+from pcmrs.console.choices import Choice
 from pcmrs.console.feed import Feed
 from pcmrs.console.texts import Texts
-from pcmrs.messages import DeviceEvent, Verdict
+from pcmrs.fsm import Blueprint
+from pcmrs.messages import DeviceEvent, Snapshot, Verdict
 from pcmrs.messages.setup import Setup
 
 REFUSED = 4
@@ -25,13 +27,14 @@ class WorkflowPanel:
     Args:
         feed: What the cell tells.
         setup: Of the cell.
-        choices: The operations.
+        blueprint: Its workflow.
         texts: Of the page's language.
         asking: Asks the daemon.
     """
 
-    def __init__(self, feed: Feed, setup: Setup, choices: Choices, texts: Texts, asking: Asking) -> None:
-        self._feed, self._setup, self._choices, self._texts, self._asking = feed, setup, choices, texts, asking
+    def __init__(self, feed: Feed, setup: Setup, blueprint: Blueprint, texts: Texts, asking: Asking) -> None:
+        self._feed, self._setup, self._blueprint, self._texts, self._asking = feed, setup, blueprint, texts, asking
+        self._choices: Mapping[str, Choice] = {}
         self._buttons: dict[str, tuple[ui.button, ui.tooltip]] = {}
         self._states: dict[str, ui.label] = {}
         with ui.row().classes("items-center w-full no-wrap"):
@@ -40,7 +43,7 @@ class WorkflowPanel:
         self._progress = ui.linear_progress(show_value=False).props("instant-feedback")
         self._residual = ui.label().props('data-testid="residual"')
         self._unknown = ui.column().classes("w-full gap-0")
-        for name, branch in choices.blueprint.branches.items():
+        for name, branch in blueprint.branches.items():
             with ui.card().classes("w-full q-pa-sm gap-1").props("flat bordered"):
                 with ui.row().classes("items-baseline w-full no-wrap"):
                     ui.label(branch.title or name).classes("text-weight-bold")
@@ -51,31 +54,27 @@ class WorkflowPanel:
         self._refused = ui.column().classes("w-full gap-1").props('data-testid="refused"')
 
     def _add_buttons(self, branch: str) -> None:
-        for operation, spec in self._choices.blueprint.branches[branch].operations.items():
+        for operation, spec in self._blueprint.branches[branch].operations.items():
             if spec.iio or spec.event:
                 continue
             name = f"{branch}.{operation}"
             with ui.element("div"):
                 button = ui.button(spec.title or operation.replace("_", " ")).props("dense no-caps size=sm")
                 button.props(f'data-testid="{name}"').on_click(partial(self._press, name))
+                button.props(f"color={'primary' if spec.moves else 'blue-grey-7'}")
                 tooltip = ui.tooltip()
             self._buttons[name] = (button, tooltip)
 
-    def refresh(self) -> None:
-        """Shows what is now."""
-        shown = self._feed.snapshot
-        if shown is None:
-            return
+    def refresh(self, shown: Snapshot, choices: Mapping[str, Choice]) -> None:
+        """Shows what is now, and what may be asked for."""
+        self._choices = choices
         for branch, state in shown.branches.items():
-            meaning = self._choices.blueprint.branches[branch].states[state]
+            meaning = self._blueprint.branches[branch].states[state]
             self._states[branch].set_text(f"{state}: {meaning}")
-        for choices in self._choices.all(shown, self._setup).values():
-            for choice in choices:
-                button, tooltip = self._buttons[choice.name]
-                possible = not choice.why_not and self._feed.client is not None
-                button.set_enabled(possible)
-                button.props(f"color={'primary' if choice.moves else 'blue-grey-7'}")
-                tooltip.set_text(choice.why_not or choice.name)
+        for name, choice in choices.items():
+            button, tooltip = self._buttons[name]
+            button.set_enabled(not choice.why_not)
+            tooltip.set_text(choice.why_not or name)
         residual = self._feed.data.residual
         if residual is not None:
             limit = self._texts("within", limit=1000.0 * self._setup.residual_limit)
@@ -97,7 +96,7 @@ class WorkflowPanel:
 
     def _show_refused(self) -> None:
         self._refused.clear()
-        bad = [event for _, event in self._feed.events if _is_bad(event)][-REFUSED:]
+        bad = [event for _, event in self._feed.events if self._is_bad(event)][-REFUSED:]
         with self._refused:
             for event in reversed(bad):
                 with ui.card().classes("w-full q-pa-xs gap-0 bg-orange-1").props("flat bordered"):
@@ -106,8 +105,16 @@ class WorkflowPanel:
                     if isinstance(event, Verdict) and event.allowed:
                         ui.label(self._texts("allowed", names=", ".join(event.allowed))).classes("text-grey-8")
 
+    def _is_bad(self, event: Verdict | DeviceEvent) -> bool:
+        """Whether somebody asked in vain, or a device is in danger; what activities ask for is nobody's."""
+        if isinstance(event, DeviceEvent):
+            return event.danger
+        branch = self._blueprint.branches.get(event.branch)
+        spec = None if branch is None else branch.operations.get(event.operation)
+        return event.decision != "accepted" and not (spec is not None and spec.event)
+
     async def _press(self, name: str) -> None:
-        choice = self._choice(name)
+        choice = self._choices.get(name)
         if choice is None or choice.why_not:
             return
         if choice.payload == "none":
@@ -116,12 +123,6 @@ class WorkflowPanel:
         arguments = await self._arguments(choice)
         if arguments is not None:
             await self._asking.ask(name, arguments)
-
-    def _choice(self, name: str) -> Choice | None:
-        if self._feed.snapshot is None:
-            return None
-        found = self._choices.all(self._feed.snapshot, self._setup)
-        return next(each for choices in found.values() for each in choices if each.name == name)
 
     async def _arguments(self, choice: Choice) -> dict[str, Any] | None:
         """Asks the person for the arguments, as JSON; None if they think better of it."""
@@ -160,7 +161,3 @@ def why(event: Verdict | DeviceEvent) -> str:
     if isinstance(event, DeviceEvent):
         return event.text
     return "" if event.reason is None else event.reason.text
-
-
-def _is_bad(event: Verdict | DeviceEvent) -> bool:
-    return event.decision != "accepted" if isinstance(event, Verdict) else event.danger

@@ -26,7 +26,7 @@ STAGES: list[Callable[[WorkflowBench], Awaitable[Any]]] = [
 
 def offered(choices: Choices, shown: Snapshot, who: Setup) -> tuple[list[Choice], list[Choice]]:
     """What it offers, and what it does not."""
-    found = [each for operations in choices.all(shown, who).values() for each in operations]
+    found = list(choices.all(shown, who).values())
     return [each for each in found if not each.why_not], [each for each in found if each.why_not]
 
 

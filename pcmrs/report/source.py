@@ -1,0 +1,173 @@
+"""What a report is made from: an exported session, a cell's folder, or a journal, read as far as it is good."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from pcmrs.errors import JournalError
+from pcmrs.experiment.session.export import README
+from pcmrs.experiment.session.folder import JOURNAL, SUMS
+from pcmrs.journal import JournalReader, StoredRow, verify
+from pcmrs.journal.head import head_path
+from pcmrs.journal.keys import PUBLIC
+from pcmrs.recording.series import SUFFIX, all_files
+from pcmrs.recording.settings import FOLDER
+from pcmrs.report.record import File, Journal
+
+MAGIC = b"\x89MCAP0\r\n"
+"""With which a recording that was ended also ends."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A journal, how good it is, and where the session's other files are.
+
+    Attributes:
+        path: Of the journal.
+        rows: The good ones, from the first on.
+        journal: How good it is.
+        exported: Id of the session that the folder was exported for; None where it is no export.
+    """
+
+    path: Path
+    rows: tuple[StoredRow, ...]
+    journal: Journal
+    exported: str | None
+
+
+def open_source(path: Path) -> Source:
+    """Reads and verifies a journal; one that is damaged is read up to its first bad row.
+
+    Args:
+        path: Folder of an exported session, folder of a cell with one journal, or a journal.
+
+    Raises:
+        JournalError: There is no journal, more than one, or none of its rows can be read.
+    """
+    found = _journal_in(path) if path.is_dir() else path
+    if not found.is_file():
+        raise JournalError(f"There is no journal {found}.", path=str(found))
+    rows, problems = _good_rows(found)
+    signature, proven = "does not hold", 0
+    try:
+        verification = verify(found)
+    except JournalError as error:  # its key is missing
+        problems.append(error.text)
+    else:
+        problems = list(verification.problems) or problems
+        signature, proven = verification.signature, verification.signed
+    if not rows:
+        told = " ".join(problems) or "It is empty."
+        raise JournalError(f"No row of {found} can be read, so there is nothing to report. {told}", path=str(found))
+    key = found.parent / PUBLIC
+    journal = Journal(
+        name=found.name,
+        rows=len(rows),
+        # The report of a copy elsewhere is to be the same.
+        problems=tuple(problem.replace(f"{found.parent}/", "") for problem in problems),
+        signature=signature,
+        proven=proven,
+        last_hash=rows[-1].hash.hex(),
+        key=_sha256(key) if key.is_file() else "",
+    )
+    return Source(found, tuple(rows), journal, _exported(path) if path.is_dir() else None)
+
+
+def files_of(source: Source, sessions: Sequence[str], calibrations: Mapping[str, str]) -> tuple[File, ...]:
+    """Journal, recordings and calibration files with their hashes.
+
+    Args:
+        source: Where they are.
+        sessions: Whose recordings.
+        calibrations: Kind to the path that the configuration names, where it names one.
+    """
+    folder = source.path.parent
+    if source.exported is not None:
+        return tuple(_listed(folder))
+    beside = [source.path, head_path(source.path), folder / PUBLIC]
+    recordings = [
+        path
+        for path in all_files(folder / FOLDER)
+        if path.name.partition(".")[0].endswith(tuple(f"-{session[:8]}" for session in sessions))
+    ]
+    found = [_file(path.relative_to(folder).as_posix(), path) for path in (*beside, *recordings) if path.is_file()]
+    for kind, path in calibrations.items():
+        name = f"calibration of the {kind}: {Path(path).name}"
+        here = Path(path).is_file()
+        found.append(
+            _file(name, Path(path)) if here else File(name=name, size=0, sha256="", note="is not there any more")
+        )
+    return tuple(found)
+
+
+def _journal_in(folder: Path) -> Path:
+    if (folder / JOURNAL).is_file():
+        return folder / JOURNAL
+    journals = sorted(folder.glob("*.sqlite"))
+    if len(journals) == 1:
+        return journals[0]
+    told = "More than one journal is" if journals else "There is no journal"
+    names = f": {', '.join(path.name for path in journals)}; name the one" if journals else ""
+    raise JournalError(f"{told} in {folder}{names}.", path=str(folder))
+
+
+def _good_rows(path: Path) -> tuple[list[StoredRow], list[str]]:
+    rows: list[StoredRow] = []
+    try:
+        with JournalReader(path) as reader:
+            rows.extend(reader.read_whole())
+    except JournalError as error:
+        return rows, [error.text]
+    return rows, []
+
+
+def _exported(folder: Path) -> str | None:
+    """The session that an export says it is of."""
+    with suppress(OSError, UnicodeDecodeError):
+        if said := re.match(r"Session (\S+) of a cell", (folder / README).read_text(encoding="utf-8")):
+            return said[1]
+    return None
+
+
+def _listed(folder: Path) -> Iterator[File]:
+    """All files of an export, each against the hash in its list."""
+    said = {}
+    with suppress(OSError, UnicodeDecodeError):
+        lines = (folder / SUMS).read_text(encoding="utf-8").splitlines()
+        said = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+    needed = (JOURNAL, head_path(Path(JOURNAL)).name, PUBLIC)
+    for name in dict.fromkeys((*needed, *said)):
+        path = folder / name
+        if not path.is_file():
+            yield File(name=name, size=0, sha256="", note="is not there", wrong=True)
+            continue
+        file = _file(name, path)
+        if name not in said:
+            file = msgspec.structs.replace(file, note=f"is not in {SUMS}", wrong=True)
+        elif file.sha256 != said[name]:
+            file = msgspec.structs.replace(file, note=f"differs from {SUMS}", wrong=True)
+        yield file
+
+
+def _file(name: str, path: Path) -> File:
+    cut = path.suffix == SUFFIX and not _is_ended(path)
+    note = "was not ended: its last second may be missing" if cut else ""
+    return File(name=name, size=path.stat().st_size, sha256=_sha256(path), note=note)
+
+
+def _is_ended(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - len(MAGIC)))
+        return file.read() == MAGIC
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
