@@ -25,7 +25,10 @@ from pcmrs.messages import BodyPose, DeviceHealth, JointState, Snapshot
 from pcmrs.pki import read_credentials
 
 REAL_TIME = ("cell.rate=1",)
-PATIENT = (*REAL_TIME, "procedure.teleoperation.deadman=0.5", "robot.deadman=1.0")
+PATIENT = (
+    *REAL_TIME, "procedure.teleoperation.deadman=0.5", "robot.deadman=1.0", "procedure.following.longest_gap=0.2",
+    "sim.arm.physics=kinematic",
+)  # fmt: skip
 """A busy machine may be late itself."""
 needs_namespaces = pytest.mark.skipif(bool(missing()), reason=missing())
 pytestmark = pytest.mark.timeout(400)
@@ -62,9 +65,13 @@ def test_the_workflow_runs_from_behind_another_nat(tmp_path: Path) -> None:
         assert cell.on_site()["lease"] is None
 
 
-@pytest.mark.parametrize(
-    "network", [Loopback, pytest.param(behind_nats, marks=[needs_namespaces, pytest.mark.nightly])]
-)
+def test_the_workflow_runs_through_a_router_on_loopback(tmp_path: Path) -> None:
+    with remote_cell(Loopback(), tmp_path) as cell, holding(cell):
+        perform(cell)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("network", [Loopback, pytest.param(behind_nats, marks=needs_namespaces)])
 def test_the_tool_is_guided_from_far_away(tmp_path: Path, network: Callable[[], Any]) -> None:
     with ExitStack() as stack:
         way = network()

@@ -210,7 +210,7 @@ def test_defaults_of_a_workflow_lie_between_the_built_in_ones_and_the_file(tmp_p
         ("defaults.sim.sed = 5", ("sed",)),
         ("defaults.cell.folder = '/elsewhere'", ("cell", "may change procedure.body")),
         ("defaults.procedure.patient = 'bob'", ("procedure.patient", "may change procedure.body")),
-        ("defaults.procedure.placement.standoff = 0.2", ("procedure.placement", "may change procedure.body")),
+        ("defaults.procedure.placement.standoff = 0.1", ("procedure.placement", "may change procedure.body")),
         ("defaults.gateway.host = '0.0.0.0'", ("gateway", "may change procedure.body")),
         ("defaults.procedure.limits.brightness = 'much'", ("procedure.limits", "float")),
     ],
