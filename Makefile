@@ -20,8 +20,7 @@ demo: install ## Run a procedure on the simulated cell and print its errors; WOR
 	$(BIN)/pcmrs demo --workflow $(WORKFLOW)
 
 test: install ## Run the whole test suite; a running daemon does not disturb it
-	$(BIN)/pytest -n auto -m "not nightly and not browser"
-	$(BIN)/pytest -m "browser and not nightly"
+	$(BIN)/pytest -n auto
 
 mutants: install ## Take guards out of the product, one at a time, and count how many the tests miss; tens of minutes
 	$(BIN)/python tests/mutants/run_removed_guards.py

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page
 
 pytestmark = [
-    pytest.mark.browser,
+    pytest.mark.nightly,
     pytest.mark.timeout(400),
     pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed: apt-get install chromium"),
 ]
@@ -169,7 +169,6 @@ def test_a_procedure_by_clicking(address: list[str]) -> None:
         operator.shows("stop", "STOPP")
 
 
-@pytest.mark.nightly
 def test_a_console_that_is_killed_in_motion_changes_nothing(address: list[str]) -> None:
     with console(*address) as (process, url), browser(url) as page:
         operator = Operator(page)
@@ -183,7 +182,6 @@ def test_a_console_that_is_killed_in_motion_changes_nothing(address: list[str]) 
         Operator(page).shows("state-placement", "standoff")
 
 
-@pytest.mark.nightly
 def test_a_viewer_sees_all_and_commands_nothing(tmp_path: Path) -> None:
     network = Loopback()
     with remote_cell(network, tmp_path, *PATIENT) as cell:
