@@ -25,7 +25,7 @@ from pcmrs.failpoints import FAILPOINTS
 
 pytest.importorskip("mujoco")
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.nightly, pytest.mark.timeout(300)]
 
 
 @pytest.fixture
@@ -93,7 +93,6 @@ async def test_a_daemon_that_does_not_come_to_its_failpoint_is_not_counted_there
     assert (found.kills, found.at, found.not_reached) == (1, {}, {FAILPOINTS[0]: 1})
 
 
-@pytest.mark.nightly
 @pytest.mark.timeout(3000)
 @pytest.mark.parametrize("fault_class", ["operator", "sensor", "robot"])
 async def test_every_fault_of_a_class_is_answered_as_required(fault_class: str) -> None:

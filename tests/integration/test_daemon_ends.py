@@ -22,7 +22,7 @@ def _rows(folder: Path) -> list[JournalRow]:
         return [stored.row for stored in journal.read(after=0)]
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.nightly)])
 async def test_a_signal_holds_the_motion_before_everything_ends(tmp_path: Path, number: int) -> None:
     with running_daemon([*own_settings(tmp_path), *SLOW], tmp_path) as daemon:
         nodes = daemon.children()

@@ -33,7 +33,7 @@ async def stop_by_command_line(daemon: ServeProcess, client: Client) -> None:
     assert ended.returncode == 0, ended.stderr
 
 
-@pytest.mark.parametrize("drivers", [list, pytest.param(virtual_drivers, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("drivers", [list, pytest.param(virtual_drivers, marks=pytest.mark.nightly)])
 async def test_stop_from_every_edge_holds_a_moving_arm_and_latches(
     tmp_path: Path, drivers: Callable[[], list[str]]
 ) -> None:

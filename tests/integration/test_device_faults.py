@@ -74,7 +74,7 @@ async def stands(scene: RemoteScene) -> None:
 @pytest.mark.parametrize(
     "fault",
     [
-        "cut_robot",
+        pytest.param("cut_robot", marks=pytest.mark.nightly),
         *(pytest.param(each, marks=pytest.mark.nightly) for each in ("silence_robot", "drop_client", "e_stop")),
     ],
 )

@@ -1,6 +1,6 @@
 """A console and a cell behind two NATs: the workflow runs; what is lost on the way holds the arm, and is not repeated.
 
-Everything simulated runs in real time. Marked nightly but for one, since each takes most of a minute.
+Everything simulated runs in real time. Behind NATs it is nightly, since each takes most of a minute.
 """
 
 from __future__ import annotations
@@ -55,6 +55,7 @@ def perform(cell: RemoteCell, upto: str = "placement.home") -> None:
 
 
 @needs_namespaces
+@pytest.mark.nightly
 def test_the_workflow_runs_from_behind_another_nat(tmp_path: Path) -> None:
     with behind_nats() as network, remote_cell(network, tmp_path) as cell:
         refused = cell.call("registration.reinit", {})

@@ -245,6 +245,7 @@ BREAKS: dict[str, tuple[Break, str]] = {
 
 
 @pytest.mark.parametrize(("change", "promise"), BREAKS.values(), ids=BREAKS)
+@pytest.mark.nightly
 def test_each_promise_is_proved_and_broken_by_what_breaks_it(change: Break, promise: str) -> None:
     table = msgspec.to_builtins(BLUEPRINT)
     table["properties"] = [each for each in table["properties"] if each["id"] == promise]
