@@ -8,6 +8,7 @@ import msgspec
 
 from pcmrs.campaign.catalogue import RESPONSES
 from pcmrs.campaign.report import OUTCOMES, CampaignReport
+from pcmrs.pages import render
 
 JSON_NAME = "faults.json"
 PAGE_NAME = "faults.html"
@@ -23,23 +24,15 @@ def write_report(report: CampaignReport, folder: Path) -> None:
 
 def render_page(report: CampaignReport) -> str:
     """The report as a page that needs no script and nothing from outside."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("pcmrs.campaign", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["values"] = _values
     totals = {outcome: sum(found[outcome] for found in report.summary.values()) for outcome in OUTCOMES}
-    page = environment.get_template(TEMPLATE)
     ids = len({result.id for result in report.faults})
-    return page.render(report=report, totals=totals, ids=ids, outcomes=OUTCOMES, marks=MARKS, responses=RESPONSES)
+    return render(
+        "pcmrs.campaign", TEMPLATE, values,
+        report=report, totals=totals, ids=ids, outcomes=OUTCOMES, marks=MARKS, responses=RESPONSES,
+    )  # fmt: skip
 
 
-def _values(details: dict[str, object]) -> str:
+def values(details: dict[str, object]) -> str:
     """Measured values in one line."""
     return ", ".join(f"{name.replace('_', ' ')} {_value(value)}" for name, value in details.items())
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pcmrs.fsm import Blueprint, Engine, OperationSpec
 from pcmrs.fsm.closure import Denial
 from pcmrs.messages import Snapshot
-from pcmrs.messages.roles import COMMANDING
 from pcmrs.messages.setup import Setup
 
 
@@ -67,9 +66,8 @@ class Choices:
         )
 
     def _why_not(self, branch: str, operation: str, spec: OperationSpec, shown: Snapshot, setup: Setup) -> str:
-        allowed = [role for role in COMMANDING if not spec.roles or role in spec.roles]
-        if setup.role not in allowed:
-            return f"A {setup.role} may not ask for it: {' or '.join(allowed)} may."
+        if setup.role not in spec.askers:
+            return f"A {setup.role} may not ask for it: {' or '.join(spec.askers)} may."
         holder = None if shown.lease is None else shown.lease.holder
         if holder not in (None, setup.user) and setup.role != "planner":
             return f"{holder} holds this cell."

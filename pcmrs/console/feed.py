@@ -10,7 +10,7 @@ from contextlib import AbstractAsyncContextManager, AsyncExitStack, aclosing, su
 from pcmrs.client import Client, Event
 from pcmrs.clock import SystemClock
 from pcmrs.errors import CommandRefusedError, PcmrsError, UnknownOutcomeError
-from pcmrs.messages import BodyPose, DeviceEvent, JointState, Snapshot, TeleopStatus, Verdict
+from pcmrs.messages import BodyPose, DeviceEvent, JointState, Snapshot, Verdict
 from pcmrs.messages.setup import Gathered, Setup
 
 DIALLED_AGAIN = 1.0
@@ -52,9 +52,8 @@ class Feed:
         self.trouble = "The daemon has not been reached yet."
         self.setup: Setup | None = None
         self.snapshot: Snapshot | None = None
-        self.data = Gathered(landmarks=[], surface=[])
+        self.data = Gathered(landmarks=[])
         self.joints: JointState | None = None
-        self.teleop: TeleopStatus | None = None
         self.poses: dict[str, BodyPose] = {}
         self.heard: dict[str, float] = {}
         self.events: deque[tuple[float, Verdict | DeviceEvent]] = deque(maxlen=EVENTS)
@@ -94,7 +93,6 @@ class Feed:
             for end in (
                 client.listen("state/joints", JointState, self._take_joints),
                 client.listen("state/pose/*", BodyPose, self._take_pose),
-                client.listen("state/teleop", TeleopStatus, self._take_teleop),
             ):
                 stack.push_async_callback(end)
             self.client, self.trouble = client, ""
@@ -149,6 +147,3 @@ class Feed:
     def _take_pose(self, pose: BodyPose) -> None:
         self.poses[pose.body] = pose
         self.heard[pose.body] = self._clock.monotonic()
-
-    def _take_teleop(self, status: TeleopStatus) -> None:
-        self.teleop = status

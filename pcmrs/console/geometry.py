@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from pcmrs.messages import BodyPose, PoseMessage
+from pcmrs.messages import BodyPose
 from pcmrs.messages.setup import ArmShown, Gathered, Setup, SurfaceShown
 from pcmrs.spatial import Floats, Transform, distance, rotation_angle
-
-
-def transform(pose: PoseMessage | BodyPose) -> Transform:
-    """A pose as it is computed with."""
-    return Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
+from pcmrs.workflows.data import as_transform
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +34,10 @@ def vertices_of(surface: SurfaceShown) -> tuple[Floats, npt.NDArray[np.int64]]:
 
 def as_stl(vertices: Floats, faces: npt.NDArray[np.int64]) -> bytes:
     """A mesh as binary STL, for the browser: corners (V, 3), m, and faces (F, 3)."""
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    rows = np.zeros(len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    rows["normal"] = normals / np.where(lengths > 0.0, lengths, 1.0)
-    rows["corners"] = corners
-    return b"\0" * 80 + struct.pack("<I", len(faces)) + rows.tobytes()
+    from trimesh import Trimesh  # takes longer than all else here, and is needed once for a page
+    from trimesh.exchange.stl import export_stl
+
+    return export_stl(Trimesh(vertices, faces, process=False))
 
 
 class Arm:
@@ -56,8 +48,8 @@ class Arm:
     """
 
     def __init__(self, shown: ArmShown) -> None:
-        self._fixed = [transform(each) for each in shown.joints]
-        self._flange = transform(shown.flange)
+        self._fixed = [as_transform(each) for each in shown.joints]
+        self._flange = as_transform(shown.flange)
         self.radius = shown.link_radius
 
     @property
@@ -89,21 +81,21 @@ class Sight:
 
     def __init__(self, setup: Setup) -> None:
         self.arm = Arm(setup.arm)
-        self._flange_from_coil = transform(setup.flange_from_coil)
+        self._flange_from_coil = as_transform(setup.flange_from_coil)
         self.base_from_tracker: Transform | None = None
 
     def see(self, positions: npt.ArrayLike, coil: BodyPose | None, *, moving: bool) -> list[Transform]:
         """Takes the present joints, rad, (n,), and pose of the tool; returns `Arm.frames`."""
         frames = self.arm.frames(positions)
         if coil is not None and coil.valid and not moving:
-            self.base_from_tracker = frames[-1] @ self._flange_from_coil @ transform(coil).inverse()
+            self.base_from_tracker = frames[-1] @ self._flange_from_coil @ as_transform(coil).inverse()
         return frames
 
     def in_base(self, body: BodyPose | None) -> Transform | None:
         """Where a body is that the tracker sees."""
         if body is None or not body.valid or self.base_from_tracker is None:
             return None
-        return self.base_from_tracker @ transform(body)
+        return self.base_from_tracker @ as_transform(body)
 
 
 def placement(data: Gathered, coil: BodyPose | None, body_ref: BodyPose | None) -> Placement | None:
@@ -112,8 +104,8 @@ def placement(data: Gathered, coil: BodyPose | None, body_ref: BodyPose | None) 
         return None
     if coil is None or body_ref is None or not (coil.valid and body_ref.valid):
         return None
-    tracker_from_planned = transform(body_ref) @ transform(data.body_ref_from_image) @ transform(data.plan)
-    planned_from_measured = tracker_from_planned.inverse() @ transform(coil)
+    tracker_from_planned = as_transform(body_ref) @ as_transform(data.body_ref_from_image) @ as_transform(data.plan)
+    planned_from_measured = tracker_from_planned.inverse() @ as_transform(coil)
     x, y, z = (1000.0 * planned_from_measured.translation).tolist()
     away = 1000.0 * distance(planned_from_measured, Transform.identity())
     angle = np.degrees(rotation_angle(planned_from_measured, Transform.identity()))
@@ -124,7 +116,7 @@ def residuals(data: Gathered) -> list[float | None]:
     """How far each landmark is from where it was digitized, by the registration in force, m."""
     if data.body_ref_from_image is None:
         return [None] * len(data.landmarks)
-    registered = transform(data.body_ref_from_image)
+    registered = as_transform(data.body_ref_from_image)
     return [
         None if each.digitized is None
         else float(np.linalg.norm(registered @ np.array(each.planned) - np.array(each.digitized)))

@@ -13,7 +13,7 @@ from nicegui.elements.scene.scene_object3d import Object3D
 from pcmrs.console.asking import Asking
 from pcmrs.console.choices import Choice
 from pcmrs.console.feed import Feed
-from pcmrs.console.geometry import transform, vertices_of
+from pcmrs.console.geometry import vertices_of
 from pcmrs.console.scene import AXES, PLANNED, SKIN, SURFACE, put, show
 from pcmrs.console.texts import Texts
 from pcmrs.errors import GeometryError
@@ -21,6 +21,7 @@ from pcmrs.messages.setup import LandmarkShown, Setup
 from pcmrs.registration.triangles import TriangleSurface
 from pcmrs.spatial import Floats, Transform
 from pcmrs.tms.scalp import along_scalp, on_scalp, turned
+from pcmrs.workflows.data import as_transform
 
 STEP, TURN = 0.001, math.radians(5.0)
 """What a key moves the tool along the surface, m, or turns it about its axis, rad."""
@@ -45,7 +46,7 @@ class PlanningPanel:
         self._feed, self._setup, self._texts, self._asking = feed, setup, texts, asking
         self._surface = None if setup.surface is None else TriangleSurface(*vertices_of(setup.surface))
         self._landmarks: list[LandmarkShown] = list(feed.data.landmarks)
-        self._pose: Transform | None = None if feed.data.plan is None else transform(feed.data.plan)
+        self._pose: Transform | None = None if feed.data.plan is None else as_transform(feed.data.plan)
         self._balls: list[Object3D] = []
         self._sending: dict[str, ui.button] = {}
         with ui.scene(width=10, height=10, grid=False, on_click=self._click, background_color="#f4f6f8") as scene:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
+from scipy.spatial.transform import Rotation
 
 from pcmrs.console.feed import Feed
-from pcmrs.console.geometry import Sight, residuals, transform
+from pcmrs.console.geometry import Sight, residuals
 from pcmrs.messages.setup import Setup
 from pcmrs.spatial import Floats, Transform
+from pcmrs.workflows.data import as_transform
 
 RATE = 30.0
 """Updates per second."""
@@ -40,7 +42,7 @@ class ScenePanel:
             self._links = [self._link(span) for span in self._sight.arm.spans]
             for box in setup.boxes:
                 shape = scene.box(*box.size).material(BOX, 0.35).with_name(f"box {box.name}")
-                put(shape, transform(box.pose))
+                put(shape, as_transform(box.pose))
             self._body = self._group_of_body()
             self._planned = self._tool(PLANNED, 0.55, "planned")
             self._measured = self._tool(MEASURED, 0.85, "measured")
@@ -87,10 +89,10 @@ class ScenePanel:
         registered, base_from_body_ref = feed.data.body_ref_from_image, self._sight.in_base(body_ref)
         image = None
         if registered is not None and base_from_body_ref is not None:
-            image = base_from_body_ref @ transform(registered)
+            image = base_from_body_ref @ as_transform(registered)
         show(self._body, image)
         plan = feed.data.plan
-        show(self._planned, None if image is None or plan is None else image @ transform(plan))
+        show(self._planned, None if image is None or plan is None else image @ as_transform(plan))
         if feed.version != self._version:
             self._version = feed.version
             self._draw_landmarks()
@@ -124,7 +126,5 @@ def show(shape: Object3D, pose: Transform | None) -> None:
 
 def _along(axis: Floats) -> Floats:
     """A rotation that takes y to a unit vector (3,)."""
-    aside = np.array((1.0, 0.0, 0.0)) if abs(axis[0]) < 0.9 else np.array((0.0, 0.0, 1.0))
-    x = np.cross(axis, aside)
-    x /= np.linalg.norm(x)
-    return np.column_stack((x, axis, np.cross(x, axis)))
+    rotation, _ = Rotation.align_vectors([axis], [[0.0, 1.0, 0.0]])
+    return np.asarray(rotation.as_matrix())

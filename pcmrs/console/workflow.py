@@ -109,8 +109,7 @@ class WorkflowPanel:
         """Whether somebody asked in vain, or a device is in danger; what activities ask for is nobody's."""
         if isinstance(event, DeviceEvent):
             return event.danger
-        branch = self._blueprint.branches.get(event.branch)
-        spec = None if branch is None else branch.operations.get(event.operation)
+        spec = self._blueprint.find(event.branch, event.operation)
         return event.decision != "accepted" and not (spec is not None and spec.event)
 
     async def _press(self, name: str) -> None:

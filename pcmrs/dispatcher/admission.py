@@ -12,7 +12,6 @@ from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import RefusalError
 from pcmrs.fsm import OperationSpec
 from pcmrs.messages import Command
-from pcmrs.messages.roles import COMMANDING
 
 EVENT_SOURCES = ("device:", "detector:", "timer:", "operation:", "activity:")
 
@@ -53,7 +52,7 @@ def check_role(command: Command, spec: OperationSpec) -> None:
     """
     if command.source.startswith(EVENT_SOURCES):
         return
-    allowed = [role for role in COMMANDING if not spec.roles or role in spec.roles]
+    allowed = spec.askers
     if command.role not in allowed:
         text = f"A {command.role} may not ask for {command.branch}.{command.operation}: {' or '.join(allowed)} may."
         raise RefusalError("role_not_allowed", text, user=command.user, role=command.role, allowed=allowed)

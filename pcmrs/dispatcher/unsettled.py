@@ -59,18 +59,13 @@ class Unsettled:
 
     def settle_by(self, branch: str, operation: str) -> None:
         """An operation has been accepted: drops what that settles."""
-        by = self._spec(branch, operation)
+        by = self._blueprint.find(branch, operation)
         if by is not None:
             self._outcomes = {key: each for key, each in self._outcomes.items() if not self._settles(branch, by, each)}
 
     def _settles(self, branch: str, by: OperationSpec, outcome: UnknownOutcome) -> bool:
         looks = branch == outcome.branch and bool(by.steps)
-        of = self._spec(outcome.branch, outcome.operation)
+        of = self._blueprint.find(outcome.branch, outcome.operation)
         if of is not None and of.moves:
             return looks
         return by.unlatches or (looks and not (of is not None and of.acts))
-
-    def _spec(self, branch: str, operation: str) -> OperationSpec | None:
-        """None of an operation that this version of the workflow does not have."""
-        known = self._blueprint.branches.get(branch)
-        return None if known is None else known.operations.get(operation)

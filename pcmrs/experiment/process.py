@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import random
 import signal
 import socket
 import sys
@@ -94,11 +95,11 @@ def descendants(pid: int) -> list[int]:
 
 
 def free_port() -> int:
-    """A port on which nobody listens, TCP and UDP."""
+    """A port on which nobody listens, TCP and UDP; below those that Linux gives to whoever names none."""
     while True:
+        port = random.SystemRandom().randrange(20_000, 32_768)
         with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp, suppress(OSError):
-            tcp.bind(("127.0.0.1", 0))
-            port: int = tcp.getsockname()[1]
+            tcp.bind(("127.0.0.1", port))
             udp.bind(("127.0.0.1", port))
             return port
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from pcmrs.messages.roles import Role
+from pcmrs.messages.roles import COMMANDING, Role
 
 Motion = Literal["none", "approach", "retreat"]
 
@@ -99,6 +99,11 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
     def moves(self) -> bool:
         """Whether it moves the robot."""
         return self.motion != "none"
+
+    @property
+    def askers(self) -> list[Role]:
+        """Who may ask for it."""
+        return [role for role in COMMANDING if not self.roles or role in self.roles]
 
     @property
     def halts(self) -> bool:
@@ -305,6 +310,11 @@ class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dic
     migrations: list[MigrationSpec] = []
     defaults: dict[str, Any] = {}
     hash: str = ""
+
+    def find(self, branch: str, operation: str) -> OperationSpec | None:
+        """An operation by its names; None of one that this version of the workflow does not have."""
+        known = self.branches.get(branch)
+        return None if known is None else known.operations.get(operation)
 
     def initial(self) -> dict[str, str]:
         """The joint state at start: every branch in its starting state."""

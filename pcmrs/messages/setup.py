@@ -57,7 +57,6 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
         surface: None where none is configured.
         patient: Whose session it is.
         operator: Who is responsible for it.
-        sigma: Noise of a landmark per axis, from which the error elsewhere is predicted, m.
         residual_limit: Mean distance of the landmarks beyond which a registration is rejected, m.
         drivers: Device to the driver that serves it; ``sim`` is simulated.
     """
@@ -74,7 +73,6 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
     surface: SurfaceShown | None
     patient: str
     operator: str
-    sigma: float
     residual_limit: float
     drivers: dict[str, str]
 
@@ -91,18 +89,12 @@ class Gathered(Message, frozen=True, kw_only=True, omit_defaults=False):
     """The answer to ``svc/data``: what the procedure has gathered so far.
 
     Attributes:
-        surface: Points touched on the skin, in body_ref, m.
         body_ref_from_image: The registration in force.
         residual: Mean distance of its landmarks, m.
         plan: ``image_from_coil`` of the accepted tool plan.
-        nudge_translation: Of the tool since the approach, in its frame, m.
-        nudge_rotation_zyx: The same, rad.
     """
 
     landmarks: list[LandmarkShown]
-    surface: list[Point]
     body_ref_from_image: PoseMessage | None = None
     residual: float | None = None
     plan: PoseMessage | None = None
-    nudge_translation: Point = (0.0, 0.0, 0.0)
-    nudge_rotation_zyx: Point = (0.0, 0.0, 0.0)

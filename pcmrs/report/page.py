@@ -10,10 +10,10 @@ from typing import Final
 import msgspec
 
 from pcmrs.analysis.summary import Summary, summarize
+from pcmrs.pages import fixed, render
 from pcmrs.report.record import Placement, Refusal, Registration, SessionReport
 
 TEMPLATE: Final = "report.html.j2"
-NONE: Final = "–"
 PLACED: Final = 4
 """So many placements are on the first page."""
 FIRST: Final = 3
@@ -53,18 +53,17 @@ def render_page(report: SessionReport, figures: Mapping[str, bytes]) -> str:
         report: The session.
         figures: As `draw_figures` returns them.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("pcmrs.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    filters = (fixed, clock, date, minutes, words, clipped, share, gate_value)
-    environment.filters |= {function.__name__: function for function in filters}
-    return environment.get_template(TEMPLATE).render(
+    return render(
+        "pcmrs.report",
+        TEMPLATE,
+        fixed,
+        clock,
+        date,
+        minutes,
+        words,
+        clipped,
+        share,
+        gate_value,
         report=report,
         sums=summarized(report),
         figures={name: embedded(drawing) for name, drawing in figures.items()},
@@ -105,11 +104,6 @@ def _gravity(refusal: Refusal) -> tuple[int, int]:
 def embedded(drawing: bytes) -> str:
     """An SVG picture as an address that holds it."""
     return f"data:image/svg+xml;base64,{base64.b64encode(drawing).decode()}"
-
-
-def fixed(value: float | None, digits: int = 2) -> str:
-    """A number with so many decimals; a dash where there is none."""
-    return NONE if value is None else f"{value:.{digits}f}".replace("-", "−")
 
 
 def date(wall: float) -> str:

@@ -345,16 +345,15 @@ class _Reading:
 
     def _title(self, name: str) -> str:
         branch, _, operation = name.partition(".")
-        spec = None if self._blueprint is None else self._blueprint.branches.get(branch)
-        titled = None if spec is None else spec.operations.get(operation)
+        titled = None if self._blueprint is None else self._blueprint.find(branch, operation)
         return titled.title if titled is not None and titled.title else operation.replace("_", " ").capitalize()
 
     def _acts(self, name: str) -> bool | None:
         branch, _, operation = name.partition(".")
         if self._blueprint is None:
             return None
-        spec = self._blueprint.branches.get(branch)
-        return spec is not None and operation in spec.operations and spec.operations[operation].acts
+        spec = self._blueprint.find(branch, operation)
+        return spec is not None and spec.acts
 
 
 def _runs(rows: Sequence[StoredRow]) -> list[Run]:

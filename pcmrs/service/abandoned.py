@@ -65,6 +65,5 @@ class AbandonedWatch:
         self._asked = self._clock.monotonic()
 
     def _is_event(self, verdict: Verdict) -> bool:
-        branch = self._dispatcher.procedure.blueprint.branches.get(verdict.branch)
-        operation = branch.operations.get(verdict.operation) if branch is not None else None
+        operation = self._dispatcher.procedure.blueprint.find(verdict.branch, verdict.operation)
         return operation is not None and operation.event

@@ -46,7 +46,6 @@ def setup_of(cell: Cell, settings: Settings, blueprint: Blueprint) -> Setup:
         surface=surface,
         patient=procedure.patient,
         operator=procedure.operator,
-        sigma=procedure.registration.sigma_mm / 1000.0,
         residual_limit=procedure.registration.residual_limit_mm / 1000.0,
         drivers={device: driver for driver, devices in settings.drivers().items() for device in devices},
     )
@@ -60,10 +59,7 @@ def gathered(data: PlacementData) -> Gathered:
             LandmarkShown(name=each.name, planned=each.position, digitized=point)
             for each, point in zip_longest(data.landmarks, data.digitized)
         ],
-        surface=list(data.surface),
         body_ref_from_image=None if registered is None else registered.body_ref_from_image,
         residual=None if registered is None else registered.residual,
         plan=data.plan,
-        nudge_translation=data.nudge_translation,
-        nudge_rotation_zyx=data.nudge_rotation_zyx,
     )

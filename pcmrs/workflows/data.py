@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pcmrs.dispatcher import ProcedureData
 from pcmrs.fsm import Blueprint, Effect
-from pcmrs.messages import PoseMessage
+from pcmrs.messages import BodyPose, PoseMessage
 from pcmrs.registration import NoiseEstimate
 from pcmrs.spatial import Transform
 
@@ -160,7 +160,7 @@ def _all_open(data: PlacementData) -> tuple[None, ...]:
 
 
 @lru_cache(maxsize=64)
-def as_transform(pose: PoseMessage) -> Transform:
+def as_transform(pose: PoseMessage | BodyPose) -> Transform:
     """The pose as a `Transform`."""
     return Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
 

@@ -14,8 +14,9 @@ from session_records import mesh, nothing, record
 from pcmrs.analysis.report import draw_figures, render_report
 from pcmrs.analysis.report.facts import facts_of
 from pcmrs.analysis.report.figures import placements_figure, responses_figure, waveforms_figure
-from pcmrs.analysis.report.page import fixed, minutes, plain
+from pcmrs.analysis.report.page import minutes, plain
 from pcmrs.analysis.session import SessionRecord
+from pcmrs.pages import fixed
 from pcmrs.tms.chart import as_transform
 
 PICTURES = {"hotspot", "hunt", "responses", "waveforms", "placements"}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import uuid
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
@@ -12,6 +11,7 @@ import msgspec
 import zenoh
 
 from pcmrs.bus import Bus, BusSettings
+from pcmrs.experiment.process import free_port
 from pcmrs.messages import BlueprintTag, Command, Snapshot, Verdict
 
 TIMEOUT = 20.0
@@ -19,10 +19,8 @@ TIMEOUT = 20.0
 
 def new_cell() -> BusSettings:
     """Router settings of a cell that nobody else has."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    return BusSettings(mode="router", endpoint=f"tcp/127.0.0.1:{port}", site="test", cell=f"c{uuid.uuid4().hex[:8]}")
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    return BusSettings(mode="router", endpoint=endpoint, site="test", cell=f"c{uuid.uuid4().hex[:8]}")
 
 
 @asynccontextmanager

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import socket
 import uuid
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
@@ -20,6 +19,7 @@ from pcmrs.bus import Bus, BusSettings, Empty
 from pcmrs.calibration import read_calibration
 from pcmrs.calibration.poses import HAND_EYE, PIVOT, read_poses, write_poses
 from pcmrs.cli import main
+from pcmrs.experiment.process import free_port
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import BlueprintTag, BodyPose, JointState, Snapshot
@@ -191,9 +191,7 @@ class Cell:
 @asynccontextmanager
 async def cell_with(act: Callable[[Cell], Any]) -> AsyncIterator[Cell]:
     """A cell on a bus of its own in which `act` goes on."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
     bus = await Bus.open(BusSettings(mode="router", endpoint=endpoint, site="test", cell=f"c{uuid.uuid4().hex[:8]}"))
     try:
         cell = Cell(bus)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +14,7 @@ from click.testing import CliRunner, Result
 from pcmrs.cli import COMMANDS, main
 from pcmrs.cli.serve import serve
 from pcmrs.clock import SystemClock
+from pcmrs.experiment.process import free_port
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Command, Reason, Verdict
 from pcmrs.service.recorder import JournalRecorder
@@ -23,9 +23,7 @@ from pcmrs.service.recorder import JournalRecorder
 @pytest.fixture
 def nobody() -> str:
     """An endpoint at which nobody listens."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"
 
 
 def _run(*words: str) -> Result:

@@ -35,7 +35,7 @@ def setup() -> Setup:
     return Setup(
         user="local", role="operator", lease_required=False, blueprint="", arm=shown("iiwa14"),
         flange_from_coil=as_message(FLANGE_FROM_COIL), tool_radius=0.05, tool_half_length=0.01, boxes=[], surface=None,
-        patient="", operator="", sigma=0.002, residual_limit=0.004, drivers={},
+        patient="", operator="", residual_limit=0.004, drivers={},
     )  # fmt: skip
 
 
@@ -89,15 +89,13 @@ def test_the_error_is_the_measured_pose_in_the_planned_one(seed: int) -> None:
     image_from_plan, body_from_image, tracker_from_body = (some_pose(seed + each) for each in range(3))
     planned_from_measured = Transform.from_rotvec((0.001, -0.002, 0.002), (0.0, 0.0, 0.01))
     tracker_from_coil = tracker_from_body @ body_from_image @ image_from_plan @ planned_from_measured
-    data = Gathered(
-        landmarks=[], surface=[], body_ref_from_image=as_message(body_from_image), plan=as_message(image_from_plan)
-    )
+    data = Gathered(landmarks=[], body_ref_from_image=as_message(body_from_image), plan=as_message(image_from_plan))
     found = placement(data, body("coil", tracker_from_coil), body("body_ref", tracker_from_body))
     assert found is not None
     assert found.mm == pytest.approx((3.0, 1.0, -2.0, 2.0), abs=1e-6)
     assert found.degrees == pytest.approx(np.degrees(0.01), abs=1e-6)
     assert placement(data, body("coil", tracker_from_coil, valid=False), body("body_ref", tracker_from_body)) is None
-    assert placement(Gathered(landmarks=[], surface=[]), None, None) is None
+    assert placement(Gathered(landmarks=[]), None, None) is None
 
 
 def test_residuals_are_in_body_ref() -> None:
@@ -106,11 +104,11 @@ def test_residuals_are_in_body_ref() -> None:
         LandmarkShown(name="a", planned=(0.01, 0.0, 0.0), digitized=(0.1, 0.013, 0.0)),
         LandmarkShown(name="b", planned=(0.0, 0.01, 0.0)),
     ]
-    data = Gathered(landmarks=landmarks, surface=[], body_ref_from_image=as_message(registered))
+    data = Gathered(landmarks=landmarks, body_ref_from_image=as_message(registered))
     first, second = residuals(data)
     assert first == pytest.approx(0.003)
     assert second is None
-    assert residuals(Gathered(landmarks=landmarks, surface=[])) == [None, None]
+    assert residuals(Gathered(landmarks=landmarks)) == [None, None]
 
 
 def test_the_browser_gets_the_surface_that_the_daemon_has() -> None:

@@ -185,6 +185,7 @@ def start_router(network: Network, folder: Path) -> subprocess.Popen[str]:
     for line in router.stdout:
         if line.strip() == "ready":
             return router
+    _end(router)
     raise AssertionError("The router has not started.")
 
 

@@ -54,6 +54,11 @@ def perform(cell: RemoteCell, upto: str = "placement.home") -> None:
             return
 
 
+def back_off_on_site(cell: RemoteCell) -> None:
+    for name in ("lease.acquire", "robot.acknowledge", "placement.back_off"):
+        assert cell.call_on_site(name) == "accepted"
+
+
 @needs_namespaces
 @pytest.mark.nightly
 def test_the_workflow_runs_from_behind_another_nat(tmp_path: Path) -> None:
@@ -115,9 +120,7 @@ def test_a_side_is_cut_while_the_tool_is_guided(tmp_path: Path, side: Side) -> N
             assert cell.on_site()["branches"]["placement"] == "held"
         assert len(cell.rows("teleoperator_lost")) == 1, "the deadman has held it, and nothing else"
         assert len([row for row in cell.rows("guide") if row["kind"] == "intent"]) == 1
-        assert cell.call_on_site("lease.acquire") == "accepted"
-        assert cell.call_on_site("robot.acknowledge") == "accepted"
-        assert cell.call_on_site("placement.back_off") == "accepted"
+        back_off_on_site(cell)
 
 
 async def test_what_devices_tell_on_site_is_heard_through_the_router(tmp_path: Path) -> None:
@@ -169,9 +172,7 @@ def test_a_side_is_cut_in_motion(tmp_path: Path, side: Side) -> None:
             time.sleep(2.0)  # nothing is to happen in it
             assert cell.on_site()["branches"]["placement"] == "held"
         assert len([row for row in cell.rows("approach") if row["kind"] == "intent"]) == 1
-        assert cell.call_on_site("lease.acquire") == "accepted"
-        assert cell.call_on_site("robot.acknowledge") == "accepted"
-        assert cell.call_on_site("placement.back_off") == "accepted"
+        back_off_on_site(cell)
 
 
 @needs_namespaces

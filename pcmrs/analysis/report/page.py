@@ -10,10 +10,10 @@ from pathlib import Path
 from pcmrs.analysis.nibs_tables import ALGORITHMS
 from pcmrs.analysis.report.facts import facts_of
 from pcmrs.analysis.session import PulseRecord, SessionRecord
+from pcmrs.pages import NONE, fixed, render
 
 KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
 TEMPLATE = "report.html.j2"
-NONE = "–"
 METHODS = {"adaptive": "adaptive, by a Gaussian process", "grid": "grid, every place in order"}
 
 
@@ -27,17 +27,14 @@ def render_report(record: SessionRecord, pictures: Mapping[str, Path]) -> str:
     Raises:
         OSError: A picture cannot be read.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("pcmrs.analysis.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"fixed": fixed, "plain": plain, "minutes": minutes, "date": date, "times": times}
-    return environment.get_template(TEMPLATE).render(
+    return render(
+        "pcmrs.analysis.report",
+        TEMPLATE,
+        fixed,
+        plain,
+        minutes,
+        date,
+        times,
         record=record,
         facts=facts_of(record),
         pictures={name: embedded(path) for name, path in pictures.items()},
@@ -50,11 +47,6 @@ def render_report(record: SessionRecord, pictures: Mapping[str, Path]) -> str:
 def embedded(path: Path) -> str:
     """A picture as an address that holds it."""
     return f"data:{KINDS[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
-
-
-def fixed(value: float | None, digits: int = 2) -> str:
-    """A number with so many decimals; a dash where there is none."""
-    return NONE if value is None else f"{value:.{digits}f}".replace("-", "−")
 
 
 def plain(value: float | None) -> str:
