@@ -72,7 +72,7 @@ def test_the_workflow_runs_from_behind_another_nat(tmp_path: Path) -> None:
 
 
 def test_the_workflow_runs_through_a_router_on_loopback(tmp_path: Path) -> None:
-    with remote_cell(Loopback(), tmp_path) as cell, holding(cell):
+    with remote_cell(Loopback(), tmp_path, *PATIENT, "procedure.max_pose_age=3") as cell, holding(cell):
         perform(cell)
 
 
