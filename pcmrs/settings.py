@@ -15,6 +15,7 @@ from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.settings import SECURED
 from pcmrs.clock import SystemClock
 from pcmrs.config import as_config, overlaid, read_file, set_values
+from pcmrs.console.settings import ConsoleSettings
 from pcmrs.devices.dwell import DwellSettings
 from pcmrs.errors import ConfigurationError, PayloadError
 from pcmrs.gateway.settings import GatewayConfig
@@ -175,6 +176,7 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
     journal: JournalSettings = JournalSettings()
     recording: RecordingSettings = RecordingSettings()
     metrics: MetricsSettings = MetricsSettings()
+    console: ConsoleSettings = ConsoleSettings()
     sim: dict[str, Any] = {}
     kst: dict[str, Any] = {}
     ndi: dict[str, Any] = {}

@@ -22,6 +22,7 @@ WELL = HealthFacts(
     fail_stop="",
     in_doubt=False,
     recording="",
+    console="",
     metrics="",
     certificate=None,
     journal=JournalStatus(waiting=1, oldest_wait=0.002),

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+import asyncio
+import os
 import secrets
+import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import msgspec
 
+from pcmrs.cli.lifeline import NICENESS, settings_from_daemon
 from pcmrs.cli.options import Address, address_options, json_option
 from pcmrs.cli.running import readable_errors, run
+from pcmrs.console.settings import TOKEN
 from pcmrs.errors import ConfigurationError
 from pcmrs.files import read_secret
+
+if TYPE_CHECKING:
+    # For annotations only: asking for help must not load the web server.
+    from pcmrs.console.server import Place
+    from pcmrs.settings import Settings
 
 
 @click.command()
@@ -32,6 +44,7 @@ from pcmrs.files import read_secret
     help="The token to use, in a file that only you may read; a new one at every start without it.",
 )
 @click.option("--language", type=click.Choice(["en", "de"]), default="en", show_default=True)
+@click.option("--lifeline", is_flag=True, hidden=True, help="Read the configuration from standard input; end with it.")
 @json_option
 @address_options
 @readable_errors
@@ -41,6 +54,7 @@ def console(
     names: tuple[str, ...],
     token_file: Path | None,
     language: str,
+    lifeline: bool,
     as_json: bool,
     address: Address,
 ) -> None:
@@ -54,11 +68,16 @@ def console(
     Example: pcmrs console --endpoint tls/router.example.org:7449 --identity anna
     """
     try:
-        from pcmrs.console.server import Place, serve_console  # loads the web server
+        from pcmrs.console.server import Place  # loads the web server
     except ModuleNotFoundError as error:
         text = f"The page is served by the package {error.name}, which is missing: pip install pcmrs[console]."
         raise ConfigurationError(text, package=error.name) from None
 
+    if lifeline:
+        os.nice(NICENESS)
+        settings = settings_from_daemon()
+        port, language, token_file = settings.console.port, settings.console.language, settings.cell.path() / TOKEN
+        address = _address(settings)
     address.credentials()  # what cannot be used is said before anything is served
     token = secrets.token_urlsafe(24) if token_file is None else read_secret(token_file).decode().strip()
 
@@ -66,4 +85,24 @@ def console(
         click.echo(msgspec.json.encode({"url": url}).decode() if as_json else f"open {url}")
         sys.stdout.flush()
 
-    run(serve_console(address.connect, Place(host, port, names), token, language, ready))
+    run(_serve(address, Place(host, port, names), token, language, ready, lifeline=lifeline))
+
+
+def _address(settings: Settings) -> Address:
+    """Where the daemon that starts this is reached on its own machine."""
+    cell, bus = settings.cell, settings.bus("client")
+    return Address(cell.endpoint, cell.site, cell.name, Path(settings.access.identity) if bus.credentials else None)
+
+
+async def _serve(
+    address: Address, place: Place, token: str, language: str, ready: Callable[[str], None], *, lifeline: bool
+) -> None:
+    from pcmrs.console.server import serve_console
+    from pcmrs.node import when_input_ends
+
+    loop, ended = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, ended.set)
+    if lifeline:
+        when_input_ends(ended.set)
+    await serve_console(address.connect, place, token, language, ready, ended)

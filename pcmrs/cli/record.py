@@ -19,20 +19,17 @@ import click
 import msgspec
 from rich.console import Console
 
+from pcmrs.cli.lifeline import NICENESS, settings_from_daemon
 from pcmrs.cli.number import POSITIVE
 from pcmrs.cli.options import OutputFile, config_options, json_option
 from pcmrs.cli.running import EXIT_FAILED, readable_errors, run
 from pcmrs.cli.sizes import Size
-from pcmrs.errors import ConfigurationError
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.
     from pcmrs.recording.recorder import Plan, Recorder, Report
     from pcmrs.recording.repair import Repaired
     from pcmrs.settings import Settings
-
-NICENESS = 10
-"""Of the recorder of a daemon: control comes first."""
 
 
 @click.command()
@@ -86,7 +83,7 @@ def record(
     if max_total is not None and max_size is None and max_duration is None:
         raise click.UsageError("--max-total needs --max-size or --max-duration: one file alone is never removed.")
     if lifeline:
-        settings = _from_daemon()
+        settings = settings_from_daemon()
         limits, chosen = settings.recording.limits(), settings.recording.topics
         pool = partial(all_files, recording.parent)
         os.nice(NICENESS)
@@ -119,16 +116,6 @@ def repair(damaged: Path, output: Path, as_json: bool) -> None:
 
     saved = save(damaged, output)
     click.echo(msgspec.json.encode(saved).decode() if as_json else _saved(saved))
-
-
-def _from_daemon() -> Settings:
-    """The configuration that the daemon hands to the recorder. Raises `ConfigurationError`."""
-    from pcmrs.settings import Settings
-
-    try:
-        return msgspec.json.decode(sys.stdin.buffer.readline(), type=Settings)
-    except (msgspec.MsgspecError, RecursionError) as error:
-        raise ConfigurationError(f"Standard input is no configuration: {error}.") from None
 
 
 def _origin(settings: Settings, session: str) -> dict[str, str]:

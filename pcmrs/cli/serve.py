@@ -12,10 +12,11 @@ import click
 import msgspec
 import structlog
 
+from pcmrs.cli.lifeline import settings_from_daemon
 from pcmrs.cli.log import log_to_stderr
 from pcmrs.cli.options import config_options
 from pcmrs.cli.running import readable_errors, run
-from pcmrs.errors import ConfigurationError
+from pcmrs.files import read_secret
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.
@@ -56,15 +57,11 @@ def node(driver: str, devices: tuple[str, ...], file: Path | None, overrides: tu
     the node ends when standard input ends.
     """
     from pcmrs.node import serve_devices
-    from pcmrs.settings import Settings, read_settings
+    from pcmrs.settings import read_settings
 
     log_to_stderr()
     lifeline = file is None and not overrides
-    try:
-        from_daemon = msgspec.json.decode(sys.stdin.buffer.readline(), type=Settings) if lifeline else None
-    except (msgspec.MsgspecError, RecursionError) as error:
-        raise ConfigurationError(f"Standard input is no configuration: {error}.") from None
-    settings = from_daemon or read_settings(file, overrides)
+    settings = settings_from_daemon() if lifeline else read_settings(file, overrides)
     run(serve_devices(settings, driver, devices, lifeline=lifeline))
 
 
@@ -81,6 +78,16 @@ async def _serve(settings: Settings, *, as_json: bool) -> None:
         log.info("ending: motion is held first")
 
 
+def _opened(ready: Ready) -> str:
+    """Where the page is opened; with its token on a terminal only, since other output is kept in logs."""
+    from pcmrs.console.settings import TOKEN
+
+    token = Path(ready.folder) / TOKEN
+    if sys.stdout.isatty():
+        return f"{ready.console}/?token={read_secret(token).decode()}"
+    return f"{ready.console}/?token=$(cat {token})"
+
+
 def _text(ready: Ready) -> str:
     faster = f", {ready.rate:g} times as fast as real time" if ready.rate != 1.0 else ""
     lines = [
@@ -94,4 +101,6 @@ def _text(ready: Ready) -> str:
     lines.append(f"  journal        {ready.journal}")
     if ready.metrics:
         lines.append(f"  metrics        {ready.metrics}")
+    if ready.console:
+        lines.append(f"  console        {_opened(ready)}")
     return "\n".join([*lines, "ready"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import signal
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -42,8 +41,10 @@ class Place:
     names: tuple[str, ...] = ()
 
 
-async def serve_console(dial: Dial, place: Place, token: str, language: str, ready: Callable[[str], None]) -> None:
-    """Serves the page until a signal ends it.
+async def serve_console(
+    dial: Dial, place: Place, token: str, language: str, ready: Callable[[str], None], ended: asyncio.Event
+) -> None:
+    """Serves the page until it is told to end.
 
     Args:
         dial: Reaches the daemon; the page is served while it does not answer, too.
@@ -51,6 +52,7 @@ async def serve_console(dial: Dial, place: Place, token: str, language: str, rea
         token: Whoever has it is let in.
         language: Of whoever asks for none.
         ready: Called with the address, token included, as soon as it can be opened.
+        ended: Set to end it.
 
     Raises:
         BusError: The port is taken, or the address is not ours.
@@ -72,6 +74,8 @@ async def serve_console(dial: Dial, place: Place, token: str, language: str, rea
         serving = group.create_task(server.serve(sockets=[listening]))
         await server.begun.wait()
         ready(f"http://{host}:{port}/?token={token}")
+        await ended.wait()
+        server.should_exit = True
         await serving
         following.cancel()
 
@@ -85,14 +89,8 @@ class _Server(uvicorn.Server):
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Ends at the usual signals, in order and without raising them again."""
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGTERM, signal.SIGINT):
-            loop.add_signal_handler(number, self._end)
+        """Leaves signals to whoever serves."""
         yield
-
-    def _end(self) -> None:
-        self.should_exit = True
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)

@@ -44,7 +44,7 @@ def own_settings(folder: Path, cell: str) -> list[str]:
     links = [f"gateway.{link}.port=0" for link in ("planner", "robot", "visualization", "mep")]
     # Where virtual devices are served, if a driver looks for them.
     virtual = [f"kst.port={free_port()}", f"ndi.device=127.0.0.1:{free_port()}"]
-    return [*own, *links, "gateway.tcp_port=0", "recording.enabled=false", *virtual]
+    return [*own, *links, "gateway.tcp_port=0", "recording.enabled=false", "console.enabled=false", *virtual]
 
 
 def serve_command(overrides: Sequence[str]) -> list[str]:

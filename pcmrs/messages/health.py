@@ -131,6 +131,7 @@ class HealthFacts(Message, frozen=True, kw_only=True, omit_defaults=False):
         fail_stop: Code and text of why nothing is accepted any more; empty in operation.
         in_doubt: A stopped robot has not confirmed that it stands.
         recording: Why the session is not recorded any more; empty while it is, or is not to be.
+        console: Why the page is not served any more; empty while it is, or is not to be.
         metrics: Why metrics are not served; empty while they are, or are not to be.
         certificate: Until the daemon's own certificate ends, s of the wall clock; None where it has none.
         strays: Failures in the loop that belong to no task.
@@ -147,6 +148,7 @@ class HealthFacts(Message, frozen=True, kw_only=True, omit_defaults=False):
     fail_stop: str
     in_doubt: bool
     recording: str
+    console: str
     metrics: str
     certificate: float | None
     journal: JournalStatus

@@ -15,6 +15,7 @@ import structlog
 
 from pcmrs.bus import Bus, CommandEdge
 from pcmrs.clock import SystemClock
+from pcmrs.console.settings import HOST
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.refusals import Refusals
@@ -22,6 +23,8 @@ from pcmrs.gateway.tasks import Tasks
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag
 from pcmrs.service.audit import audit
+from pcmrs.service.companion import Companion
+from pcmrs.service.console import is_served, open_console
 from pcmrs.service.counters import Source, counted
 from pcmrs.service.inspection import Inspection
 from pcmrs.service.metrics import MetricsServer
@@ -30,7 +33,7 @@ from pcmrs.service.notify import ServiceManager, keep_informed
 from pcmrs.service.procedure import Clocks, RunningProcedure
 from pcmrs.service.publishing import answer_queries
 from pcmrs.service.recorder import JournalRecorder
-from pcmrs.service.recording import RecorderProcess
+from pcmrs.service.recording import open_recorder
 from pcmrs.service.recovery import conclude, keep_journal, recover
 from pcmrs.service.showing import setup_of
 from pcmrs.service.stall import StallWatch
@@ -50,6 +53,7 @@ class Ready(msgspec.Struct, frozen=True):
         folder: Journal and records.
         journal: The journal of its workflow.
         metrics: Address of its metrics; empty where none are served.
+        console: Address of its page; empty where none is served.
         listen: Where other machines dial it.
         routers: Routers that it dials.
     """
@@ -62,6 +66,7 @@ class Ready(msgspec.Struct, frozen=True):
     workflow: str
     rate: float
     metrics: str = ""
+    console: str = ""
     listen: tuple[str, ...] = ()
     routers: tuple[str, ...] = ()
 
@@ -108,7 +113,10 @@ class Daemon:
             dispatcher = procedure.dispatcher
             recovered.give_to(dispatcher, journal)
             recorder.attach(dispatcher.procedure)
-            recording = RecorderProcess(settings, session, dispatcher.report_later, machine)
+            begin_recording = partial(open_recorder, settings, session, machine)
+            recording = Companion("recording", begin_recording, dispatcher.report_later, machine)
+            console = Companion("console", partial(open_console, settings), dispatcher.report_later, machine)
+            stack.push_async_callback(console.stop)
             stack.push_async_callback(recording.stop)  # after the nodes: it writes what they have said last
             nodes = NodeProcesses(settings, procedure.lose, dispatcher.report_later, machine)
             stack.push_async_callback(nodes.stop)
@@ -139,6 +147,7 @@ class Daemon:
                 procedure=procedure,
                 nodes=nodes,
                 recording=recording,
+                console=console,
                 stalls=stalls,
                 gateway=gateway,
                 metrics_trouble=lambda: metrics.trouble,
@@ -149,7 +158,10 @@ class Daemon:
             metrics.start(inspection.health)
             bus.alive("daemon")
             bus.publish("state/fsm", dispatcher.snapshot())
-            recording.start(supervisor)
+            if settings.recording.enabled:
+                recording.start(supervisor)
+            if is_served(settings):
+                console.start(supervisor)
             if earlier:
                 supervisor.spawn("audit", audit(journal.reader.path, dispatcher.report_later))
             if manager:
@@ -167,6 +179,7 @@ class Daemon:
                 workflow=f"{blueprint.id} {blueprint.version}",
                 rate=settings.cell.rate,
                 metrics=metrics.address,
+                console=f"http://{HOST}:{settings.console.port}" if is_served(settings) else "",
                 listen=settings.access.listen,
                 routers=settings.access.routers,
             )

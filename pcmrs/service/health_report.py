@@ -104,6 +104,9 @@ def _of_rest(facts: HealthFacts) -> Iterator[HealthReason]:
     if facts.recording:
         text = f"The session is not recorded any more: {facts.recording}."
         yield _degraded("recording_ended", text, "The log says why; the journal is not concerned.")
+    if facts.console:
+        text = f"The page is not served any more: {facts.console}."
+        yield _degraded("console_ended", text, "The log says why; if its port is taken, set another console.port.")
     if facts.certificate is not None and facts.certificate < ENDS_SOON:
         text = (
             f"The daemon's certificate ends in {facts.certificate / 3600.0:.0f} h; then nobody reaches it from outside."

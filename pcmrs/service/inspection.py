@@ -27,10 +27,10 @@ from pcmrs.messages.health import (
     QueueStatus,
     TaskStanding,
 )
+from pcmrs.service.companion import Companion
 from pcmrs.service.health_report import report
 from pcmrs.service.nodes import NodeProcesses
 from pcmrs.service.procedure import RunningProcedure
-from pcmrs.service.recording import RecorderProcess
 from pcmrs.service.stall import StallWatch
 from pcmrs.service.supervisor import Supervisor
 
@@ -55,7 +55,8 @@ class Inspection:
     supervisor: Supervisor
     procedure: RunningProcedure
     nodes: NodeProcesses
-    recording: RecorderProcess
+    recording: Companion
+    console: Companion
     stalls: StallWatch
     gateway: Gateway
     metrics_trouble: Callable[[], str]
@@ -79,6 +80,7 @@ class Inspection:
             fail_stop="" if broken is None or broken.code == ENDING else f"{broken.code}: {broken.text}",
             in_doubt=dispatcher.in_doubt,
             recording=self.recording.ended,
+            console=self.console.ended,
             metrics=self.metrics_trouble(),
             certificate=None if own is None else own.ends - self.machine.wall(),
             journal=self._journal(),

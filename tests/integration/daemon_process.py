@@ -125,6 +125,7 @@ def own_settings(folder: Path) -> list[str]:
         "gateway.mep={port=0}",
         "gateway.tcp_port=0",
         "recording.enabled=false",
+        "console.enabled=false",
         *QUICK,
     ]
 

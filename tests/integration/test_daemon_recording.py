@@ -195,7 +195,7 @@ async def test_a_session_is_recorded_whatever_becomes_of_its_recorder_and_export
     with running_daemon(settings, tmp_path) as daemon:
         async with daemon.client() as client:
             assert await asyncio.to_thread(wait_until, lambda: any(heard(file, "state/joints") for file in files()), 60)
-            restarted = asyncio.create_task(event_of(client, "recorder_restarted"))
+            restarted = asyncio.create_task(event_of(client, "recording_restarted"))
             await asyncio.sleep(0)  # it listens
             os.kill(recorder_of(daemon), signal.SIGKILL)
             event = await restarted

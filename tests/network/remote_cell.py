@@ -217,7 +217,8 @@ def remote_cell(network: Network, folder: Path, *settings: str, dialled: str = "
         f"cell.site={SITE}", f"cell.name={CELL}", f"cell.folder={folder / 'cell'}",
         f"cell.endpoint=tcp/127.0.0.1:{port}",
         f"access.identity={folder / 'daemon1'}", f"access.register={authority.folder / 'register.json'}",
-        f'access.routers=["{network.endpoint("cell")}"]', "access.lease_s=3", "recording.enabled=false",
+        f'access.routers=["{network.endpoint("cell")}"]', "access.lease_s=3",
+        "recording.enabled=false", "console.enabled=false",
         *(f"gateway.{link}.port=0" for link in ("planner", "robot", "visualization", "mep")), "gateway.tcp_port=0",
         *settings,
     )  # fmt: skip

@@ -54,6 +54,7 @@ ILLNESSES: list[tuple[HealthFacts, str, str, str]] = [
     (ill(loop=LoopStatus(lag=STALL + 0.1, stalls=1, longest=0.3)), "degraded", "loop_late", "0.30 s"),
     (ill(queues=queue(8)), "degraded", "queue_filling", "8 wait in the queue 'commands'"),
     (ill(recording="status 2"), "degraded", "recording_ended", "status 2"),
+    (ill(console="status 3"), "degraded", "console_ended", "status 3"),
     (ill(certificate=7200.0), "degraded", "certificate_ends", "in 2 h"),
     (ill(metrics="Port 1 cannot be bound."), "degraded", "metrics_not_served", "Port 1"),
 ]
