@@ -41,7 +41,7 @@ lint: install ## Check style, format, types and import contracts
 lock: install ## Remake requirements.lock from pyproject.toml; keeps the versions that still fit
 	CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras \
 	    --no-emit-index-url --no-emit-trusted-host --no-emit-find-links \
-	    --extra sim --extra hardware --extra console --extra dev --build-deps-for editable --output-file requirements.lock pyproject.toml
+	    --extra sim --extra hardware --extra console --extra ros2 --extra dev --build-deps-for editable --output-file requirements.lock pyproject.toml
 
 clean: ## Remove .venv, caches and what was built
 	rm -rf $(VENV) dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -31,7 +31,7 @@ DRIVERS = "pcmrs.drivers"
 DRIVER_SETTINGS = "pcmrs.driver_settings"
 
 DEVICES = ("robot", "tracker", "pointer", "scene", "stimulator", "emg")
-TABLES = ("sim", "kst", "ndi", "plus", "lsl", "trigger")
+TABLES = ("sim", "kst", "ndi", "plus", "lsl", "trigger", "ros2")
 """Drivers that have a table of their own."""
 DWELL = "dwell"
 """The driver of a pointer that is no device: the daemon watches it by the tracker."""
@@ -183,6 +183,7 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
     plus: dict[str, Any] = {}
     lsl: dict[str, Any] = {}
     trigger: dict[str, Any] = {}
+    ros2: dict[str, Any] = {}
 
     def drivers(self) -> dict[str, list[str]]:
         """Driver name to the devices its node serves, without those that another machine serves."""

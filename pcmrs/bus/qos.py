@@ -38,6 +38,9 @@ SETPOINTS: Final = DataClass(Priority.REAL_TIME, newest=1, express=True)
 POSES: Final = DataClass(Priority.INTERACTIVE_LOW, newest=16)
 JOINTS: Final = DataClass(Priority.DATA_HIGH, newest=1)
 VIDEO: Final = DataClass(Priority.BACKGROUND, newest=1)
+# Copies for ROS 2, behind everything that the cell itself needs.
+COPIES: Final = DataClass(Priority.DATA_LOW, newest=16)
+COPIED_SNAPSHOTS: Final = DataClass(Priority.DATA_LOW, newest=1, kept=1, history=1)
 OTHER: Final = DataClass(Priority.DATA, newest=0)
 
 _TABLE: Final = [
@@ -59,6 +62,10 @@ _TABLE: Final = [
         ("state/teleop", BEATS),
         ("dev/*/event", EVENTS),
         ("video/*", VIDEO),
+        ("ros2/tracker/*", POSES),
+        ("ros2/state", COPIED_SNAPSHOTS),
+        ("ros2/tf_static", COPIED_SNAPSHOTS),
+        ("ros2/**", COPIES),
         ("**", OTHER),
     )
 ]

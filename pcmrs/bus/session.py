@@ -67,10 +67,11 @@ class Bus:
         Raises:
             PayloadError: The message holds a value that cannot be sent.
         """
-        with self._declaring:
-            if key not in self._publishers:
-                self._publishers[key] = declare_publisher(self._session, self._absolute(key), class_of(key))
-        self._publishers[key].put(pack(message))
+        self._publisher(key).put(pack(message))
+
+    def publish_cdr(self, key: str, payload: bytes) -> None:
+        """The same for a message that is CDR already, as ROS 2 has it."""
+        self._publisher(key).put(payload, encoding=zenoh.Encoding.APPLICATION_CDR)
 
     def subscribe(
         self,
@@ -93,13 +94,23 @@ class Bus:
         Returns:
             A coroutine function without parameters that ends the subscription; closing the bus does it too.
         """
+        return self.hear(key, lambda payload: unpack(payload, kind), handler, refuse)
+
+    def hear(
+        self,
+        key: str,
+        decode: Callable[[bytes], T],
+        handler: Callable[[str, T], None],
+        refuse: Callable[[str, PcmrsError], object] | None = None,
+    ) -> Any:
+        """`subscribe` to messages of another encoding: `decode` makes them, or raises `PayloadError`."""
         data = class_of(key)
         refuse = refuse or self._ignored.take
 
         def deliver(sample: zenoh.Sample) -> None:
             received = self._relative(sample)
             try:
-                message = unpack(payload_of(sample), kind)
+                message = decode(payload_of(sample))
             except PayloadError as error:
                 refuse(received, error)
             else:
@@ -174,9 +185,11 @@ class Bus:
 
     def alive(self, component: str) -> Any:
         """Declares a liveliness token, ``alive/<component>``, that lasts as long as this session."""
-        token = self._session.liveliness().declare_token(self._absolute(f"alive/{component}"))
-        self._tokens.append(token)
-        return token
+        return self._token(self._absolute(f"alive/{component}"))
+
+    def announce(self, token_of: Callable[[str, str], str]) -> Any:
+        """Declares a token of a convention other than ours, made of the session's id and the cell's prefix."""
+        return self._token(token_of(str(self._session.zid()), self.prefix))
 
     def counters(self) -> dict[str, int]:
         """Messages refused, ignored and replaced since the start, and what waits and is answered now."""
@@ -200,6 +213,17 @@ class Bus:
         await self._in_pool(_undeclare, [*self._tokens, *self._publishers.values()])
         await self._in_pool(self._session.close)
         self._pool.shutdown()
+
+    def _publisher(self, key: str) -> zenoh.Publisher | ext.AdvancedPublisher:
+        with self._declaring:
+            if key not in self._publishers:
+                self._publishers[key] = declare_publisher(self._session, self._absolute(key), class_of(key))
+        return self._publishers[key]
+
+    def _token(self, key: str) -> Any:
+        token = self._session.liveliness().declare_token(key)
+        self._tokens.append(token)
+        return token
 
     async def _end(self, receiver: Any) -> None:
         if receiver in self._receivers:

@@ -35,6 +35,7 @@ COMMANDS = {
     "serve": "pcmrs.cli.serve:serve",
     "router": "pcmrs.cli.router:router",
     "record": "pcmrs.cli.record:record",
+    "ros2": "pcmrs.cli.ros2:ros2",
     "repair": "pcmrs.cli.record:repair",
     "play": "pcmrs.cli.play:play",
     "export-session": "pcmrs.cli.export_session:export_session",

@@ -1,0 +1,62 @@
+"""pcmrs ros2: what a cell says, for ROS 2."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+from pathlib import Path
+
+import click
+import msgspec
+
+from pcmrs.cli.options import config_options, json_option
+from pcmrs.cli.running import readable_errors, run
+from pcmrs.errors import ConfigurationError
+
+
+@click.command()
+@config_options
+@json_option
+@readable_errors
+def ros2(file: Path | None, overrides: tuple[str, ...], as_json: bool) -> None:
+    """Publish joints, frames, poses and the state of a running cell for ROS 2, until Ctrl-C.
+
+    --config and --set are those of its daemon: from them come the cell's address, the arm and its calibration. The
+    messages are standard ones, as CDR, on the cell's bus; zenoh-bridge-ros2dds, started as is told, makes topics of
+    them: /joint_states, /tf, /tf_static, /state and /pose/BODY. Nothing that ROS publishes there reaches the cell but
+    the poses of /tracker/NAME, where the tracker's driver is ros2.
+
+    Exit status: 0 ended, 3 no daemon, 4 bad configuration or a package is missing.
+
+    Example: pcmrs ros2 --config lab.toml
+    """
+    try:
+        from pcmrs.ros2.copying import copy_for_ros2
+    except ModuleNotFoundError as error:
+        text = f"Messages of ROS 2 are written by the package {error.name}, which is missing: pip install pcmrs[ros2]."
+        raise ConfigurationError(text, package=error.name) from None
+    from pcmrs.kinematics.urdf_arms import find_arm
+    from pcmrs.recording.chain import Mounting
+    from pcmrs.ros2.topics import namespace
+    from pcmrs.settings import read_settings
+
+    settings = read_settings(file, overrides)
+    cell = settings.cell
+    bridge = {"endpoint": cell.endpoint, "namespace": namespace(cell.site, cell.name)}
+    arm, mounting = find_arm(settings.robot.model), Mounting.read(settings.procedure.calibration)
+
+    async def copy() -> dict[str, int]:
+        loop, ended = asyncio.get_running_loop(), asyncio.Event()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, ended.set)
+        return await copy_for_ros2(settings.bus("client"), arm, mounting, cell.rate, ended)
+
+    _say(bridge, "zenoh-bridge-ros2dds -m client -e {endpoint} -n {namespace}".format(**bridge), as_json)
+    counts = run(copy())
+    _say(counts, "published: " + ", ".join(f"/{name} {count}" for name, count in counts.items()), as_json)
+
+
+def _say(data: dict[str, str] | dict[str, int], line: str, as_json: bool) -> None:
+    click.echo(msgspec.json.encode(data).decode() if as_json else line)
+    sys.stdout.flush()

@@ -1,0 +1,94 @@
+"""What a cell says, said once more for ROS 2: a client of the bus that hears there and publishes there."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import structlog
+
+from pcmrs.bus import Bus, BusSettings
+from pcmrs.clock import SystemClock
+from pcmrs.errors import GeometryError
+from pcmrs.kinematics.arms import ArmFacts
+from pcmrs.messages import BodyPose, JointState, Snapshot, Target
+from pcmrs.recording.chain import Chain, Mounting
+from pcmrs.ros2.topics import TOPICS, Topic
+from pcmrs.ros2.views import Shown, Views
+
+log = structlog.get_logger(__name__)
+
+COMPONENT = "ros2"
+LOG_PERIOD = 10.0
+
+
+async def copy_for_ros2(
+    settings: BusSettings, arm: ArmFacts, mounting: Mounting, rate: float, ended: asyncio.Event
+) -> dict[str, int]:
+    """Hears a cell and publishes what it says for ROS 2, until `ended` is set.
+
+    Args:
+        settings: Of the bus.
+        arm: The cell's arm.
+        mounting: What it carries.
+        rate: Seconds of the cell per second of the machine.
+        ended: Ends it.
+
+    Returns:
+        Topic to how many messages were published there.
+
+    Raises:
+        BusError: No daemon answers at the endpoint.
+    """
+    clock = SystemClock(rate)
+    views = Views([joint.name for joint in arm.joints], Chain(arm, mounting), mounting, clock, rate)
+    bus = await Bus.open(settings)
+    try:
+        bus.alive(COMPONENT)
+        copier = _Copier(bus, clock)
+        for topic in TOPICS:
+            copier.announce(topic)
+        copier.publish([views.fixed()])
+        bus.subscribe("state/target", Target, lambda _, target: views.target(target))
+        copier.copy("state/joints", JointState, views.joints)
+        copier.copy("state/pose/*", BodyPose, views.pose)
+        copier.copy("state/fsm", Snapshot, views.snapshot)
+        await ended.wait()
+        return copier.counts
+    finally:
+        await bus.close()
+
+
+class _Copier:
+    def __init__(self, bus: Bus, clock: SystemClock) -> None:
+        self._bus = bus
+        self._clock = clock
+        self._next_log = clock.monotonic()
+        self.counts: dict[str, int] = {}
+
+    def announce(self, topic: Topic) -> None:
+        self.counts[topic.name] = 0
+        self._bus.announce(topic.token)
+
+    def copy(self, key: str, kind: type[Any], view: Callable[[Any], Iterable[Shown]]) -> None:
+        def take(received: str, message: Any) -> None:
+            try:
+                self.publish(view(message))
+            except GeometryError as error:
+                self._complain(received, error.text)
+
+        self._bus.subscribe(key, kind, take)
+
+    def publish(self, shown: Iterable[Shown]) -> None:
+        for topic, message in shown:
+            if topic.name not in self.counts:
+                self.announce(topic)
+            self._bus.publish_cdr(topic.key, message.serialize())
+            self.counts[topic.name] += 1
+
+    def _complain(self, key: str, why: str) -> None:
+        now = self._clock.monotonic()
+        if now >= self._next_log:
+            self._next_log = now + LOG_PERIOD
+            log.warning("not_copied", key=key, reason=why)

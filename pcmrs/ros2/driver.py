@@ -1,0 +1,92 @@
+"""Tracker by way of ROS 2: poses that its sensors measure, as zenoh-bridge-ros2dds puts them on the cell's bus.
+
+It is no file of `pcmrs.devices.drivers`, for it is a client of the bus. Not tested on hardware, nor with ROS. It needs
+the extra ``ros2`` (`pycdr2`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Collection, Mapping
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+
+from pcmrs.bus import Bus, BusSettings
+from pcmrs.bus.settings import SECURED
+from pcmrs.clock import Clock
+from pcmrs.devices.tables import check_devices, read_table
+from pcmrs.errors import ConfigurationError
+
+Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$")]
+NAMES: dict[str, Name] = {"coil": "coil", "body_ref": "body_ref", "pointer": "pointer"}
+
+
+class Ros2Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The table ``ros2``.
+
+    Attributes:
+        names: Body to the last part of its topic, ``/tracker/<name>``.
+        frame: The ``frame_id`` that the poses have: that of the tracker.
+        max_age: From exposure to arrival at most, s.
+        latency: The same, taken for the whole time in which stamps are ahead of this machine's clock, s.
+
+    Raises:
+        ConfigurationError: There are no names, or two bodies share one.
+    """
+
+    names: dict[str, Name] = msgspec.field(default_factory=lambda: dict(NAMES))
+    frame: str = "tracker"
+    max_age: Annotated[float, msgspec.Meta(gt=0.0, le=0.5)] = 0.2
+    latency: Annotated[float, msgspec.Meta(ge=0.0, le=0.5)] = 0.02
+
+    def __post_init__(self) -> None:
+        if not self.names or len(set(self.names.values())) != len(self.names):
+            raise ConfigurationError(
+                f"ros2.names is {self.names}; give every body a topic of its own.", names=self.names
+            )
+
+
+@asynccontextmanager
+async def open_devices(
+    devices: Collection[str], settings: Mapping[str, Any], clock: Clock
+) -> AsyncIterator[Mapping[str, Any]]:
+    """Opens the tracker; see `pcmrs.devices.protocols.OpenDriver`. While nothing is published it has no frames.
+
+    Raises:
+        BusError: The cell's daemon does not answer.
+        ConfigurationError: Another device is asked for, the table ``ros2`` is wrong, or `pycdr2` is missing.
+    """
+    check_devices("ros2", devices, "tracker")
+    own = read_table(settings, "ros2", Ros2Settings)
+    try:
+        from pcmrs.ros2.tracker import Accepted, Ros2Tracker
+    except ModuleNotFoundError as error:
+        text = f"The driver ros2 needs {error.name}, which is not installed; install the extra: pcmrs[ros2]."
+        raise ConfigurationError(text, module=error.name) from None
+    tracker = Ros2Tracker(Accepted(own.names, own.frame, own.max_age, own.latency), clock)
+    bus = await Bus.open(_bus(settings, clock))
+    making = asyncio.create_task(tracker.run(), name="frames of ROS 2")
+    try:
+        tracker.listen(bus)
+        yield {"tracker": tracker}
+    finally:
+        tracker.close()
+        making.cancel()
+        with suppress(asyncio.CancelledError):
+            await making
+        await bus.close()
+
+
+def _bus(settings: Mapping[str, Any], clock: Clock) -> BusSettings:
+    """The bus as a client joins it, from the whole configuration as plain data. Raises `ConfigurationError`."""
+    cell = settings["cell"]
+    joined = BusSettings(endpoint=cell["endpoint"], site=cell["site"], cell=cell["name"])
+    if not joined.endpoint.startswith(SECURED):
+        return joined
+    from pcmrs.pki import read_credentials  # loads a library for certificates
+
+    credentials = read_credentials(Path(settings["access"]["identity"]), clock.wall())
+    return msgspec.structs.replace(joined, credentials=credentials)

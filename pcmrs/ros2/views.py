@@ -1,0 +1,92 @@
+"""From messages of the bus to those of ROS 2."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import msgspec
+from pycdr2 import IdlStruct
+
+from pcmrs.clock import Clock
+from pcmrs.messages import BodyPose, JointState, PoseMessage, Snapshot, Target
+from pcmrs.recording.chain import Chain, Link, Mounting
+from pcmrs.ros2 import cdr
+from pcmrs.ros2.stamps import Stamps
+from pcmrs.ros2.topics import JOINT_STATES, STATE, TF, TF_STATIC, Topic, pose_topic
+from pcmrs.spatial import Frame, Transform
+
+Shown = tuple[Topic, IdlStruct]
+
+
+class Views:
+    """Translates what is heard.
+
+    Frames hang from the tracker: the bodies that it sees, and the arm by its base, which is worked out whenever the
+    arm stands and the coil is seen; see `pcmrs.recording.chain`. The arm's frames go out with its joints, and the image
+    with the reference, for as long as there is a registration: what is not known any more grows old for all who look.
+
+    Args:
+        names: Of the arm's joints, base to flange.
+        chain: Joins the arm to the tracker.
+        mounting: What was calibrated.
+        clock: The cell's clock.
+        rate: Seconds of that clock per second of the machine.
+    """
+
+    def __init__(self, names: Sequence[str], chain: Chain, mounting: Mounting, clock: Clock, rate: float) -> None:
+        self._names = [*names]
+        self._chain = chain
+        self._mounting = mounting
+        self._clock = clock
+        self._of_robot, self._of_tracker = Stamps(clock, rate), Stamps(clock, rate)
+        self._base: Link | None = None
+        self._body_ref_from_image: Transform | None = None
+
+    def fixed(self) -> Shown:
+        """What never moves."""
+        at = self._clock.wall()
+        return TF_STATIC, cdr.TFMessage([cdr.link(*link, at) for link in self._mounting.links()])
+
+    def joints(self, state: JointState) -> Iterator[Shown]:
+        """The arm.
+
+        Raises:
+            GeometryError: There are not as many joints as the arm has, or one is not finite.
+        """
+        at = self._of_robot.of(state.captured, state.sent)
+        flange = self._chain.joints(state)
+        header = cdr.header(Frame.ROBOT_BASE, at)
+        yield JOINT_STATES, cdr.JointState(header, self._names, state.positions, state.velocities, state.torques)
+        links = [flange] if self._base is None else [self._base, flange]
+        yield TF, cdr.TFMessage([cdr.link(*link, at) for link in links])
+
+    def pose(self, pose: BodyPose) -> Iterator[Shown]:
+        """A tracked body; nothing while it is not seen.
+
+        Raises:
+            GeometryError: It is no pose.
+        """
+        at = self._of_tracker.of(pose.captured, pose.sent)
+        if not pose.valid:
+            return
+        tracker_from_body = _transform(pose)
+        if pose.body == Frame.COIL:
+            self._base = self._chain.coil(tracker_from_body) or self._base
+        links = [cdr.link(Frame.TRACKER, pose.body, tracker_from_body, at)]
+        if pose.body == Frame.BODY_REF and self._body_ref_from_image is not None:
+            links.append(cdr.link(Frame.BODY_REF, Frame.IMAGE, self._body_ref_from_image, at))
+        yield pose_topic(pose.body), cdr.pose_stamped(Frame.TRACKER, tracker_from_body, at)
+        yield TF, cdr.TFMessage(links)
+
+    def target(self, target: Target) -> None:
+        """Keeps the registration in force."""
+        known = target.body_ref_from_image
+        self._body_ref_from_image = None if known is None else _transform(known)
+
+    def snapshot(self, snapshot: Snapshot) -> Iterator[Shown]:
+        """The workflow's state, the latch and what goes on, as the JSON that the bus has."""
+        yield STATE, cdr.String(msgspec.json.encode(snapshot).decode())
+
+
+def _transform(pose: PoseMessage | BodyPose) -> Transform:
+    return Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
