@@ -8,6 +8,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 WORKFLOW := ratms
 INSTALLED := $(VENV)/installed.stamp
+EXTRAS := sim hardware console ros2 dev
 
 .PHONY: help install demo test mutants tools browser lint lock clean
 
@@ -39,9 +40,8 @@ lint: install ## Check style, format, types and import contracts
 	$(BIN)/lint-imports
 
 lock: install ## Remake requirements.lock from pyproject.toml; keeps the versions that still fit
-	CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras \
-	    --no-emit-index-url --no-emit-trusted-host --no-emit-find-links \
-	    --extra sim --extra hardware --extra console --extra ros2 --extra dev --build-deps-for editable --output-file requirements.lock pyproject.toml
+	$(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url --custom-compile-command "make lock" \
+	    $(EXTRAS:%=--extra %) --output-file requirements.lock pyproject.toml
 
 clean: ## Remove .venv, caches and what was built
 	rm -rf $(VENV) dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
@@ -50,6 +50,7 @@ clean: ## Remove .venv, caches and what was built
 $(INSTALLED): requirements.lock pyproject.toml
 	@bash .ci/venv $(VENV)
 	@echo "installing the locked versions into $(VENV)"
-	@$(BIN)/python -m pip install --quiet --require-hashes --requirement requirements.lock
-	@$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@$(BIN)/python -m pip install --quiet --require-hashes --no-deps --requirement <(sed -n '/^uv==/,/# via/p' requirements.lock)
+	@$(BIN)/uv pip install --quiet --python $(VENV) --require-hashes --requirement requirements.lock
+	@$(BIN)/uv pip install --quiet --python $(VENV) --no-deps --no-build-isolation --editable .
 	@touch $@
