@@ -30,7 +30,8 @@ tools: ## Install what faults are injected with (Debian packages, as root); with
 	apt-get install --yes --no-install-recommends e2fsprogs faketime iproute2 mount nftables strace
 
 browser: ## Install the browser that the console is tested in (Debian packages, as root); without it those tests are skipped
-	apt-get install --yes --no-install-recommends chromium
+	apt-get update -qq
+	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends chromium >/dev/null
 
 lint: install ## Check style, format, types and import contracts
 	$(BIN)/ruff check

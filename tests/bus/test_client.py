@@ -12,7 +12,7 @@ import zenoh
 from bus_cells import TIMEOUT, accepted, new_cell, open_bus, plain_session, snapshot
 
 from pcmrs.bus import Bus, CommandEdge, Empty
-from pcmrs.client import Client, Event
+from pcmrs.client import Client, Event, PlainClient
 from pcmrs.errors import BusError, DeviceError, PayloadError
 from pcmrs.messages import Command, DeviceEvent, DeviceReply, DeviceRequest, Reason, Snapshot, Verdict
 
@@ -183,3 +183,32 @@ def test_importing_the_client_loads_no_numerics() -> None:
     code = f"import sys, pcmrs.client; print([m for m in {heavy} if m in sys.modules])"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ran.stdout.strip() == "[]"
+
+
+async def test_without_asyncio_a_client_does_the_same() -> None:
+    async with connected() as (daemon, _):
+        settings = daemon.bus.settings
+
+        def work() -> list[object]:
+            with PlainClient.connect(settings.endpoint, settings.site, settings.cell, user="ben") as cell:
+                first = cell.state()
+                decision = cell.call("robot.connect").decision
+                daemon.bus.publish("state/fsm", snapshot(7))
+                event = next(cell.watch())
+                shown = cell.until(lambda shown: shown.sequence == 7, TIMEOUT)
+                with pytest.raises(PayloadError):
+                    cell.call("nonsense")
+                cell.stop()
+                return [first, decision, event, shown]
+
+        assert await asyncio.to_thread(work) == [snapshot(0), "accepted", snapshot(7), snapshot(7)]
+        assert daemon.commands[0].source == "bus:ben"
+        assert {*daemon.stops} == {"bus:ben"}
+
+
+async def test_a_state_that_does_not_come_is_not_waited_for_without_end() -> None:
+    async with connected() as (daemon, client):
+        daemon.bus.publish("state/fsm", snapshot(1))
+        assert await client.until(lambda shown: shown.sequence == 1, TIMEOUT) == snapshot(1)
+        with pytest.raises(TimeoutError):
+            await client.until(lambda shown: shown.sequence == 2, timeout=0.1)

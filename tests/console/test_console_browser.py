@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page
 
 pytestmark = [
-    pytest.mark.nightly,
+    pytest.mark.browser,
     pytest.mark.timeout(400),
     pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed: apt-get install chromium"),
 ]
@@ -165,7 +165,7 @@ def test_a_procedure_by_clicking(address: list[str]) -> None:
         operator.open("signals")
         operator.shows("ages", "body_ref: ")
         page.get_by_role("tab", name="State chart").click()
-        operator.expect(page.locator("#state-placement-retracted.current")).to_be_visible()
+        operator.expect(page.locator("#state-placement-retracted.current")).to_be_visible(timeout=60_000)
         page.get_by_text("de", exact=True).click()
         operator.shows("stop", "STOPP")
 

@@ -1,4 +1,4 @@
-"""The asyncio client of a running cell, as the command line, the demo and tests use it.
+"""The asyncio client of a running cell, as the command line, the console and tests use it.
 
 async with Client.connect() as cell:
     verdict = await cell.call("registration.reinit")
@@ -7,9 +7,10 @@ async with Client.connect() as cell:
 from __future__ import annotations
 
 import asyncio
+import os
 import uuid
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Coroutine, Mapping
-from contextlib import asynccontextmanager, suppress
+from contextlib import aclosing, asynccontextmanager, suppress
 from typing import Any, TypeVar
 
 from pcmrs.bus import DEFAULT_ENDPOINT, Bus, BusSettings, Credentials, Empty
@@ -59,18 +60,19 @@ class Client:
     @asynccontextmanager
     async def connect(
         cls,
-        endpoint: str = DEFAULT_ENDPOINT,
-        site: str = "lab",
-        cell: str = "cell1",
+        endpoint: str | None = None,
+        site: str | None = None,
+        cell: str | None = None,
         user: str = LOCAL,
         credentials: Credentials | None = None,
     ) -> AsyncIterator[Client]:
         """Connects for the length of the ``async with`` block.
 
         Args:
-            endpoint: Where the daemon's bus listens, or a router that it dials.
-            site: First name of the cell.
-            cell: Second name of the cell.
+            endpoint: Where the daemon's bus listens, or a router that it dials; by default that of the environment,
+                ``PCMRS_ENDPOINT``, or else of a daemon on this machine.
+            site: First name of the cell; by default ``PCMRS_SITE``, or else ``lab``.
+            cell: Second name of the cell; by default ``PCMRS_CELL``, or else ``cell1``.
             user: Who asks; the daemon journals it as ``bus:<user>``. With credentials it is their name.
             credentials: For an endpoint on another machine.
 
@@ -78,7 +80,12 @@ class Client:
             BusError: No daemon of this cell answers there, or it does not let us in.
             ConfigurationError: An endpoint on another machine, and no credentials.
         """
-        settings = BusSettings(endpoint=endpoint, site=site, cell=cell, credentials=credentials)
+        settings = BusSettings(
+            endpoint=endpoint or os.environ.get("PCMRS_ENDPOINT", DEFAULT_ENDPOINT),
+            site=site or os.environ.get("PCMRS_SITE", "lab"),
+            cell=cell or os.environ.get("PCMRS_CELL", "cell1"),
+            credentials=credentials,
+        )
         bus = await Bus.open(settings)
         try:
             client = cls(bus, user if settings.user == LOCAL else settings.user)
@@ -138,6 +145,18 @@ class Client:
             UnknownOutcomeError: The daemon did not answer within `timeout` (s); over a network None is longer.
         """
         return await self._bus.request("svc/snapshot", Empty(), Snapshot, timeout or self._patience)
+
+    async def until(self, condition: Callable[[Snapshot], bool], timeout: float = 60.0) -> Snapshot:
+        """The first state, from the present one on, of which the condition holds.
+
+        Raises:
+            TimeoutError: There was none within `timeout` (s).
+        """
+        async with asyncio.timeout(timeout), aclosing(self.watch()) as events:
+            while True:
+                event = await anext(events)
+                if isinstance(event, Snapshot) and condition(event):
+                    return event
 
     async def keys(self, timeout: float | None = None) -> KeyTable:
         """Everything that can be published and subscribed, with payloads.

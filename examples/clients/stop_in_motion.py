@@ -1,0 +1,19 @@
+"""Begins a motion, stops it on its way, and backs off once somebody has acknowledged. Run place.py before it."""
+
+import asyncio
+
+from pcmrs.client import Client
+
+
+async def main() -> None:
+    async with Client.connect() as cell:
+        moving = asyncio.create_task(cell.call("placement.approach"))
+        await cell.until(lambda state: bool(state.running))
+        await cell.stop()
+        print(f"approach: {(await moving).decision}")
+        print(f"meanwhile: {(await cell.call('placement.approach')).decision}, Stop is latched")
+        for operation in ("robot.acknowledge", "placement.back_off"):
+            print(f"{operation}: {(await cell.call(operation)).decision}")
+
+
+asyncio.run(main())

@@ -1,0 +1,6 @@
+"""Clients of a running cell: `Client` for asyncio, `PlainClient` for programs without."""
+
+from pcmrs.client.aio import Client, Event
+from pcmrs.client.plain import PlainClient
+
+__all__ = ["Client", "Event", "PlainClient"]

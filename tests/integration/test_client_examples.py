@@ -1,0 +1,51 @@
+"""The short programs of examples/clients, as whoever reads them runs them, one after the other on one cell."""
+
+from __future__ import annotations
+
+import asyncio
+import csv
+import os
+import sys
+from io import StringIO
+from pathlib import Path
+
+from pcmrs.campaign.lab import LabCell, open_cell
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "clients"
+
+
+async def run(cell: LabCell, name: str, *words: str) -> str:
+    """What a program prints; it fails the test if it fails."""
+    address = {"PCMRS_ENDPOINT": cell.ready.endpoint, "PCMRS_CELL": cell.folder.name}
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, str(EXAMPLES / name), *words,
+        stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE, env={**os.environ, **address},
+    )  # fmt: skip
+    said, complaint = await asyncio.wait_for(process.communicate(), 60.0)
+    assert process.returncode == 0, complaint.decode()
+    return said.decode()
+
+
+async def test_each_program_does_what_it_says(tmp_path: Path) -> None:
+    async with open_cell(tmp_path / "shown", ("sim.arm.physics=kinematic",)) as cell:
+        placed = await run(cell, "place.py")
+        assert placed.startswith("too early: ")
+        assert "placement.home: accepted, placement is retracted" in placed
+        assert "the landmarks fit within" in placed
+        watching = asyncio.create_task(run(cell, "watch.py", "12"))
+        poses = asyncio.create_task(run(cell, "record_poses.py", "2"))
+        stopped = await run(cell, "stop_in_motion.py")
+        assert "approach: failed" in stopped
+        assert "meanwhile: rejected, Stop is latched" in stopped
+        assert "placement.back_off: accepted" in stopped
+        rows = list(csv.DictReader(StringIO(await poses)))
+        assert {row["body"] for row in rows} >= {"coil", "body_ref"}
+        seen = await watching
+        assert "placement.back_off: accepted" in seen
+        assert "placement=held" in seen
+        planned = await run(cell, "planner.py", str(cell.ready.links["planner"][1]))
+        assert "session_reinitxx: 1_accepted_" in planned
+        assert "execute_motionxx: 2_rejected_placement_retracted_" in planned
+    assert {path.name for path in EXAMPLES.glob("*.py")} == {
+        "place.py", "planner.py", "record_poses.py", "stop_in_motion.py", "watch.py",
+    }  # fmt: skip
