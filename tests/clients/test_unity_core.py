@@ -221,10 +221,13 @@ _words = st.text(max_size=8).filter(lambda text: text.isprintable())
 @example({'\\ " / é': "1"}, "\\u", False)
 @given(st.dictionaries(_words, st.from_regex(r"[01]{1,3}|\w{1,6}", fullmatch=True), max_size=4), _words, st.booleans())
 def test_any_state_is_read(probe: Probe, branches: dict[str, str], plan: str, latched: bool) -> None:
+    flags = dict.fromkeys(branches, latched)
     tag = BlueprintTag(id="ratms", version="1", hash="0")
-    shown = Snapshot(sequence=2**40, branches=branches, flags={}, running=[], latched=latched, blueprint=tag, plan=plan)
+    shown = Snapshot(
+        sequence=2**40, branches=branches, flags=flags, running=[], latched=latched, blueprint=tag, plan=plan
+    )
     answer = probe.ask(f"state_of {state_json(shown)}")
-    assert answer["branches"] == branches
+    assert (answer["branches"], answer["flags"]) == (branches, flags)
     assert (answer["sequence"], answer["latched"], answer["plan"]) == (2**40, latched, plan)
     assert answer["registration"] is None
 

@@ -203,8 +203,7 @@ public static class Probe
     private static string State(CellState read)
     {
         IEnumerable<string> branches = read.Branches.Select(pair => Quoted(pair.Key) + ": " + Quoted(pair.Value));
-        IEnumerable<string> flags = read.Branches.SelectMany(pair => pair.Value.Select((letter, digit) =>
-            Quoted(pair.Key + "." + digit) + ": " + Text(read.Flag(pair.Key, digit))));
+        IEnumerable<string> flags = read.Flags.Select(pair => Quoted(pair.Key) + ": " + Text(pair.Value));
         return "{\"sequence\": " + read.Sequence + ", \"latched\": " + Text(read.Latched)
             + ", \"branches\": {" + string.Join(", ", branches) + "}, \"flags\": {" + string.Join(", ", flags)
             + "}, \"running\": [" + string.Join(", ", read.Running.Select(Quoted)) + "], \"plan\": " + Quoted(read.Plan)

@@ -8,11 +8,12 @@ from pcmrs.messages import Snapshot
 
 
 def state_json(snapshot: Snapshot) -> str:
-    """For programs: ``sequence``, ``branches``, ``running``, ``latched``, ``plan`` and ``registration``."""
+    """For programs: ``sequence``, ``branches``, ``flags``, ``running``, ``latched``, ``plan``, ``registration``."""
     return json.dumps(
         {
             "sequence": snapshot.sequence,
             "branches": snapshot.branches,
+            "flags": snapshot.flags,
             "running": [f"{each.branch}.{each.operation}" for each in snapshot.running],
             "latched": snapshot.latched,
             "plan": snapshot.plan,

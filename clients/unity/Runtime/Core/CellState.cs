@@ -12,6 +12,9 @@ namespace Pcmrs
         /// <summary>State by branch, such as "111" of "registration".</summary>
         public readonly IReadOnlyDictionary<string, string> Branches;
 
+        /// <summary>Flags by name, such as "registered".</summary>
+        public readonly IReadOnlyDictionary<string, bool> Flags;
+
         /// <summary>Operations under way, as `branch.operation`.</summary>
         public readonly IReadOnlyList<string> Running;
 
@@ -36,23 +39,18 @@ namespace Pcmrs
                 branches[pair.Key] = (string)pair.Value;
             }
             Branches = branches;
+            var flags = new Dictionary<string, bool>();
+            foreach (KeyValuePair<string, object> pair in (Dictionary<string, object>)fields["flags"])
+            {
+                flags[pair.Key] = (bool)pair.Value;
+            }
+            Flags = flags;
             var running = new List<string>();
             foreach (object each in (List<object>)fields["running"])
             {
                 running.Add((string)each);
             }
             Running = running;
-        }
-
-        /// <summary>
-        /// A flag: one digit of the state of a branch that has flags, counted from 0 in the order of the blueprint.
-        /// (In RATMS, 0 to 2 of "registration" are landmarks planned, landmarks digitized, registered.)
-        /// False too where there is no such branch or digit.
-        /// </summary>
-        public bool Flag(string branch, int digit)
-        {
-            string state;
-            return Branches.TryGetValue(branch, out state) && digit < state.Length && state[digit] == '1';
         }
 
         /// <summary>Reads the text of `PcmrsState`.</summary>
