@@ -8,9 +8,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 WORKFLOW := ratms
 INSTALLED := $(VENV)/installed.stamp
-EXTRAS := sim hardware console ros2 dev
+EXTRAS := sim hardware console imaging ros2 docs dev
 
-.PHONY: help install demo test mutants tools browser lint lock clean
+.PHONY: help install demo test mutants tools browser docs lint lock clean
 
 help: ## List these targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  make \1\t\2/p' Makefile
@@ -33,6 +33,9 @@ browser: ## Install the browser that the console is tested in (Debian packages, 
 	apt-get update -qq
 	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends chromium >/dev/null
 
+docs: install ## Build the documentation into site/, strictly: a broken link fails
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 lint: install ## Check style, format, types and import contracts
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
@@ -45,7 +48,7 @@ lock: install ## Remake requirements.lock from pyproject.toml; keeps the version
 	    $(EXTRAS:%=--extra %) --output-file requirements.lock pyproject.toml
 
 clean: ## Remove .venv, caches and what was built
-	rm -rf $(VENV) dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) dist site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(INSTALLED): requirements.lock pyproject.toml

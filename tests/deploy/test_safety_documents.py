@@ -1,4 +1,4 @@
-"""What the two documents name is there: tests, rows of the campaign, requirements, and the software of a cell."""
+"""What the documents name is there: tests, rows of the campaign, requirements, and the software of a cell."""
 
 import re
 import tomllib
@@ -11,6 +11,7 @@ from pcmrs.campaign.catalogue import catalogue
 ROOT = Path(__file__).parents[2]
 THREATS = ROOT / "docs" / "threat-model.md"
 SAFETY = ROOT / "docs" / "safety.md"
+SEMANTICS = ROOT / "docs" / "semantics.md"
 THREAT_TABLES = ("Threats from a network", "Threats on the machine")
 NAMED = re.compile(r"`([\w/]+\.py)::(test_\w+)`")
 ROW = re.compile(r"\b[OSBNPTCA]\d{1,2}\b")
@@ -27,7 +28,7 @@ def all_threats() -> list[list[str]]:
     return [row for heading in THREAT_TABLES for row in rows_of(THREATS.read_text(), heading)]
 
 
-@pytest.mark.parametrize("document", [THREATS, SAFETY], ids=lambda path: path.stem)
+@pytest.mark.parametrize("document", [THREATS, SAFETY, SEMANTICS], ids=lambda path: path.stem)
 def test_every_test_that_is_named_exists(document: Path) -> None:
     named = NAMED.findall(document.read_text())
 

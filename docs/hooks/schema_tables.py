@@ -1,0 +1,94 @@
+"""A JSON Schema as tables in Markdown: one row for each key, with its type, default and meaning."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from inspect import cleandoc
+from typing import Any
+
+Schema = Mapping[str, Any]
+
+_ATTRIBUTE = re.compile(r"^    (\w+): (.*(?:\n        .*)*)", re.MULTILINE)
+_BOUNDS = {
+    "minimum": "≥ {}",
+    "exclusiveMinimum": "> {}",
+    "maximum": "≤ {}",
+    "exclusiveMaximum": "< {}",
+    "minLength": "at least {} letters",
+    "maxLength": "at most {} letters",
+    "minItems": "at least {}",
+    "maxItems": "at most {}",
+    "pattern": "like `{}`",
+}
+_LONGEST = 60
+"""Letters of a default that are shown; a longer one is that of the type it is made of."""
+
+
+def definition_section(name: str, definition: Schema, level: str = "###") -> Iterator[str]:
+    """Heading, what it is, and the table of its keys."""
+    yield f"{level} {name}\n"
+    yield from definition_body(definition)
+
+
+def definition_body(definition: Schema) -> Iterator[str]:
+    """What a type is, and the table of its keys; of one that is no table, its values."""
+    documentation = cleandoc(definition.get("description", ""))
+    yield plain(documentation.partition("\n\n")[0]) + "\n"
+    if "properties" not in definition:
+        yield f"{type_text(definition)}\n"
+    elif definition["properties"]:
+        yield "| key | type | default | what |\n| --- | --- | --- | --- |"
+        meanings = {key: plain(text) for key, text in _ATTRIBUTE.findall(documentation)}
+        for key, value in definition["properties"].items():
+            yield _row(key, value, key in definition.get("required", ()), meanings.get(key, ""))
+    yield ""
+
+
+def plain(text: str) -> str:
+    """A docstring's text on one line of Markdown."""
+    return " ".join(text.split()).replace("``", "`")
+
+
+def name_of(ref: str) -> str:
+    """The name at the end of a reference, ``#/$defs/Name``."""
+    return ref.rpartition("/")[2]
+
+
+def type_text(value: Schema) -> str:
+    """The type of a value in words, with its bounds; types of our own are links to their section."""
+    bounds = [text.format(_json(value[key])) for key, text in _BOUNDS.items() if key in value]
+    return ", ".join([_kind(value), *(bound.replace("|", "\\|") for bound in bounds)])
+
+
+def _row(key: str, value: Schema, required: bool, meaning: str) -> str:
+    default = "" if required or "default" not in value else f"`{_json(value['default'])}`"
+    if len(default) > _LONGEST:
+        default = "see there" if "$ref" in value else "…"
+    what = value.get("description", meaning) if "$ref" not in value else meaning
+    cells = (f"`{key}`", type_text(value), "needed" if required else default, plain(what).replace("|", "\\|"))
+    return f"| {' | '.join(cells)} |"
+
+
+def _kind(value: Schema) -> str:
+    if "$ref" in value:
+        name = name_of(value["$ref"])
+        return f"[{name}](#{name.lower()})"
+    if "anyOf" in value:
+        return " or ".join(type_text(each) for each in value["anyOf"])
+    if "enum" in value:
+        return ", ".join(f"`{_json(each)}`" for each in value["enum"])
+    if "prefixItems" in value:
+        parts = [type_text(each) for each in value["prefixItems"]]
+        return f"{len(parts)} × {parts[0]}" if len(set(parts)) == 1 else f"[{', '.join(parts)}]"
+    kind: str = value.get("type", "anything")
+    if kind == "array" and value.get("items"):
+        return f"list of {type_text(value['items'])}"
+    if kind == "object" and isinstance(value.get("additionalProperties"), Mapping):
+        return f"table of {type_text(value['additionalProperties'])} by name"
+    return {"object": "table", "array": "list", "null": "none"}.get(kind, kind)
+
+
+def _json(value: Any) -> str:
+    return value if isinstance(value, str) and value else json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,146 @@
+"""Fills `{{ name }}` in a page with what the code says, so that no page can be older than the code."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
+from importlib.metadata import entry_points
+from itertools import groupby
+from typing import Any
+
+import msgspec
+from refusals import refusals
+from schema_tables import Schema, definition_body, definition_section, name_of, plain
+
+from pcmrs import errors
+from pcmrs.bus.keys import KEYS
+from pcmrs.fsm.exchange.exporting.schema import schema as blueprint_schema
+from pcmrs.settings import DRIVER_SETTINGS, Settings
+from pcmrs.workflows import read_workflow
+
+WORKFLOWS = ("ratms", "femoroplasty", "grid_mapping", "ratms_threshold")
+MESSAGES = (
+    "pcmrs.messages",
+    "pcmrs.messages.health",
+    "pcmrs.messages.setup",
+    "pcmrs.bus.keys",
+    "pcmrs.bus.stop",
+)
+"""Where the types are that the table of keys names."""
+
+
+def on_page_markdown(markdown: str, **_context: Any) -> str:
+    """Fills the page."""
+    return re.sub(r"^\{\{ (\w+) \}\}$", lambda found: "\n".join(FILLED[found[1]]()), markdown, flags=re.MULTILINE)
+
+
+def keys_of_bus() -> Iterator[str]:
+    """The table of keys, and the schema of every payload."""
+    types = _message_types()
+    yield "| key | use | payload | what for | who may | who serves it |\n| --- | --- | --- | --- | --- | --- |"
+    for row in KEYS:
+        payload = re.sub(r"[A-Z]\w+", lambda name: f"[{name[0]}](#{name[0].lower()})", row.payload)
+        who = ", ".join(row.users), ", ".join(row.owners)
+        yield f"| `{row.key}` | {row.use} | {_cell(payload)} | {_cell(row.text)} | {who[0]} | {who[1]} |"
+    named = dict.fromkeys(name for row in KEYS for name in re.findall(r"[A-Z]\w+", row.payload))
+    _, components = msgspec.json.schema_components([types[name] for name in named])
+    yield "\n## Payloads\n"
+    for name, definition in components.items():
+        yield from definition_section(name, definition)
+
+
+def settings() -> Iterator[str]:
+    """Every table of the configuration, those of the drivers last."""
+    points = sorted(entry_points(group=DRIVER_SETTINGS), key=lambda point: point.name)
+    drivers = {point.name: point.load() for point in points}
+    _, components = msgspec.json.schema_components([Settings, *drivers.values()])
+    shown: set[str] = set()
+    yield from _tables("", "Settings", components, shown)
+    for name, kind in drivers.items():
+        yield from _tables(name, kind.__name__, components, shown)
+
+
+def blueprint() -> Iterator[str]:
+    """The parts of a blueprint."""
+    for name, definition in json.loads(blueprint_schema())["$defs"].items():
+        if not name.startswith("Partial"):
+            yield from definition_section(name, definition, "##")
+
+
+def error_types() -> Iterator[str]:
+    """The tree of errors."""
+    yield "| code | type | what |\n| --- | --- | --- |"
+    yield from _below(errors.PcmrsError, 0)
+
+
+def refusal_codes() -> Iterator[str]:
+    """Codes of refusals, with what they say."""
+    yield "| code | what is said | where |\n| --- | --- | --- |"
+    for code, places in groupby(refusals(), key=lambda refusal: refusal.code):
+        known = list(places)
+        texts = dict.fromkeys(plain(place.text) for place in known if place.text)
+        modules = dict.fromkeys(f"`{place.module}`" for place in known)
+        yield f"| `{code}` | {'<br>'.join(map(_cell, texts))} | {', '.join(modules)} |"
+
+
+def workflow_refusals() -> Iterator[str]:
+    """Codes that blueprints give to what they require."""
+    found: dict[str, list[str]] = {}
+    for workflow in WORKFLOWS:
+        for name, branch in read_workflow(workflow).branches.items():
+            for operation, spec in branch.operations.items():
+                given = spec.refusal
+                for code in given.values() if isinstance(given, Mapping) else [given]:
+                    if code and f"`{name}.{operation}`" not in (places := found.setdefault(code, [])):
+                        places.append(f"`{name}.{operation}`")
+    yield "| code | operations |\n| --- | --- |"
+    for code, places in sorted(found.items()):
+        yield f"| `{code}` | {', '.join(places)} |"
+
+
+def _tables(path: str, name: str, components: Mapping[str, Schema], shown: set[str]) -> Iterator[str]:
+    """A table and those below it; a type that several tables have is shown at the first."""
+    if name in shown:
+        return
+    shown.add(name)
+    yield f"## {f'`[{path}]`' if path else 'The root'} {{ #{name.lower()} }}\n"
+    yield from definition_body(components[name])
+    for key, value in components[name]["properties"].items():
+        inner = f"{path}.{key}".lstrip(".")
+        for more, at in ((value, inner), (value.get("items"), f"[{inner}]"), (_named(value), f"{inner}.<name>")):
+            if more and "$ref" in more:
+                yield from _tables(at, name_of(more["$ref"]), components, shown)
+
+
+def _named(value: Schema) -> Schema | None:
+    """What a table holds under names that the user gives."""
+    more = value.get("additionalProperties")
+    return more if isinstance(more, Mapping) else None
+
+
+def _message_types() -> dict[str, type[msgspec.Struct]]:
+    modules = map(import_module, MESSAGES)
+    return {name: kind for module in modules for name, kind in vars(module).items() if isinstance(kind, type)}
+
+
+def _below(error: type[errors.PcmrsError], depth: int) -> Iterator[str]:
+    documentation = (error.__doc__ or "").partition("\n\n")[0]
+    yield f"| `{error.code}` | {'↳ ' * depth}`{error.__name__}` | {_cell(plain(documentation))} |"
+    for inner in error.__subclasses__():
+        yield from _below(inner, depth + 1)
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+FILLED: dict[str, Callable[[], Iterator[str]]] = {
+    "keys_of_bus": keys_of_bus,
+    "settings": settings,
+    "blueprint": blueprint,
+    "error_types": error_types,
+    "refusal_codes": refusal_codes,
+    "workflow_refusals": workflow_refusals,
+}
