@@ -20,8 +20,8 @@ from pcmrs.experiment.process import free_port
 SERVE = "pcmrs-serve"
 KEPT_RUNNING = (SERVE, "pcmrs watch", "pcmrs console")
 """Commands that a user leaves running in a terminal of their own, until Ctrl-C."""
-DEADMAN = "robot.deadman=1"
-"""No page shows what comes of a machine that has no time for the daemon."""
+PATIENT = ("robot.deadman=1", "sim.arm.physics=kinematic")
+"""No page shows what comes of a machine that has no time for the daemon, or what the arm weighs."""
 SHELLS = ("sh", "bash", "console")
 DONE = "the command has ended: "
 
@@ -103,7 +103,7 @@ class User:
         self._folder = folder
         own = [each for each in own_settings(folder) if not each.startswith(("cell.site", "cell.name", "cell.folder"))]
         endpoint = next(each for each in own if each.startswith("cell.endpoint")).partition("=")[2]
-        self._settings = [*own, f"gateway.planner.port={self.planner_port}", DEADMAN]
+        self._settings = [*own, f"gateway.planner.port={self.planner_port}", *PATIENT]
         self._environment = {
             **os.environ,
             "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
@@ -125,7 +125,7 @@ class User:
             self._shell.stdin.close()
 
     def types(self, shown: Shown) -> tuple[str, int]:
-        """What a command prints, and its exit status: 0 of one that is kept running, once it has printed what is shown."""
+        """What a command prints, and its exit status: 0 for one that is kept running, once it has printed that."""
         return self._keeps_running(shown) if shown.program else self._runs(shown.command)
 
     def interrupts(self, program: str) -> None:

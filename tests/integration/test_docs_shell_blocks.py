@@ -19,6 +19,7 @@ ELSEWHERE = {
 """Commands that are not run here, and why."""
 
 
+@pytest.mark.timeout(400)  # of a machine that does much else
 @pytest.mark.parametrize(
     "name",
     [

@@ -19,6 +19,7 @@ def test_the_page_and_the_example_are_the_same_files() -> None:
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(400)
 def test_a_new_user_gets_what_the_page_shows(tmp_path: Path) -> None:
     with User(written_home(tmp_path, PAGE)) as user:
         for shown in PAGE.commands():
