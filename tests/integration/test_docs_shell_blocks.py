@@ -23,8 +23,8 @@ ELSEWHERE = {
 @pytest.mark.parametrize(
     "name",
     [
-        "README.md",
         "docs/tutorial.md",
+        pytest.param("README.md", marks=pytest.mark.nightly),
         pytest.param("docs/new-planner.md", marks=pytest.mark.nightly),
         pytest.param("docs/new-device.md", marks=pytest.mark.nightly),
     ],
