@@ -20,7 +20,7 @@ from pcmrs.experiment.process import free_port
 SERVE = "pcmrs-serve"
 KEPT_RUNNING = (SERVE, "pcmrs watch", "pcmrs console")
 """Commands that a user leaves running in a terminal of their own, until Ctrl-C."""
-PATIENT = ("robot.deadman=1", "sim.arm.physics=kinematic")
+PATIENT = ("cell.rate=2", "robot.deadman=1", "sim.arm.physics=kinematic")
 """No page shows what comes of a machine that has no time for the daemon, or what the arm weighs."""
 SHELLS = ("sh", "bash", "console")
 DONE = "the command has ended: "
