@@ -24,6 +24,7 @@ COMMANDS = {
     "faults": "pcmrs.cli.faults:faults",
     "placements": "pcmrs.cli.placements:placements",
     "register": "pcmrs.cli.register:register",
+    "skin": "pcmrs.cli.skin:skin",
     "calibrate": "pcmrs.cli.calibrate:calibrate",
     "experiment": "pcmrs.cli.experiment:experiment",
     "demo": "pcmrs.cli.experiment:demo",

@@ -1,0 +1,50 @@
+"""`pcmrs skin`: the surface of a body in a volume, as the mesh that a cell is configured with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import msgspec
+
+from pcmrs.cli.options import OutputFile, json_option
+from pcmrs.cli.progress import progress_bar
+from pcmrs.cli.running import readable_errors
+
+
+@click.command()
+@click.argument("volume", type=click.Path(path_type=Path, exists=True))
+@click.option("-o", "--out", type=OutputFile(), required=True, metavar="FILE.ply", help="Where to write the mesh.")
+@click.option("--threshold", type=float, help="Grey value of the surface; by default Otsu's, which suits skin in air.")
+@json_option
+@readable_errors
+def skin(volume: Path, out: Path, threshold: float | None, as_json: bool) -> None:
+    """Extract the outer surface of the body in VOLUME: a NIfTI file, or a folder with one DICOM series.
+
+    The mesh is in RAS and m, as procedure.body.surface takes it. Look at it before you plan on it.
+
+    Exit status: 0 written, 2 the volume cannot be read or holds no such surface, 4 a package is missing.
+
+    Example: pcmrs skin head.nii.gz -o head.ply
+    """
+    from trimesh import Trimesh
+
+    from pcmrs.formats.reading import refuse
+    from pcmrs.formats.skin import skin_of
+    from pcmrs.formats.volume import read_volume
+
+    if out.suffix.lower() not in (".ply", ".stl"):
+        refuse(out, "would be no mesh that can be read: end its name in .ply or .stl.")
+    with progress_bar(transient=True) as show:
+        show("read", 0, 1)
+        mesh = skin_of(read_volume(volume), threshold, show)
+    solid = Trimesh(mesh.vertices, mesh.faces, process=False)
+    solid.export(out)
+    edges_mm = (1000.0 * (solid.bounds[1] - solid.bounds[0])).round(1).tolist()
+    found = {"file": str(out), "faces": len(mesh.faces), "edges_mm": edges_mm, "closed": bool(solid.is_watertight)}
+    if as_json:
+        click.echo(msgspec.json.encode(found).decode())
+        return
+    extent = " x ".join(f"{edge:.1f}" for edge in edges_mm)
+    closed = "closed" if solid.is_watertight else "not closed"
+    click.echo(f"{out}: {len(mesh.faces)} triangles, {closed}, {extent} mm (right, anterior, superior)")

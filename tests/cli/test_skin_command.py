@@ -1,0 +1,39 @@
+"""`pcmrs skin` from a volume to a mesh that a cell can be configured with."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from pcmrs.cli import main
+from pcmrs.formats.mesh import read_mesh
+
+nibabel = pytest.importorskip("nibabel")
+pytest.importorskip("skimage")
+
+
+def test_a_mesh_is_written_that_can_be_read(tmp_path: Path) -> None:
+    points = np.stack(np.meshgrid(*[np.arange(40.0)] * 3, indexing="ij"), axis=-1) - 19.5
+    values = (np.linalg.norm(points, axis=-1) < 15.0).astype(np.int16) * 100
+    volume, out = tmp_path / "ball.nii.gz", tmp_path / "ball.ply"
+    nibabel.save(nibabel.Nifti1Image(values, np.diag((2.0, 2.0, 2.0, 1.0))), volume)
+    ended = CliRunner().invoke(main, ["skin", str(volume), "-o", str(out), "--json"])
+    assert ended.exit_code == 0, ended.stderr
+    said = json.loads(ended.stdout)
+    assert said["closed"] is True
+    assert said["edges_mm"] == pytest.approx([60.0] * 3, abs=2.0)
+    mesh = read_mesh(out, "m", "RAS")
+    assert len(mesh.faces) == said["faces"]
+    np.testing.assert_allclose(mesh.vertices.mean(axis=0), 0.039, atol=0.001)
+
+
+def test_what_cannot_be_read_ends_in_one_line_and_writes_nothing(tmp_path: Path) -> None:
+    (tmp_path / "head.nii").write_bytes(b"nonsense")
+    ended = CliRunner().invoke(main, ["skin", str(tmp_path / "head.nii"), "-o", str(tmp_path / "head.ply")])
+    assert ended.exit_code == 2
+    assert "does not begin with a header" in ended.stderr
+    assert not (tmp_path / "head.ply").exists()
