@@ -102,6 +102,13 @@ KEYS = [
     ),
     _row("svc/setup/<user>", "query", "nothing -> Setup", "What a console shows: workflow, arm, tool, body.", READERS),
     _row("svc/data", "query", "nothing -> Gathered", "Landmarks, digitization, registration and plan so far.", READERS),
+    _row(
+        "svc/check/<user>",
+        "query",
+        '{"branch", "operation", "arguments"?} -> Prospect',
+        "What would be said to a command now; nothing is done.",
+        COMMANDING,
+    ),
     _row("svc/keys", "query", "nothing -> KeyTable", "This table.", READERS),
     _row("dev/<device>/cmd", "query", "DeviceRequest -> DeviceReply", "Calls a method of a device.", DAEMON, DEVICE),
     _row("dev/<device>/state", "subscribe", "DeviceHealth", "Whether a device is well.", READERS, TOLD_ON_SITE),

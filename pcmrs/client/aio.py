@@ -21,7 +21,16 @@ from pcmrs.bus.settings import SECURED
 from pcmrs.bus.stop import Stopping
 from pcmrs.clock import SystemClock
 from pcmrs.errors import BusError, CommandRefusedError, DeviceError, PayloadError, UnknownOutcomeError
-from pcmrs.messages import DeviceEvent, DeviceReply, DeviceRequest, Snapshot, TeleopSetpoint, Verdict
+from pcmrs.messages import (
+    DeviceEvent,
+    DeviceReply,
+    DeviceRequest,
+    Prospect,
+    Question,
+    Snapshot,
+    TeleopSetpoint,
+    Verdict,
+)
 from pcmrs.messages.health import Health
 from pcmrs.messages.identity import LOCAL
 from pcmrs.messages.setup import Gathered, Setup
@@ -189,6 +198,16 @@ class Client:
             UnknownOutcomeError: The daemon did not answer within `timeout` (s).
         """
         return await self._bus.request("svc/data", Empty(), Gathered, timeout or self._patience)
+
+    async def check(self, name: str, arguments: Mapping[str, Any], timeout: float | None = None) -> Prospect:
+        """What would be said to a command now, without giving it: see `call` for its arguments.
+
+        Raises:
+            UnknownOutcomeError: The daemon did not answer within `timeout` (s).
+        """
+        branch, _, operation = name.partition(".")
+        question = Question(branch=branch, operation=operation, arguments=dict(arguments))
+        return await self._bus.request(f"svc/check/{self._user}", question, Prospect, timeout or self._patience)
 
     async def stop(self, timeout: float | None = None) -> None:
         """Stops every motion: told to all listeners at once, and returns when the daemon has begun.

@@ -32,7 +32,7 @@ from pcmrs.dispatcher.unsettled import Unsettled
 from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import JournalError, PcmrsError, ReentrancyError
 from pcmrs.fsm import Closure, Denial
-from pcmrs.messages import Command, DeviceEvent, Reason, Snapshot, UnknownOutcome, Verdict
+from pcmrs.messages import Command, DeviceEvent, Prospect, Reason, Snapshot, UnknownOutcome, Verdict
 
 log = structlog.get_logger(__name__)
 
@@ -131,6 +131,21 @@ class Dispatcher(Generic[C, D]):
             raise ReentrancyError(f"{command.branch}.{command.operation} was awaited by a running operation: post it.")
         verdict = self._verdict_of(command)
         return verdict.result() if verdict.done() else await asyncio.shield(verdict)
+
+    def prospect(self, command: Command) -> Prospect:
+        """What would be said to a command now: nothing is performed, changed or journalled.
+
+        While the arm moves no check is asked, since each takes time from what holds it to its way.
+        """
+        try:
+            attempt, answer = self._attempt(command, asyncio.get_running_loop().create_future())
+        except PcmrsError as error:
+            return Prospect(reason=reason_of(error))
+        reason = self._barred(attempt) or _denied(answer)
+        if reason is None and (self._moves() or self._lanes.blocked(attempt)):
+            text = f"Something runs, so that {attempt.name} is not looked at: ask again when it has ended."
+            reason = Reason(code="busy", text=text)
+        return self._performer.prospect(attempt) if reason is None else Prospect(reason=reason)
 
     def on_stop(self, callback: Callable[[], None]) -> None:
         """Has `callback` called synchronously at every stop, whatever way it came."""
@@ -289,15 +304,10 @@ class Dispatcher(Generic[C, D]):
             self._admit_lease(command, verdict)
             return
         try:
-            spec = find_operation(self._workflow, command)
-            check_role(command, spec)
-            check_fresh(self._clock, command)
-            payload = read_payload(self._workflow, command, spec)
+            attempt, answer = self._attempt(command, verdict)
         except PcmrsError as error:
             self._reject(command, verdict, reason_of(error))
             return
-        answer = self.procedure.ask(command.branch, command.operation)
-        attempt = Attempt(command, spec, payload, verdict, locks_for(self._workflow.blueprint, command, answer))
         blocked = self._lanes.blocked(attempt)
         reason = self._barred(attempt) or (self._lanes.why_not_wait(attempt) if blocked else _denied(answer))
         if reason is not None:
@@ -306,6 +316,19 @@ class Dispatcher(Generic[C, D]):
             self._lanes.waiting.append(attempt)
         else:
             self._performer.start(attempt)
+
+    def _attempt(self, command: Command, verdict: asyncio.Future[Verdict]) -> tuple[Attempt, Closure | Denial]:
+        """The command as an attempt, and what the states say to it.
+
+        Raises:
+            PcmrsError: It is refused whatever the states are.
+        """
+        spec = find_operation(self._workflow, command)
+        check_role(command, spec)
+        check_fresh(self._clock, command)
+        payload = read_payload(self._workflow, command, spec)
+        answer = self.procedure.ask(command.branch, command.operation)
+        return Attempt(command, spec, payload, verdict, locks_for(self._workflow.blueprint, command, answer)), answer
 
     def _admit_lease(self, command: Command, verdict: asyncio.Future[Verdict]) -> None:
         """Decides at once; what renews a lease changes nothing, and leaves no row."""

@@ -16,7 +16,7 @@ from pcmrs.dispatcher.stage import Stage, performing
 from pcmrs.errors import PcmrsError
 from pcmrs.failpoints import failpoint
 from pcmrs.fsm import Denial
-from pcmrs.messages import Reason
+from pcmrs.messages import Prospect, Reason
 
 
 class Performer(Generic[C, D]):
@@ -52,6 +52,12 @@ class Performer(Generic[C, D]):
             attempt.task = self._stage.tasks.spawn(self._perform(attempt))
         else:
             self._perform_at_once(attempt)
+
+    def prospect(self, attempt: Attempt) -> Prospect:
+        """Asks an operation's checks, and nothing more: they are pure, and what they have prepared is thrown away."""
+        run = self._run_of(attempt)
+        refused = refusal(self._registry, attempt.spec, run)
+        return Prospect(reason=refused, undecided=run.undecided, result=run.result)
 
     def _touches_world(self, attempt: Attempt) -> bool:
         return not self._registry.worldly.isdisjoint(attempt.spec.steps)

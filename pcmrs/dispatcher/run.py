@@ -41,6 +41,7 @@ class Run(Generic[C, D]):
         outcome: Declared outcome to end with; a last step of an operation with outcomes sets it.
         result: What the verdict reports.
         prepared: What a check has worked out for a step, such as a trajectory.
+        undecided: What a check could not decide yet, in words, for whoever only asks.
     """
 
     command: Command
@@ -53,6 +54,7 @@ class Run(Generic[C, D]):
     outcome: str | None = None
     result: dict[str, Any] = field(default_factory=dict)
     prepared: Any = None
+    undecided: list[str] = field(default_factory=list)
     changes: dict[str, Any] = field(default_factory=dict)
     posts: list[tuple[str, str, dict[str, Any]]] = field(default_factory=list)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import zlib
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +43,9 @@ def read_nifti(path: Path) -> Volume:
 def _header(path: Path) -> Any:
     """The header alone: the library's own way would read extensions of any length with it."""
     kinds = (nibabel.Nifti1Header, nibabel.Nifti2Header)
-    stream: Any = gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb")
-    with stream:
+    with path.open("rb") as stored, ExitStack() as stack:
+        packed = path.name.lower().endswith(".gz")
+        stream = stack.enter_context(gzip.GzipFile(fileobj=stored)) if packed else stored
         raw = stream.read(nibabel.Nifti2Header.sizeof_hdr)
     kind = next((kind for kind in kinds if kind.may_contain_header(raw)), None)
     if kind is None or len(raw) < kind.sizeof_hdr:

@@ -118,10 +118,10 @@ def _simplified(points: Any, faces: Any) -> Mesh:
     from trimesh import Trimesh
     from trimesh.graph import connected_components
 
-    whole = Trimesh(points, faces, process=False)
-    parts = connected_components(whole.face_adjacency, nodes=np.arange(len(faces)))
-    kept = max(parts, key=lambda part: float(whole.area_faces[part].sum()))
-    mesh = whole.submesh([kept], append=True)
+    mesh = Trimesh(points, faces, process=False)
+    parts = connected_components(mesh.face_adjacency, nodes=np.arange(len(faces)))
+    mesh.update_faces(max(parts, key=lambda part: float(mesh.area_faces[part].sum())))
+    mesh.remove_unreferenced_vertices()
     if len(mesh.faces) > MOST_FACES:
         mesh = mesh.simplify_quadric_decimation(face_count=MOST_FACES)
     if mesh.volume < 0.0:

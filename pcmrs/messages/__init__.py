@@ -5,7 +5,7 @@ that an age is (sent - captured) at the sender plus (now - received) at the rece
 """
 
 from pcmrs.messages.base import Message
-from pcmrs.messages.decisions import Command, Decision, Reason, Verdict
+from pcmrs.messages.decisions import Command, Decision, Prospect, Question, Reason, Verdict
 from pcmrs.messages.device import Beat, DeviceEvent, DeviceHealth, DeviceReply, DeviceRequest
 from pcmrs.messages.journal import JournalPage, JournalQuery
 from pcmrs.messages.pointer import LandmarkPrompt
@@ -53,6 +53,8 @@ __all__ = [
     "Ongoing",
     "PoseMessage",
     "PressRequest",
+    "Prospect",
+    "Question",
     "Reason",
     "Running",
     "SceneTruth",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pcmrs.messages.base import Message
 from pcmrs.messages.identity import ON_SITE
@@ -63,3 +63,27 @@ class Verdict(Message, frozen=True, kw_only=True, omit_defaults=False):
     reason: Reason | None = None
     allowed: list[str] = []
     result: dict[str, Any] | None = None
+
+
+class Question(Message, frozen=True, kw_only=True):
+    """Asks what would be said to a command, without giving it."""
+
+    max_bytes: ClassVar[int] = 64 * 1024
+
+    branch: str
+    operation: str
+    arguments: dict[str, Any] = {}
+
+
+class Prospect(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """What would be said to a command now, by its states and checks; its steps have still to go well.
+
+    Attributes:
+        reason: Why it would be rejected; None if it would not.
+        undecided: What its checks could not decide yet, in words.
+        result: What they have worked out, such as ``tre`` in m.
+    """
+
+    reason: Reason | None = None
+    undecided: list[str] = []
+    result: dict[str, Any] = {}

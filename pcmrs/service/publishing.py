@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import uuid
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,10 +15,13 @@ from pcmrs.dispatcher import Dispatcher
 from pcmrs.failpoints import failpoint
 from pcmrs.journal import JournalReader
 from pcmrs.messages import (
+    Command,
     DeviceEvent,
     Flags,
     JournalPage,
     JournalQuery,
+    Prospect,
+    Question,
     Snapshot,
     Target,
     Verdict,
@@ -82,12 +86,26 @@ def answer_queries(
         shown = await asyncio.to_thread(setup)
         return msgspec.structs.replace(shown, user=user, role=bus.settings.role_of(user))
 
+    async def checked(key: str, question: Question) -> Prospect:
+        user = key.rpartition("/")[2]
+        command = Command(
+            id=uuid.uuid4().hex,
+            branch=question.branch,
+            operation=question.operation,
+            source=f"bus:{user}",
+            user=user,
+            role=bus.settings.role_of(user),
+            arguments=question.arguments,
+        )
+        return dispatcher.prospect(command)
+
     async def page(_key: str, query: JournalQuery) -> JournalPage:
         return await asyncio.to_thread(_journal_page, journal.path, query)
 
     bus.serve("svc/snapshot", Empty, snapshot)
     bus.serve("svc/setup/*", Empty, laid_out)
     bus.serve("svc/data", Empty, data)
+    bus.serve("svc/check/*", Question, checked)
     bus.serve("svc/keys", Empty, keys)
     bus.serve("svc/health", Empty, well)
     bus.serve("svc/journal", JournalQuery, page)

@@ -58,7 +58,10 @@ def pose_of(asked: ToolPose) -> Transform:
 
 def accept_pose(run: AnyRun[Cell, P], pose: Transform) -> None:
     """Prepares a pose as the plan; refuses where the arm cannot reach it, or the registration is too inaccurate."""
-    if run.states.get("registration") == "111" and run.states.get("robot") == "1" and _all_seen(run):
+    missing = _missing(run)
+    if missing:
+        run.undecided.append(f"Whether the arm reaches it is not known before {missing}.")
+    else:
         next(standoff_postures(run, pose))
     tre = check_tre(run.cell, run.data, pose.translation)
     run.result |= {} if tre is None else {"tre": tre}
@@ -135,9 +138,14 @@ def previous_plan_fits(run: Run) -> None:
     accept_pose(run, as_transform(previous.image_from_coil))
 
 
-def _all_seen(run: AnyRun[Cell, P]) -> bool:
+def _missing(run: AnyRun[Cell, P]) -> str:
+    """What there has to be before reach can be decided; empty where it can."""
     poses = run.cell.poses
-    return poses.seen("coil") and poses.seen("body_ref") and run.cell.joints is not None
+    if run.states.get("registration") != "111":
+        return "a registration"
+    if run.states.get("robot") != "1" or run.cell.joints is None:
+        return "the robot is connected"
+    return "" if poses.seen("coil") and poses.seen("body_ref") else "the tracker sees tool and body"
 
 
 def register_plan_operations(registry: Registry[Cell, PlacementData]) -> None:

@@ -1,4 +1,4 @@
-"""A phantom's surface comes back from volumes as scanners write them; what is no such volume is refused by its header."""
+"""A phantom's surface comes back from volumes as scanners write them; what is none is refused by its header."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def oblique(mirrored: bool = False) -> Floats:
 
 
 def phantom(grid: Floats) -> Any:
-    """An ellipsoid as a scanner sees it, brightness by share of the voxel, with a dark shell in it and a speck beside it."""
+    """An ellipsoid, brightness by share of the voxel, with a dark shell in it and a speck beside it."""
     indices = np.stack(np.meshgrid(*map(np.arange, SHAPE), indexing="ij"), axis=-1)
     points = indices @ grid[:3, :3].T + grid[:3, 3] - CENTRE
     length = np.linalg.norm(points / RADII, axis=-1)
