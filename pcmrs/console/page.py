@@ -10,7 +10,7 @@ from pcmrs.console.asking import Asking
 from pcmrs.console.choices import Choices
 from pcmrs.console.feed import Feed
 from pcmrs.console.geometry import placement
-from pcmrs.console.planning import PlanningPanel
+from pcmrs.console.planning.panel import PlanningPanel
 from pcmrs.console.scene import ScenePanel
 from pcmrs.console.signals import SignalsPanel
 from pcmrs.console.texts import Texts, languages
@@ -94,7 +94,7 @@ class Page:
             with ui.tab_panel("workflow").classes("p-1"):
                 self._workflow = WorkflowPanel(feed, setup, self._blueprint, texts, self._asking)
             with ui.tab_panel("planning").classes("p-1"):
-                self._planning = PlanningPanel(feed, setup, texts, self._asking)
+                self._planning = PlanningPanel(feed, setup, self._blueprint, texts, self._asking)
             with ui.tab_panel("signals").classes("p-1"):
                 SignalsPanel(feed, texts)
             with ui.tab_panel("session").classes("p-1"):

@@ -42,7 +42,7 @@ def read_nifti(path: Path) -> Volume:
 
 def _header(path: Path) -> Any:
     """The header alone: the library's own way would read extensions of any length with it."""
-    kinds = (nibabel.Nifti1Header, nibabel.Nifti2Header)
+    kinds: tuple[Any, ...] = (nibabel.Nifti1Header, nibabel.Nifti2Header)
     with path.open("rb") as stored, ExitStack() as stack:
         packed = path.name.lower().endswith(".gz")
         stream = stack.enter_context(gzip.GzipFile(fileobj=stored)) if packed else stored

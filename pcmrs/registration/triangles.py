@@ -10,6 +10,9 @@ from pcmrs.errors import GeometryError
 from pcmrs.spatial import Floats
 
 Ints = npt.NDArray[np.int64]
+_EDGE = 1e-9
+"""Of a triangle's shares: a ray through the edge between two of them meets both, not none; and of a cosine: one along a
+triangle does not leave by it."""
 
 
 class TriangleSurface:
@@ -64,6 +67,27 @@ class TriangleSurface:
         # Sorted by point, then by distance: the first of each point is its nearest.
         best = np.lexsort((candidates, squared, asking))[np.concatenate(([0], np.cumsum(counts)[:-1]))]
         return found[best], self._normals(found[best], candidates[best])
+
+    def leaving(self, start: Floats, direction: Floats) -> Floats | None:
+        """Where a ray from a point first comes out of the surface, m, (3,); None where it never does.
+
+        T. Möller, B. Trumbore, J. Graph. Tools 2 (1997) 21, for all triangles at once.
+
+        Args:
+            start: m, (3,).
+            direction: Of any length but zero, (3,).
+        """
+        ray = direction / np.linalg.norm(direction)
+        sides = self._corners[:, 1:] - self._corners[:, :1]
+        normals = np.cross(sides[:, 0], sides[:, 1])
+        out = normals @ ray > _EDGE * np.linalg.norm(normals, axis=1)
+        first, second = sides[out].transpose(1, 0, 2)
+        volumes, offsets = normals[out] @ ray, self._corners[out, 0] - start
+        turned = np.cross(offsets, ray)
+        u, v = np.sum(second * turned, axis=1) / volumes, -np.sum(first * turned, axis=1) / volumes
+        along = np.sum(offsets * normals[out], axis=1) / volumes
+        met = (u >= -_EDGE) & (v >= -_EDGE) & (u + v <= 1.0 + _EDGE) & (along >= 0.0)
+        return start + along[met].min() * ray if met.any() else None
 
     def _normals(self, points: Floats, triangles: Ints) -> Floats:
         shares = _barycentric(points, self._corners[triangles])

@@ -12,6 +12,7 @@ from pcmrs.tms.scalp import Closest, along_scalp
 
 CORNERS = np.array([(math.cos(k * math.pi / 3.0), math.sin(k * math.pi / 3.0)) for k in range(6)])
 MAX_RINGS = 20
+MAX_ROWS = 20
 
 
 def grid_on_scalp(closest: Closest, centre: Transform, spacing: float, rings: int) -> tuple[Transform, ...]:
@@ -33,6 +34,34 @@ def grid_on_scalp(closest: Closest, centre: Transform, spacing: float, rings: in
         text = f"A grid has a positive spacing and 0 to {MAX_RINGS} rings, not {spacing:g} m and {rings}."
         raise GeometryError(text, spacing=spacing, rings=rings)
     return along_scalp(closest, centre, hexagons(rings) * spacing)
+
+
+def rows_on_scalp(
+    closest: Closest, centre: Transform, spacing: float, rows: int, columns: int
+) -> tuple[Transform, ...]:
+    """Poses of a rectangular grid, row by row in turns: each is next to the one before.
+
+    Rows lie along x of the centre, the first one where +y points; every pose is tangent to the scalp, its handle as
+    that of the centre carried along without a turn.
+
+    Args:
+        closest: The scalp.
+        centre: ``image_from_coil`` of the middle; it is brought onto the scalp.
+        spacing: Between neighbours, along the scalp, m.
+        rows: 1 to `MAX_ROWS`.
+        columns: The same.
+
+    Raises:
+        GeometryError: The spacing is not positive, there are not 1 to `MAX_ROWS` rows or columns, or the centre's +z
+            points into the head.
+    """
+    if not (math.isfinite(spacing) and spacing > 0.0) or not (1 <= rows <= MAX_ROWS and 1 <= columns <= MAX_ROWS):
+        asked = f"{spacing:g} m, {rows} and {columns}"
+        text = f"A grid has a positive spacing and 1 to {MAX_ROWS} rows and columns, not {asked}."
+        raise GeometryError(text, spacing=spacing, rows=rows, columns=columns)
+    x, y = np.arange(columns) - (columns - 1) / 2.0, (rows - 1) / 2.0 - np.arange(rows)
+    places = [(each, row) for number, row in enumerate(y) for each in (x if number % 2 == 0 else x[::-1])]
+    return along_scalp(closest, centre, np.array(places) * spacing)
 
 
 def hexagons(rings: int) -> Floats:

@@ -1,0 +1,199 @@
+"""What is planned on one page and not sent yet. Knows numbers only: no page, no daemon."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from pcmrs.errors import GeometryError
+from pcmrs.messages.setup import LandmarkShown
+from pcmrs.registration.triangles import TriangleSurface
+from pcmrs.spatial import Floats, Transform
+from pcmrs.tms.grid import rows_on_scalp
+from pcmrs.tms.scalp import along_scalp, on_scalp, turned
+from pcmrs.workflows.femoroplasty import guide_pose
+
+Kind = Literal["landmarks", "tool_pose", "grid", "trajectory"]
+"""What is planned, by the registered name of the payload that takes it."""
+
+STEP, TURN = 0.001, math.radians(5.0)
+"""What a key moves the tool along the surface, m, or turns it about its axis, rad."""
+MOVES = {"ArrowRight": (STEP, 0.0), "ArrowLeft": (-STEP, 0.0), "ArrowUp": (0.0, STEP), "ArrowDown": (0.0, -STEP)}
+TURNS = {"[": TURN, "]": -TURN}
+
+NEAR = 0.015
+"""Landmarks are at the surface: one of a file that is farther away than this, m, is of another image or space."""
+DEEPEST = 0.080
+"""No target for a coil lies deeper below the scalp, m."""
+
+
+@dataclass
+class Draft:
+    """Points and poses in the image, m.
+
+    Attributes:
+        surface: What is planned on; None where the cell has none.
+        cortex: Where targets lie; None unless it was loaded.
+        pose: ``image_from_coil`` of the tool.
+        target: In the cortex.
+        entry: Where a drill enters the bone.
+        end: Where it is to end.
+    """
+
+    surface: TriangleSurface | None = None
+    cortex: TriangleSurface | None = None
+    landmarks: list[LandmarkShown] = field(default_factory=list)
+    pose: Transform | None = None
+    target: Floats | None = None
+    grid: tuple[Transform, ...] = ()
+    entry: Floats | None = None
+    end: Floats | None = None
+
+    def add_landmark(self, point: Floats, name: str = "") -> None:
+        """Adds a landmark, (3,), by the next free number where it has no name. Raises `GeometryError`."""
+        taken = {each.name for each in self.landmarks}
+        number = next(number for number in range(1, len(taken) + 2) if f"landmark_{number}" not in taken)
+        name = name.strip() or f"landmark_{number}"
+        if name in taken:
+            raise GeometryError(f"There is a landmark {name} already; give another name.", name=name)
+        x, y, z = point.tolist()
+        self.landmarks.append(LandmarkShown(name=name, planned=(x, y, z)))
+
+    def take_landmarks(self, names: Sequence[str], points: Floats) -> None:
+        """Plans the landmarks of a file, (N, 3), in place of those there were.
+
+        Raises:
+            GeometryError: One is not at the surface: then none is taken.
+        """
+        self._check_near(names, points, NEAR)
+        found = Draft()
+        for name, point in zip(names, points, strict=True):
+            found.add_landmark(point, name)
+        self.landmarks = found.landmarks
+
+    def aim(self, target: Floats, direction: Floats | None = None) -> None:
+        """Stands the tool on the surface over a target in the cortex, (3,).
+
+        Args:
+            target: m, (3,).
+            direction: Along which the target is projected, (3,); None for the nearest point of the surface.
+
+        Raises:
+            GeometryError: The target is too far from the surface, or the surface is not met in that direction.
+        """
+        self._check_near(["target"], target[None], DEEPEST)
+        surface = self._surface()
+        if direction is None:
+            point = surface.closest(target[None])[0][0]
+        else:
+            point = surface.leaving(target, direction)
+            if point is None:
+                text = "From the target in this direction there is no surface; turn the direction over."
+                raise GeometryError(text, direction=direction.tolist())
+        self.place(point)
+        self.target = target
+
+    @property
+    def depth(self) -> float | None:
+        """Distance of the target from the tool, m; None without both."""
+        if self.target is None or self.pose is None:
+            return None
+        return float(np.linalg.norm(self.pose.translation - self.target))
+
+    def replace_surface(self, surface: TriangleSurface | None) -> None:
+        """Plans on another surface: what stood on the one before is gone; landmarks are points of the image."""
+        self.surface, self.pose, self.target, self.grid = surface, None, None, ()
+
+    def normal_at(self, target: Floats) -> Floats:
+        """The outward normal of the cortex where it is nearest to a target, (3,). Raises `GeometryError`."""
+        if self.cortex is None:
+            raise GeometryError("Along the normal needs a surface of the cortex, or the direction as numbers.")
+        normal: Floats = self.cortex.closest(target[None])[1][0]
+        return normal
+
+    def place(self, point: Floats) -> None:
+        """Stands the tool on the surface at a point, (3,), its handle as it was. Raises `GeometryError`."""
+        surface = self._surface()
+        z = surface.closest(point[None])[1][0]
+        before = np.eye(3) if self.pose is None else self.pose.rotation
+        y = before[:, 1] - (before[:, 1] @ z) * z
+        if np.linalg.norm(y) < 1e-3:
+            y = np.cross(z, before[:, 0])
+        y /= np.linalg.norm(y)
+        self.pose = on_scalp(surface.closest, Transform(np.column_stack((np.cross(y, z), y, z)), point))
+
+    def move(self, key: str) -> None:
+        """Moves the tool along the surface, or turns it; other keys do nothing. Raises `GeometryError`."""
+        if self.pose is None:
+            return
+        if key in TURNS:
+            self.pose = turned(self.pose, TURNS[key])
+        elif key in MOVES:
+            (self.pose,) = along_scalp(self._surface().closest, self.pose, [MOVES[key]])
+
+    def lay_grid(self, spacing: float, rows: int, columns: int) -> None:
+        """Lays a grid around the tool, `spacing` in m. Raises `GeometryError`."""
+        if self.pose is None:
+            raise GeometryError("The grid lies around the tool; place it first.")
+        self.grid = rows_on_scalp(self._surface().closest, self.pose, spacing, rows, columns)
+
+    @property
+    def guide(self) -> Transform | None:
+        """``image_from_coil`` of a guide at the entry of the trajectory; None until that has a direction."""
+        if self.entry is None or self.end is None or np.array_equal(self.entry, self.end):
+            return None
+        return guide_pose(self.entry, self.end)
+
+    def arguments(self, kind: Kind) -> dict[str, Any] | None:
+        """Of the operation that takes what is planned; None where that is not whole yet."""
+        match kind:
+            case "landmarks" if self.landmarks:
+                return {"landmarks": [{"name": each.name, "position": list(each.planned)} for each in self.landmarks]}
+            case "tool_pose" if self.pose is not None:
+                return as_arguments(self.pose)
+            case "grid" if self.grid:
+                return {"poses": [as_arguments(pose) for pose in self.grid]}
+            case "trajectory" if self.entry is not None and self.end is not None:
+                return {"entry": self.entry.tolist(), "target": self.end.tolist()}
+        return None
+
+    def _surface(self) -> TriangleSurface:
+        if self.surface is None:
+            raise GeometryError("There is no surface to plan on: load one, or set procedure.body.surface.")
+        return self.surface
+
+    def _check_near(self, names: Sequence[str], points: Floats, limit: float) -> None:
+        nearest, _ = self._surface().closest(points)
+        distances = np.linalg.norm(nearest - points, axis=1)
+        worst = int(distances.argmax())
+        if not distances[worst] <= limit:
+            text = (
+                f"{names[worst]} is {distances[worst] * 1000:.0f} mm from the surface; the limit is {limit * 1000:g} "
+                "mm. Is it a point of this image, in its space (RAS or LPS) and unit?"
+            )
+            raise GeometryError(text, name=names[worst], value=float(distances[worst]), limit=limit)
+
+
+def as_arguments(pose: Transform) -> dict[str, Any]:
+    """A pose as operations take it."""
+    return {"position": pose.translation.tolist(), "quat_xyzw": pose.quat_xyzw.tolist()}
+
+
+def typed_point(text: str | None) -> Floats:
+    """Three numbers of a person, mm, as m, (3,). Raises `GeometryError`."""
+    return typed_numbers(text) / 1000.0
+
+
+def typed_numbers(text: str | None) -> Floats:
+    """Three numbers of a person, (3,). Raises `GeometryError`."""
+    try:
+        numbers = [float(word) for word in (text or "").replace(",", " ").split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3 or not np.isfinite(numbers).all():
+        raise GeometryError(f"{text!r} is not three numbers such as 4 -12 143.")
+    return np.array(numbers)

@@ -1,0 +1,153 @@
+"""Files for the planning: surfaces, volumes, points."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from fastapi import Response
+from nicegui import app, events, ui
+from nicegui.elements.upload_files import FileUpload
+
+from pcmrs.console.geometry import as_stl
+from pcmrs.console.planning.canvas import Canvas
+from pcmrs.console.planning.editing import Editing
+from pcmrs.console.planning.files import LARGEST, MOST_FILES, read_points, read_surface
+from pcmrs.console.scene import SURFACE
+from pcmrs.errors import FileFormatError, PcmrsError
+from pcmrs.formats.mesh import Mesh
+from pcmrs.registration.triangles import TriangleSurface
+
+ROLES = {"surface": "file_surface", "cortex": "file_cortex", "landmarks": "file_landmarks", "target": "file_target"}
+"""What a file may be for, and what that is called."""
+
+
+class UploadForm:
+    """What a file is for, its units, and what came of it.
+
+    Args:
+        editing: The draft.
+        canvas: Shows the surfaces.
+    """
+
+    def __init__(self, editing: Editing, canvas: Canvas) -> None:
+        self._editing, self._canvas = editing, canvas
+        self._of_cell = editing.draft.surface
+        self._client = ui.context.client
+        texts = editing.texts
+        with ui.expansion(texts("files")).classes("w-full").props('dense data-testid="files"'):
+            with ui.row().classes("items-center gap-1"):
+                self._role = ui.select({role: texts(name) for role, name in ROLES.items()}, value="surface")
+                self._unit = ui.select(["mm", "m"], value="mm", label=texts("unit"))
+                self._space = ui.select(["RAS", "LPS"], value="RAS", label=texts("space"))
+                self._threshold = ui.number(texts("threshold"), placeholder="Otsu")
+            for field, name in (
+                (self._role, "role"),
+                (self._unit, "unit"),
+                (self._space, "space"),
+                (self._threshold, "threshold"),
+            ):
+                field.props("dense").classes("w-28").props(f'data-testid="file-{name}"')
+            ui.label(texts("file_help")).classes("text-caption text-grey-8")
+            self._upload = ui.upload(
+                multiple=True,
+                auto_upload=True,
+                max_total_size=LARGEST,
+                max_files=MOST_FILES,
+                on_multi_upload=self._take,
+                on_rejected=lambda: self._say(texts("too_large", mb=LARGEST // 10**6, count=MOST_FILES), good=False),
+            )
+            self._upload.classes("w-full").props("flat bordered").props('data-testid="upload"')
+            with ui.row().classes("items-center no-wrap"):
+                self._busy = ui.spinner(size="sm")
+                self._busy.set_visibility(False)
+                self._result = ui.label().props('data-testid="upload-result"')
+        with ui.row().classes("items-center no-wrap w-full bg-orange-1") as self._own:
+            ui.label(texts("own_surface")).props('data-testid="own-surface"')
+            back = ui.button(texts("cell_surface"), on_click=self._back).props("dense flat no-caps")
+            back.props('data-testid="cell-surface"')
+        self._own.set_visibility(False)
+
+    async def _take(self, event: events.MultiUploadEventArguments) -> None:
+        self._upload.reset()
+        if self._busy.visible:
+            self._say(self._editing.texts("file_busy"), good=False)
+            return
+        self._busy.set_visibility(True)
+        self._say(self._editing.texts("file_read"), good=True)
+        with TemporaryDirectory(prefix="pcmrs-console-") as folder:
+            try:
+                await self._use(await _stored(event.files, Path(folder)))
+            except (PcmrsError, OSError) as error:
+                text = error.text if isinstance(error, PcmrsError) else str(error)
+                self._say(text.replace(f"{folder}/", "").replace(folder, self._editing.texts("files")), good=False)
+        self._busy.set_visibility(False)
+
+    async def _use(self, path: Path) -> None:
+        """Takes a file for what it was said to be for. Raises `PcmrsError`; then nothing has changed."""
+        draft, role = self._editing.draft, self._role.value
+        if role in ("surface", "cortex"):
+            mesh = await read_surface(path, self._unit.value, self._space.value, self._threshold.value)
+            await self._use_surface(mesh, role)
+        else:
+            points = await read_points(path)
+            if role == "landmarks":
+                draft.take_landmarks(points.names, points.points)
+            elif len(points.names) == 1:
+                draft.aim(points.points[0])
+            else:
+                raise FileFormatError(f"{path} holds {len(points.names)} points; give one target.")
+            self._say(", ".join(points.names), good=True)
+        self._editing.changed()
+
+    async def _use_surface(self, mesh: Mesh, role: str) -> None:
+        draft = self._editing.draft
+        surface, stl = await asyncio.to_thread(_prepared, mesh)
+        if role == "cortex":
+            draft.cortex = surface
+            self._canvas.show_cortex(self._served(stl))
+        else:
+            draft.replace_surface(surface)
+            self._canvas.show_surface(self._served(stl))
+            self._canvas.look_at(mesh.vertices)
+            self._own.set_visibility(True)
+        x, y, z = (1000.0 * np.ptp(mesh.vertices, axis=0)).tolist()
+        self._say(self._editing.texts("surface_taken", faces=len(mesh.faces), x=x, y=y, z=z), good=True)
+
+    def _served(self, stl: bytes) -> str:
+        """An address at which this page finds a mesh, for as long as it is open."""
+        url = f"/planning/{secrets.token_urlsafe(16)}.stl"
+        app.add_api_route(url, lambda: Response(stl, media_type="model/stl"), include_in_schema=False)
+        self._client.on_delete(lambda: app.remove_route(url))
+        return url
+
+    def _back(self) -> None:
+        self._editing.draft.replace_surface(self._of_cell)
+        self._canvas.show_surface(None if self._of_cell is None else SURFACE)
+        self._own.set_visibility(False)
+        self._editing.changed()
+
+    def _say(self, text: str, *, good: bool) -> None:
+        self._result.set_text(text)
+        self._result.classes(replace="text-grey-9" if good else "text-red-9")
+
+
+async def _stored(files: Sequence[FileUpload], folder: Path) -> Path:
+    """Where the files of one upload are: one file by its name, several as a folder, as those of a DICOM series."""
+    if len(files) == 1:
+        name = files[0].name
+        path = folder / (name if name.strip(".") else "file")
+        await files[0].save(path)
+        return path
+    for number, file in enumerate(files):
+        await file.save(folder / f"{number:04d}")
+    return folder
+
+
+def _prepared(mesh: Mesh) -> tuple[TriangleSurface, bytes]:
+    """To ask for nearest points, and for the browser. Raises `GeometryError`."""
+    return TriangleSurface(mesh.vertices, mesh.faces), as_stl(mesh.vertices, mesh.faces)
