@@ -12,6 +12,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from pcmrs.experiment.process import own_settings, serve_command
+
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
@@ -36,6 +38,23 @@ def console(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
                 process.wait(20.0)
             except subprocess.TimeoutExpired:
                 process.kill()
+
+
+@contextmanager
+def running_cell(folder: Path, *settings: str) -> Iterator[list[str]]:
+    """A cell of its own; yields the options that reach it."""
+    command = serve_command([*own_settings(folder / "cell", "seen"), *settings])
+    with (folder / "log").open("w") as log:
+        daemon = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
+    with daemon:
+        assert daemon.stdout is not None
+        line = daemon.stdout.readline()
+        assert line, (folder / "log").read_text()
+        ready = json.loads(line)
+        _, site, cell = ready["prefix"].split("/")
+        yield ["--endpoint", ready["endpoint"], "--site", site, "--cell", cell]
+        daemon.terminate()
+        daemon.wait(30.0)
 
 
 @contextmanager

@@ -10,10 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from consoles import CHROMIUM, browser, console
+from consoles import CHROMIUM, browser, console, running_cell
 from remote_cell import CELL, SITE, Loopback, remote_cell
-
-from pcmrs.experiment.process import own_settings, serve_command
 
 pytest.importorskip("playwright")
 
@@ -38,18 +36,8 @@ FACE = ((0.5, 0.45), (0.45, 0.35), (0.55, 0.35), (0.5, 0.65), (0.44, 0.55), (0.5
 @pytest.fixture
 def address(tmp_path: Path) -> Iterator[list[str]]:
     """Options that reach a running cell."""
-    command = serve_command([*own_settings(tmp_path / "cell", "seen"), *PATIENT])
-    with (tmp_path / "log").open("w") as log:
-        daemon = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
-    with daemon:
-        assert daemon.stdout is not None
-        line = daemon.stdout.readline()
-        assert line, (tmp_path / "log").read_text()
-        ready = json.loads(line)
-        _, site, cell = ready["prefix"].split("/")
-        yield ["--endpoint", ready["endpoint"], "--site", site, "--cell", cell]
-        daemon.terminate()
-        daemon.wait(30.0)
+    with running_cell(tmp_path, *PATIENT) as options:
+        yield options
 
 
 def state(address: list[str]) -> dict[str, Any]:

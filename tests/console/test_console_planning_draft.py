@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import get_args
 
 import msgspec
@@ -16,11 +17,14 @@ from pcmrs.console.planning.draft import MOVES, TURN, TURNS, Draft, Kind, typed_
 from pcmrs.console.planning.panel import operations
 from pcmrs.console.texts import Texts
 from pcmrs.errors import GeometryError
+from pcmrs.formats.landmarks import read_landmarks
+from pcmrs.formats.mesh import read_mesh
 from pcmrs.messages import Prospect, Reason
 from pcmrs.registration.triangles import TriangleSurface
 from pcmrs.spatial import Floats, rotation_angle
 from pcmrs.workflows import femoroplasty, grid_mapping, placement_registry, read_workflow
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 RADIUS = 0.09
 BALL = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
 SCALP = TriangleSurface(BALL.vertices, BALL.faces)
@@ -98,7 +102,7 @@ def test_points_of_another_space_are_refused_and_change_nothing() -> None:
     plan.take_landmarks(names, on_it)
     before = list(plan.landmarks)
     for points in (on_it * 1000.0, on_it + np.array((0.0, 0.0, 0.05)), np.vstack((on_it[:3], on_it[3:] * 0.5))):
-        with pytest.raises(GeometryError, match="from the surface; the limit is 15 mm"):
+        with pytest.raises(GeometryError, match="from the surface; the limit is 30 mm"):
             plan.take_landmarks(names, points)
     with pytest.raises(GeometryError, match="already"):
         plan.take_landmarks(["a", "a", "b", "c"], on_it)
@@ -108,6 +112,18 @@ def test_points_of_another_space_are_refused_and_change_nothing() -> None:
     with pytest.raises(GeometryError, match="turn the direction over"):
         plan.aim(np.array((0.0, 0.0, 0.12)), np.array((0.0, 0.0, 1.0)))
     assert (plan.pose, plan.target) == (None, None)
+
+
+def test_the_phantoms_own_landmarks_are_taken_and_turned_ones_are_not() -> None:
+    for name, body in (("ratms", "head"), ("femoroplasty", "femur")):
+        mesh = read_mesh(EXAMPLES / f"{body}_phantom.ply", "m", "RAS")
+        planned = read_landmarks(EXAMPLES / f"{name}_plan.json")
+        plan = Draft(surface=TriangleSurface(mesh.vertices, mesh.faces))
+        with pytest.raises(GeometryError, match="LPS"):  # as if LPS had been written into a file of RAS
+            plan.take_landmarks(planned.names, planned.points * np.array((-1.0, -1.0, 1.0)))
+        assert plan.landmarks == []
+        plan.take_landmarks(planned.names, planned.points)
+        assert len(plan.landmarks) == len(planned.names)
 
 
 def test_without_a_surface_nothing_is_placed() -> None:

@@ -30,16 +30,16 @@ async def test_a_mesh_is_read_by_another_process(tmp_path: Path, monkeypatch: py
     BALL.export(tmp_path / "head.stl")
     mesh = await read_surface(tmp_path / "head.stl", "mm", "RAS", None)
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 0.09, atol=1e-6)
-    found = await read_points(markups(tmp_path / "F.mrk.json"))
-    assert found.names == ("nasion",)
-    np.testing.assert_allclose(found.points, [[0.0, 0.09, 0.0]])
-
-
-async def test_a_refusal_comes_from_the_other_process(tmp_path: Path) -> None:
     (tmp_path / "broken.stl").write_bytes(b"solid nonsense")
     with pytest.raises(FileFormatError, match=r"broken\.stl") as caught:
         await read_surface(tmp_path / "broken.stl", "mm", "RAS", None)
     assert caught.value.fields["file"].endswith("broken.stl")
+
+
+def test_points_come_in_ras_and_metres(tmp_path: Path) -> None:
+    found = files._points(markups(tmp_path / "F.mrk.json"))
+    assert found.names == ("nasion",)
+    np.testing.assert_allclose(found.points, [[0.0, 0.09, 0.0]])
 
 
 def test_what_is_no_plan_is_refused_with_its_reason(tmp_path: Path) -> None:
@@ -60,6 +60,7 @@ def dies(path: Path) -> None:
     os._exit(1)
 
 
+@pytest.mark.nightly
 async def test_a_file_that_ends_its_reader_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="ended the process"):
         await files._apart(dies, tmp_path / "a.stl")

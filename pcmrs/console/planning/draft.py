@@ -25,8 +25,9 @@ STEP, TURN = 0.001, math.radians(5.0)
 MOVES = {"ArrowRight": (STEP, 0.0), "ArrowLeft": (-STEP, 0.0), "ArrowUp": (0.0, STEP), "ArrowDown": (0.0, -STEP)}
 TURNS = {"[": TURN, "]": -TURN}
 
-NEAR = 0.015
-"""Landmarks are at the surface: one of a file that is farther away than this, m, is of another image or space."""
+NEAR, TYPICAL = 0.030, 0.006
+"""Landmarks of a file are at the surface, or they are of another image or space: so far away is none, and half of them
+nearer than this, m. A surface may lack a nose; a head turned about has none of them far off."""
 DEEPEST = 0.080
 """No target for a coil lies deeper below the scalp, m."""
 
@@ -67,9 +68,16 @@ class Draft:
         """Plans the landmarks of a file, (N, 3), in place of those there were.
 
         Raises:
-            GeometryError: One is not at the surface: then none is taken.
+            GeometryError: They are not at the surface, or two have one name: then none is taken.
         """
-        self._check_near(names, points, NEAR)
+        distances = self._check_near(names, points, NEAR)
+        if not np.median(distances) <= TYPICAL:
+            middle = float(np.median(distances))
+            text = (
+                f"Half of the landmarks are {middle * 1000:.0f} mm or more from the surface; the limit is "
+                f"{TYPICAL * 1000:g} mm. Does the file declare the right space, LPS or RAS, and is it of this image?"
+            )
+            raise GeometryError(text, value=middle, limit=TYPICAL)
         found = Draft()
         for name, point in zip(names, points, strict=True):
             found.add_landmark(point, name)
@@ -166,9 +174,10 @@ class Draft:
             raise GeometryError("There is no surface to plan on: load one, or set procedure.body.surface.")
         return self.surface
 
-    def _check_near(self, names: Sequence[str], points: Floats, limit: float) -> None:
+    def _check_near(self, names: Sequence[str], points: Floats, limit: float) -> Floats:
+        """Distances of points (N, 3) from the surface, m, (N,). Raises `GeometryError` for one beyond a limit."""
         nearest, _ = self._surface().closest(points)
-        distances = np.linalg.norm(nearest - points, axis=1)
+        distances: Floats = np.linalg.norm(nearest - points, axis=1)
         worst = int(distances.argmax())
         if not distances[worst] <= limit:
             text = (
@@ -176,6 +185,7 @@ class Draft:
                 "mm. Is it a point of this image, in its space (RAS or LPS) and unit?"
             )
             raise GeometryError(text, name=names[worst], value=float(distances[worst]), limit=limit)
+        return distances
 
 
 def as_arguments(pose: Transform) -> dict[str, Any]:
