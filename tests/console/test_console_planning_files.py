@@ -15,7 +15,7 @@ from pcmrs.console.planning import files
 from pcmrs.console.planning.files import read_points, read_surface
 from pcmrs.errors import FileFormatError
 
-BALL = trimesh.creation.icosphere(subdivisions=2, radius=90.0)
+BALL = trimesh.creation.icosphere(subdivisions=4, radius=90.0)
 
 
 def markups(path: Path, **changed: Any) -> Path:

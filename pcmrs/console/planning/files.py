@@ -55,25 +55,21 @@ async def read_points(path: Path) -> Landmarks:
 
 async def _apart(function: Callable[..., T], path: Path, *arguments: Any) -> T:
     """Calls a function in a process of its own, which ends with the call. Raises `PcmrsError`."""
-    spawning, loop, told = get_context("spawn"), asyncio.get_running_loop(), asyncio.Event()
+    spawning = get_context("spawn")
     ours, theirs = spawning.Pipe(duplex=False)
     process = spawning.Process(target=_tell, args=(theirs, function, path, *arguments), daemon=True)
     process.start()
     theirs.close()
-    loop.add_reader(ours.fileno(), told.set)
     try:
         async with asyncio.timeout(PATIENCE):
-            await told.wait()
-        found: T | PcmrsError = ours.recv()
+            found: T | PcmrsError = await asyncio.to_thread(ours.recv)
     except TimeoutError:
         refuse(path, f"took more than {PATIENCE:g} s to read; give a smaller one.", limit=PATIENCE)
     except EOFError:
         refuse(path, "ended the process that read it, perhaps for want of memory; give a smaller one.")
     finally:
-        loop.remove_reader(ours.fileno())
-        process.kill()
+        process.kill()  # which ends the thread, too
         process.join()
-        ours.close()
     if isinstance(found, PcmrsError):
         raise found
     return found

@@ -79,13 +79,19 @@ class UploadForm:
             return
         self._busy.set_visibility(True)
         self._say(self._editing.texts("file_read"), good=True)
-        with TemporaryDirectory(prefix="pcmrs-console-") as folder:
-            try:
-                await self._use(await _stored(event.files, Path(folder)))
-            except (PcmrsError, OSError) as error:
-                text = error.text if isinstance(error, PcmrsError) else str(error)
-                self._say(text.replace(f"{folder}/", "").replace(folder, self._editing.texts("files")), good=False)
-        self._busy.set_visibility(False)
+        try:
+            with TemporaryDirectory(prefix="pcmrs-console-") as folder:
+                await self._use_in(Path(folder), event.files)
+        finally:
+            self._busy.set_visibility(False)
+
+    async def _use_in(self, folder: Path, files: Sequence[FileUpload]) -> None:
+        """Takes files by way of a folder; what is refused is told without that."""
+        try:
+            await self._use(await _stored(files, folder))
+        except (PcmrsError, OSError) as error:
+            text = error.text if isinstance(error, PcmrsError) else str(error)
+            self._say(text.replace(f"{folder}/", "").replace(str(folder), self._editing.texts("files")), good=False)
 
     async def _use(self, path: Path) -> None:
         """Takes a file for what it was said to be for. Raises `PcmrsError`; then nothing has changed."""
