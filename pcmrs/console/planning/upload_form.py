@@ -40,13 +40,13 @@ class UploadForm:
         self._client = ui.context.client
         texts = editing.texts
         with ui.expansion(texts("files")).classes("w-full").props('dense data-testid="files"'):
+            self._role = ui.toggle({role: texts(name) for role, name in ROLES.items()}, value="surface")
+            self._role.props("dense no-caps size=sm").props('data-testid="file-role"')
             with ui.row().classes("items-center gap-1"):
-                self._role = ui.select({role: texts(name) for role, name in ROLES.items()}, value="surface")
                 self._unit = ui.select(["mm", "m"], value="mm", label=texts("unit"))
                 self._space = ui.select(["RAS", "LPS"], value="RAS", label=texts("space"))
                 self._threshold = ui.number(texts("threshold"), placeholder="Otsu")
             for field, name in (
-                (self._role, "role"),
                 (self._unit, "unit"),
                 (self._space, "space"),
                 (self._threshold, "threshold"),
