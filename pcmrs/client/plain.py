@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pcmrs.bus import Credentials
 from pcmrs.bus.keys import KeyTable
 from pcmrs.client.aio import Client, Event
-from pcmrs.messages import Snapshot, Verdict
+from pcmrs.messages import Prospect, Snapshot, Verdict
 from pcmrs.messages.health import Health
 from pcmrs.messages.identity import LOCAL
 from pcmrs.messages.setup import Gathered, Setup
@@ -62,6 +62,10 @@ class PlainClient:
     ) -> Verdict:
         """Asks for an operation and waits for its outcome; see `Client.call`."""
         return self._portal.call(partial(self._client.call, name, arguments, id=id, timeout=timeout))
+
+    def check(self, name: str, arguments: Mapping[str, Any] | None = None) -> Prospect:
+        """What would be said to an operation now; see `Client.check`."""
+        return self._portal.call(partial(self._client.check, name, arguments or {}))
 
     def stop(self) -> None:
         """Stops every motion; see `Client.stop`."""
