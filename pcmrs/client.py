@@ -20,7 +20,16 @@ from pcmrs.bus.settings import SECURED
 from pcmrs.bus.stop import Stopping
 from pcmrs.clock import SystemClock
 from pcmrs.errors import BusError, CommandRefusedError, DeviceError, PayloadError, UnknownOutcomeError
-from pcmrs.messages import DeviceEvent, DeviceReply, DeviceRequest, Snapshot, TeleopSetpoint, Verdict
+from pcmrs.messages import (
+    DeviceEvent,
+    DeviceReply,
+    DeviceRequest,
+    JournalPage,
+    JournalQuery,
+    Snapshot,
+    TeleopSetpoint,
+    Verdict,
+)
 from pcmrs.messages.health import Health
 from pcmrs.messages.identity import LOCAL
 from pcmrs.messages.setup import Gathered, Setup
@@ -170,6 +179,14 @@ class Client:
             UnknownOutcomeError: The daemon did not answer within `timeout` (s).
         """
         return await self._bus.request("svc/data", Empty(), Gathered, timeout or self._patience)
+
+    async def journal(self, query: JournalQuery, timeout: float | None = None) -> JournalPage:
+        """Rows of the journal; operators and viewers may ask.
+
+        Raises:
+            UnknownOutcomeError: The daemon did not answer within `timeout` (s).
+        """
+        return await self._bus.request("svc/journal", query, JournalPage, timeout or self._patience)
 
     async def stop(self, timeout: float | None = None) -> None:
         """Stops every motion: told to all listeners at once, and returns when the daemon has begun.

@@ -31,6 +31,12 @@ from pcmrs.files import read_secret
     metavar="FILE",
     help="The token to use, in a file that only you may read; a new one at every start without it.",
 )
+@click.option(
+    "--recordings",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    metavar="FOLDER",
+    help="Lets the recordings in it be looked at, as those in the cell's folder.",
+)
 @click.option("--language", type=click.Choice(["en", "de"]), default="en", show_default=True)
 @json_option
 @address_options
@@ -40,6 +46,7 @@ def console(
     port: int,
     names: tuple[str, ...],
     token_file: Path | None,
+    recordings: Path | None,
     language: str,
     as_json: bool,
     address: Address,
@@ -66,4 +73,4 @@ def console(
         click.echo(msgspec.json.encode({"url": url}).decode() if as_json else f"open {url}")
         sys.stdout.flush()
 
-    run(serve_console(address.connect, Place(host, port, names), token, language, ready))
+    run(serve_console(address.connect, Place(host, port, names), token, language, ready, recordings))

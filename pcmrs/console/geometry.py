@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from pcmrs.messages import BodyPose
 from pcmrs.messages.setup import ArmShown, Gathered, Setup, SurfaceShown
@@ -38,6 +39,23 @@ def as_stl(vertices: Floats, faces: npt.NDArray[np.int64]) -> bytes:
     from trimesh.exchange.stl import export_stl
 
     return export_stl(Trimesh(vertices, faces, process=False))
+
+
+def as_zone(vertices: Floats, margin: float) -> bytes:
+    """What the arm keeps out of around corners (V, 3), m: all within `margin` of their convex hull, as binary STL."""
+    from trimesh.convex import convex_hull
+    from trimesh.creation import icosphere
+    from trimesh.exchange.stl import export_stl
+
+    around = np.asarray(icosphere(subdivisions=1, radius=margin).vertices) if margin > 0.0 else np.zeros((1, 3))
+    corners = np.asarray(convex_hull(vertices).vertices)
+    return export_stl(convex_hull((corners[:, None] + around).reshape(-1, 3)))
+
+
+def along(axis: Floats) -> Floats:
+    """A rotation (3, 3) that takes y to a unit vector (3,)."""
+    rotation, _ = Rotation.align_vectors([axis], [[0.0, 1.0, 0.0]])
+    return np.asarray(rotation.as_matrix())
 
 
 class Arm:

@@ -24,7 +24,6 @@ from pcmrs.messages import (
 )
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import Gathered, Setup
-from pcmrs.service.showing import gathered
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 
@@ -62,6 +61,7 @@ def answer_queries(
     journal: JournalReader,
     health: Callable[[], Health],
     setup: Callable[[], Setup],
+    gathered: Callable[[], Gathered],
 ) -> None:
     """Serves the read-only queries below ``svc/``; `setup` reads a file."""
 
@@ -75,7 +75,7 @@ def answer_queries(
         return health()
 
     async def data(_key: str, _request: Empty) -> Gathered:
-        return gathered(dispatcher.procedure.data)
+        return gathered()
 
     async def laid_out(key: str, _request: Empty) -> Setup:
         user = key.rpartition("/")[2]
@@ -96,5 +96,7 @@ def answer_queries(
 def _journal_page(path: Path, query: JournalQuery) -> JournalPage:
     """Reads by a connection of its own, since it runs beside the event loop."""
     rows = max(1, min(query.limit, LARGEST_PAGE))
+    last = None if query.before is None else rows
     with JournalReader(path) as journal:
-        return JournalPage(rows=[msgspec.to_builtins(row) for row in journal.read(after=query.after, first=rows)])
+        found = journal.read(after=query.after, before=query.before, first=rows, last=last)
+        return JournalPage(rows=[msgspec.to_builtins(row) for row in found])

@@ -27,7 +27,7 @@ def test_every_language_has_every_text_with_the_same_values() -> None:
 
 
 def test_the_page_uses_every_text_and_no_other() -> None:
-    source = "".join(file.read_text(encoding="utf-8") for file in CONSOLE.glob("*.py"))
+    source = "".join(file.read_text(encoding="utf-8") for file in CONSOLE.rglob("*.py"))
     named = set(re.findall(r"""["'](\w+)["']""", source))
     assert TEXTS["en"].keys() <= named
     assert set(re.findall(r'texts\(\s*"(\w+)"', source)) <= TEXTS["en"].keys()
