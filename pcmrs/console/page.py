@@ -32,7 +32,7 @@ STYLE = """
 .state-chart svg { max-width: 100%; height: auto; }
 .replay { background: repeating-linear-gradient(135deg, #ede7f6 0 18px, #d1c4e9 18px 36px); min-height: 52px; }
 .nicegui-content { height: calc(100vh - 64px); flex-wrap: nowrap; overflow: hidden; }
-.q-splitter__panel { height: 100%; }
+.halves { flex: 1 1 0; min-height: 0; }
 .left-panels { flex: 1 1 0; min-height: 0; }
 .left-panels .q-tab-panel { height: 100%; overflow: auto; }
 @media (pointer: coarse) { .q-btn, .q-tab, .q-checkbox { min-height: 44px; min-width: 44px; } }
@@ -75,7 +75,7 @@ class Page:
         if playback is not None:
             name, shown = playback
             ReplayBar(shown, name, texts)
-        with ui.splitter(value=56).classes("w-full col-grow").style("min-height: 0") as halves:
+        with ui.splitter(value=56).classes("w-full halves") as halves:
             with halves.before, ui.column().classes("w-full h-full gap-0 no-wrap"):
                 self._left(surfaces)
             with halves.after, ui.column().classes("w-full gap-0 q-pa-xs"):
@@ -90,7 +90,9 @@ class Page:
         texts = self._texts
         with ui.header().classes("items-center no-wrap q-py-none gap-2 bg-blue-grey-10").style("height: 64px"):
             stop = ui.button(f"{texts('stop')} ({texts('stop_key')})", on_click=self._asking.stop, color="red-9")
-            stop.props("size=md no-caps unelevated").classes("text-weight-bold whitespace-nowrap").style("min-height: 48px")
+            stop.props("size=md no-caps unelevated").classes("text-weight-bold whitespace-nowrap").style(
+                "min-height: 48px"
+            )
             stop.props('data-testid="stop"')
             self._latched = ui.badge(texts("latched"), color="red-9").props('data-testid="latched"')
             with ui.column().classes("gap-0").style("min-width: 0"):

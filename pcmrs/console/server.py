@@ -69,7 +69,7 @@ async def serve_console(
     feed = Feed(dial)
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     _build(app, feed, language, Recordings(recordings))
-    ui.run_with(app, title="PCMRS", show_welcome_message=False, reconnect_timeout=30.0)
+    ui.run_with(app, title="PCMRS", show_welcome_message=False, reconnect_timeout=60.0)
     listening = _listen(place)
     host, port = listening.getsockname()[:2]
     guarded = Guard(app, token, {f"{name}:{port}" for name in (host, "127.0.0.1", "localhost")} | {*place.names})

@@ -83,7 +83,7 @@ def answer_queries(
         return msgspec.structs.replace(shown, user=user, role=bus.settings.role_of(user))
 
     async def page(_key: str, query: JournalQuery) -> JournalPage:
-        return await asyncio.to_thread(_journal_page, journal.path, query)
+        return await asyncio.to_thread(journal_page, journal.path, query)
 
     bus.serve("svc/snapshot", Empty, snapshot)
     bus.serve("svc/setup/*", Empty, laid_out)
@@ -93,7 +93,7 @@ def answer_queries(
     bus.serve("svc/journal", JournalQuery, page)
 
 
-def _journal_page(path: Path, query: JournalQuery) -> JournalPage:
+def journal_page(path: Path, query: JournalQuery) -> JournalPage:
     """Reads by a connection of its own, since it runs beside the event loop."""
     rows = max(1, min(query.limit, LARGEST_PAGE))
     last = None if query.before is None else rows

@@ -60,12 +60,12 @@ class MotionPanel:
 
 
 def _chart(title: str) -> ui.echart:
-    axis = {"type": "value", "min": 0, "axisLine": {"onZero": False}}
+    axis = {"type": "value", "min": 0, "axisLine": {"onZero": False}, "nameGap": 8}
     return ui.echart(
         {
             "animation": False,
             "title": {"text": title, "textStyle": {"fontSize": 13}, "left": 0},
-            "grid": {"left": 45, "right": 45, "top": 45, "bottom": 20},
+            "grid": {"left": 45, "right": 45, "top": 50, "bottom": 20},
             "legend": {"top": 0, "right": 0},
             "xAxis": {"type": "value", "min": -SHOWN, "max": 0},
             "yAxis": [{**axis, "name": "mm"}, {**axis, "name": "°", "splitLine": {"show": False}}],
