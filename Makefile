@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 WORKFLOW := ratms
 INSTALLED := $(VENV)/installed.stamp
 
-.PHONY: help install demo test mutants tools browser lint lock clean
+.PHONY: help install demo test mutants tools browser screenshots lint lock clean
 
 help: ## List these targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  make \1\t\2/p' Makefile
@@ -30,6 +30,9 @@ tools: ## Install what faults are injected with (Debian packages, as root); with
 
 browser: ## Install the browser that the console is tested in (Debian packages, as root); without it those tests are skipped
 	apt-get install --yes --no-install-recommends chromium
+
+screenshots: install ## Take the pictures of the console that docs/console.md shows; needs `make browser`
+	$(BIN)/python tests/console/screenshots.py docs/pictures
 
 lint: install ## Check style, format, types and import contracts
 	$(BIN)/ruff check

@@ -9,7 +9,8 @@ from pcmrs.console.geometry import residuals
 from pcmrs.console.scene import BOX, GOOD, OPEN, POOR, SKIN, SURFACE, show
 from pcmrs.console.surfaces import ZONE, Surfaces
 from pcmrs.console.told import Told
-from pcmrs.messages.setup import Setup
+from pcmrs.messages import PoseMessage
+from pcmrs.messages.setup import LandmarkShown, Setup
 from pcmrs.spatial import Transform
 from pcmrs.workflows.data import as_transform
 
@@ -29,7 +30,7 @@ class BodyShown:
 
     def __init__(self, scene: ui.scene, told: Told, setup: Setup, surfaces: Surfaces) -> None:
         self._scene, self._told, self._setup, self._surfaces = scene, told, setup, surfaces
-        self._version = -1
+        self._drawn: tuple[list[LandmarkShown], PoseMessage | None] = ([], None)
         self._landmarks: list[Object3D] = []
         self._plain: Object3D | None = None
         self._zone: Object3D | None = None
@@ -53,8 +54,9 @@ class BodyShown:
         show(self._reference, base_from_body_ref)
         if self._zone is not None:
             self._zone.visible(zone)
-        if self._told.version != self._version:
-            self._version = self._told.version
+        data = self._told.data
+        if (data.landmarks, data.body_ref_from_image) != self._drawn:
+            self._drawn = data.landmarks, data.body_ref_from_image
             self._draw_landmarks()
         return image
 

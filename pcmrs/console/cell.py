@@ -50,7 +50,7 @@ class CellPanel:
                 self._wanted = {name: ui.checkbox(texts(name), value=True) for name in ("zones", "tracker")}
                 self._error = ui.checkbox(texts("predicted_error")).props('data-testid="predicted-error"')
                 self._legend(texts)
-        scene.move_camera(1.5, -1.0, 0.9, 0.35, 0.0, 0.3, duration=0.0)
+        scene.move_camera(1.3, 1.0, 0.85, 0.4, 0.0, 0.3, duration=0.0)
         ui.timer(1.0 / RATE, self._follow)
         ui.timer(0.5, self._colour)
 

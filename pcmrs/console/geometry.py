@@ -13,6 +13,11 @@ from pcmrs.messages.setup import ArmShown, Gathered, Setup, SurfaceShown
 from pcmrs.spatial import Floats, Transform, distance, rotation_angle
 from pcmrs.workflows.data import as_transform
 
+SHIFTED, TURNED = 0.02, 0.01
+"""Farther than noise would have it, m and rad: the tracker was moved."""
+SHARE = 0.05
+"""Of a new sight of the tracker's stand in what is believed of it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Placement:
@@ -106,8 +111,18 @@ class Sight:
         """Takes the present joints, rad, (n,), and pose of the tool; returns `Arm.frames`."""
         frames = self.arm.frames(positions)
         if coil is not None and coil.valid and not moving:
-            self.base_from_tracker = frames[-1] @ self._flange_from_coil @ as_transform(coil).inverse()
+            self._stand(frames[-1] @ self._flange_from_coil @ as_transform(coil).inverse())
         return frames
+
+    def _stand(self, found: Transform) -> None:
+        """Takes in where the tracker seems to stand: over its distance the noise of an angle is millimetres."""
+        kept = self.base_from_tracker
+        if kept is None or distance(kept, found) > SHIFTED or rotation_angle(kept, found) > TURNED:
+            self.base_from_tracker = found
+            return
+        rest = kept.inverse() @ found
+        turn = SHARE * Rotation.from_matrix(rest.rotation).as_rotvec()
+        self.base_from_tracker = kept @ Transform.from_rotvec(SHARE * rest.translation, turn)
 
     def in_base(self, body: BodyPose | None) -> Transform | None:
         """Where a body is that the tracker sees."""

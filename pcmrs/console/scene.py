@@ -17,10 +17,17 @@ AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]).T
 """The tool's axes from those of a cylinder of the scene, whose axis is y."""
 
 
+STILL, STRAIGHT = 2e-4, 1e-3
+"""What moves by less, m, or turns by less, rad, stays where it is shown: noise of the tracker would keep a browser busy
+that draws for nobody's eye."""
+
+
 def put(shape: Object3D, pose: Transform) -> None:
-    """Puts a shape at a pose; says nothing to the page where it is there already."""
-    x, y, z = np.round(pose.translation, 5).tolist()
-    shape.move(x, y, z).rotate_R(np.round(pose.rotation, 5).tolist())
+    """Puts a shape at a pose; says nothing to the page where it is about there already."""
+    if np.abs(pose.translation - (shape.x, shape.y, shape.z)).max() > STILL:
+        shape.move(*np.round(pose.translation, 5).tolist())
+    if np.abs(pose.rotation - np.array(shape.R)).max() > STRAIGHT:
+        shape.rotate_R(np.round(pose.rotation, 5).tolist())
 
 
 def show(shape: Object3D, pose: Transform | None) -> None:

@@ -27,6 +27,9 @@ from pcmrs.fsm import Blueprint, parse_blueprint
 
 LARGEST = 2**20
 """Bytes of a message of a browser."""
+AWAY, REMEMBERED = 60.0, 10_000
+"""A page that was cut off for so long, s, and missed no more messages, goes on; later it is loaded anew, and forgets
+what was planned on it and not sent."""
 ENDING_TIME = 1
 """Open pages keep the server so long from ending, s."""
 
@@ -69,13 +72,20 @@ async def serve_console(
     feed = Feed(dial)
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     _build(app, feed, language, Recordings(recordings))
-    ui.run_with(app, title="PCMRS", show_welcome_message=False, reconnect_timeout=60.0)
+    ui.run_with(
+        app, title="PCMRS", show_welcome_message=False, reconnect_timeout=AWAY, message_history_length=REMEMBERED
+    )
     listening = _listen(place)
     host, port = listening.getsockname()[:2]
     guarded = Guard(app, token, {f"{name}:{port}" for name in (host, "127.0.0.1", "localhost")} | {*place.names})
     server = _Server(
         uvicorn.Config(
-            guarded, log_level="warning", access_log=False, ws_max_size=LARGEST, timeout_graceful_shutdown=ENDING_TIME
+            guarded,
+            log_level="warning",
+            access_log=False,
+            ws_max_size=LARGEST,
+            ws_ping_interval=None,  # the page has pings of its own, which are more patient
+            timeout_graceful_shutdown=ENDING_TIME,
         )
     )
     async with asyncio.TaskGroup() as group:

@@ -10,7 +10,7 @@ from nicegui.elements.scene.scene_object3d import Object3D
 
 from pcmrs.console.colours import BLUE, GREY, SKY
 from pcmrs.console.geometry import Sight, along
-from pcmrs.console.scene import put, show
+from pcmrs.console.scene import STILL, put, show
 from pcmrs.console.texts import Texts
 from pcmrs.console.told import Told
 from pcmrs.messages.setup import Setup, SliceShown
@@ -104,6 +104,7 @@ def _stretch(line: Object3D, start: Floats, end: Floats) -> None:
     """Lays a cylinder of length 1 m between two points, (3,) each."""
     length = float(np.linalg.norm(end - start))
     if length > 0.0:
-        line.scale(1.0, round(length, 4), 1.0)
+        if abs(length - line.sy) > STILL:
+            line.scale(1.0, round(length, 4), 1.0)
         put(line, Transform(along((end - start) / length), (start + end) / 2.0))
         line.visible(True)
