@@ -10,7 +10,7 @@ WORKFLOW := ratms
 INSTALLED := $(VENV)/installed.stamp
 EXTRAS := sim hardware console imaging ros2 docs dev
 
-.PHONY: help install demo test mutants tools browser docs lint lock clean
+.PHONY: help install demo test mutants tools browser screenshots docs lint lock clean
 
 help: ## List these targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  make \1\t\2/p' Makefile
@@ -35,6 +35,9 @@ browser: ## Install the browser that the console is tested in (Debian packages, 
 
 docs: install ## Build the documentation into site/, strictly: a broken link fails
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+screenshots: install ## Take the pictures of the console that docs/console.md shows; needs `make browser`
+	$(BIN)/python tests/console/screenshots.py docs/pictures
 
 lint: install ## Check style, format, types and import contracts
 	$(BIN)/ruff check

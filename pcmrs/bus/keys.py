@@ -96,7 +96,7 @@ KEYS = [
     _row(
         "svc/journal",
         "query",
-        '{"after"?, "limit"?} -> JournalPage',
+        '{"after"?, "before"?, "limit"?} -> JournalPage',
         "What was decided, a page at a time.",
         ("operator", "viewer", "daemon"),
     ),

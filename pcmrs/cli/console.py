@@ -20,6 +20,7 @@ from pcmrs.cli.running import readable_errors, run
 from pcmrs.console.settings import TOKEN
 from pcmrs.errors import ConfigurationError
 from pcmrs.files import read_secret
+from pcmrs.recording.settings import FOLDER
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the web server.
@@ -43,6 +44,12 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="The token to use, in a file that only you may read; a new one at every start without it.",
 )
+@click.option(
+    "--recordings",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    metavar="FOLDER",
+    help="Lets the recordings in it be looked at, as those in the cell's folder.",
+)
 @click.option("--language", type=click.Choice(["en", "de"]), default="en", show_default=True)
 @click.option("--lifeline", is_flag=True, hidden=True, help="Read the configuration from standard input; end with it.")
 @json_option
@@ -53,6 +60,7 @@ def console(
     port: int,
     names: tuple[str, ...],
     token_file: Path | None,
+    recordings: Path | None,
     language: str,
     lifeline: bool,
     as_json: bool,
@@ -77,7 +85,7 @@ def console(
         os.nice(NICENESS)
         settings = settings_from_daemon()
         port, language, token_file = settings.console.port, settings.console.language, settings.cell.path() / TOKEN
-        address = _address(settings)
+        recordings, address = settings.cell.path() / FOLDER, _address(settings)
     address.credentials()  # what cannot be used is said before anything is served
     token = secrets.token_urlsafe(24) if token_file is None else read_secret(token_file).decode().strip()
 
@@ -85,7 +93,7 @@ def console(
         click.echo(msgspec.json.encode({"url": url}).decode() if as_json else f"open {url}")
         sys.stdout.flush()
 
-    run(_serve(address, Place(host, port, names), token, language, ready, lifeline=lifeline))
+    run(_serve(address, Place(host, port, names), token, language, ready, recordings, lifeline=lifeline))
 
 
 def _address(settings: Settings) -> Address:
@@ -95,7 +103,14 @@ def _address(settings: Settings) -> Address:
 
 
 async def _serve(
-    address: Address, place: Place, token: str, language: str, ready: Callable[[str], None], *, lifeline: bool
+    address: Address,
+    place: Place,
+    token: str,
+    language: str,
+    ready: Callable[[str], None],
+    recordings: Path | None,
+    *,
+    lifeline: bool,
 ) -> None:
     from pcmrs.console.server import serve_console
     from pcmrs.node import when_input_ends
@@ -105,4 +120,4 @@ async def _serve(
         loop.add_signal_handler(number, ended.set)
     if lifeline:
         when_input_ends(ended.set)
-    await serve_console(address.connect, place, token, language, ready, ended)
+    await serve_console(address.connect, place, token, language, ready, ended, recordings)

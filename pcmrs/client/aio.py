@@ -25,6 +25,8 @@ from pcmrs.messages import (
     DeviceEvent,
     DeviceReply,
     DeviceRequest,
+    JournalPage,
+    JournalQuery,
     Prospect,
     Question,
     Snapshot,
@@ -208,6 +210,14 @@ class Client:
         branch, _, operation = name.partition(".")
         question = Question(branch=branch, operation=operation, arguments=dict(arguments))
         return await self._bus.request(f"svc/check/{self._user}", question, Prospect, timeout or self._patience)
+
+    async def journal(self, query: JournalQuery, timeout: float | None = None) -> JournalPage:
+        """Rows of the journal; operators and viewers may ask.
+
+        Raises:
+            UnknownOutcomeError: The daemon did not answer within `timeout` (s).
+        """
+        return await self._bus.request("svc/journal", query, JournalPage, timeout or self._patience)
 
     async def stop(self, timeout: float | None = None) -> None:
         """Stops every motion: told to all listeners at once, and returns when the daemon has begun.

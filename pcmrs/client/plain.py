@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pcmrs.bus import Credentials
 from pcmrs.bus.keys import KeyTable
 from pcmrs.client.aio import Client, Event
-from pcmrs.messages import Prospect, Snapshot, Verdict
+from pcmrs.messages import JournalPage, JournalQuery, Prospect, Snapshot, Verdict
 from pcmrs.messages.health import Health
 from pcmrs.messages.identity import LOCAL
 from pcmrs.messages.setup import Gathered, Setup
@@ -94,6 +94,10 @@ class PlainClient:
     def gathered(self) -> Gathered:
         """Landmarks, digitization, registration and plan so far; see `Client.gathered`."""
         return self._portal.call(self._client.gathered)
+
+    def journal(self, query: JournalQuery) -> JournalPage:
+        """Rows of the journal; see `Client.journal`."""
+        return self._portal.call(partial(self._client.journal, query))
 
     @contextmanager
     def holding(self, *, over: bool = False) -> Iterator[None]:

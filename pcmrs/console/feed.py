@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, aclosing, suppress
 
 from pcmrs.client import Client, Event
 from pcmrs.clock import SystemClock
+from pcmrs.console.history import HISTORIANS, History
+from pcmrs.console.told import Told
 from pcmrs.errors import CommandRefusedError, PcmrsError, UnknownOutcomeError
-from pcmrs.messages import BodyPose, DeviceEvent, JointState, Snapshot, Verdict
-from pcmrs.messages.setup import Gathered, Setup
+from pcmrs.messages import BodyPose, JointState, Snapshot
+from pcmrs.messages.health import Health
+from pcmrs.messages.setup import Setup
 
 DIALLED_AGAIN = 1.0
 """Between two tries to reach the daemon, s."""
@@ -19,14 +21,11 @@ LOOKED_AFTER = 2.0
 """So often it is asked whether it is still there, s."""
 RENEWED = 1.0
 """Between two renewals of the lease, s."""
-EVENTS = 500
-"""So many of the newest decisions and events are kept."""
-
 Dial = Callable[[], AbstractAsyncContextManager[Client]]
 
 
-class Feed:
-    """The newest of everything.
+class Feed(Told):
+    """The newest of everything, as it comes.
 
     Args:
         dial: Reaches the daemon.
@@ -35,15 +34,12 @@ class Feed:
         client: None while the daemon is not there.
         trouble: Why not.
         setup: Of the cell, from the last time it was reached.
-        snapshot: None before the first.
-        data: What the procedure had gathered at the last snapshot.
-        poses: By body.
-        heard: When joints and bodies were heard last, s of this machine's monotonic clock.
-        events: Decisions and device events, oldest first.
-        version: Grows with everything that changes what a page says in words.
+        health: What the daemon found of itself when it was asked last; None while it does not answer.
+        history: The journal, as far as it was read.
     """
 
     def __init__(self, dial: Dial) -> None:
+        super().__init__()
         self._dial = dial
         self._clock = SystemClock()
         self._renewed = asyncio.Event()
@@ -51,13 +47,12 @@ class Feed:
         self.client: Client | None = None
         self.trouble = "The daemon has not been reached yet."
         self.setup: Setup | None = None
-        self.snapshot: Snapshot | None = None
-        self.data = Gathered(landmarks=[])
-        self.joints: JointState | None = None
-        self.poses: dict[str, BodyPose] = {}
-        self.heard: dict[str, float] = {}
-        self.events: deque[tuple[float, Verdict | DeviceEvent]] = deque(maxlen=EVENTS)
-        self.version = 0
+        self.health: Health | None = None
+        self.history = History()
+
+    @property
+    def now(self) -> float:
+        return self._clock.monotonic()
 
     async def run(self) -> None:
         """Keeps up with the cell until it is cancelled."""
@@ -67,7 +62,7 @@ class Feed:
                     await self._keep_up(client)
             except* PcmrsError as errors:
                 self.trouble = "; ".join(error.text for error in errors.exceptions if isinstance(error, PcmrsError))
-            self.client = None
+            self.client = self.health = None
             self.version += 1
             await self._clock.sleep(DIALLED_AGAIN)
 
@@ -82,10 +77,6 @@ class Feed:
             raise UnknownOutcomeError(self.trouble)
         await self.client.lease(operation)
         self._holds = operation != "release"
-
-    def age(self, what: str) -> float | None:
-        """Seconds since a body or the joints were heard; None if never."""
-        return self._clock.monotonic() - self.heard[what] if what in self.heard else None
 
     async def _keep_up(self, client: Client) -> None:
         self.setup = await client.setup()
@@ -107,14 +98,14 @@ class Feed:
         """Raises `UnknownOutcomeError` when the daemon has fallen silent twice."""
         silent = False
         while True:
-            await self._clock.sleep(LOOKED_AFTER)
             try:
-                await client.state()
+                self.health = await client.health()
                 silent = False
             except UnknownOutcomeError:
                 if silent:
                     raise
-                silent = True
+                self.health, silent = None, True
+            await self._clock.sleep(LOOKED_AFTER)
 
     async def _renew(self, client: Client) -> None:
         while True:
@@ -125,25 +116,28 @@ class Feed:
                     await client.lease("renew")
 
     async def _gather(self, client: Client) -> None:
-        """Asks for what was gathered whenever the state has changed."""
+        """Asks for what was gathered, and for what was journalled, whenever the state has changed."""
+        may_read = self.setup is not None and self.setup.role in HISTORIANS
         while True:
             self._renewed.clear()
             self.data = await client.gathered()
+            if may_read:
+                await self.history.follow(client)
             self.version += 1
             await self._renewed.wait()
 
     def _take(self, event: Event) -> None:
         if isinstance(event, Snapshot):
             self.snapshot = event
-            self._renewed.set()
         else:
             self.events.append((self._clock.wall(), event))
+        self._renewed.set()
         self.version += 1
 
     def _take_joints(self, joints: JointState) -> None:
         self.joints = joints
-        self.heard["joints"] = self._clock.monotonic()
+        self.heard["joints"] = self.now
 
     def _take_pose(self, pose: BodyPose) -> None:
         self.poses[pose.body] = pose
-        self.heard[pose.body] = self._clock.monotonic()
+        self.heard[pose.body] = self.now

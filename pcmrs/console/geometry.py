@@ -6,11 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from pcmrs.messages import BodyPose
 from pcmrs.messages.setup import ArmShown, Gathered, Setup, SurfaceShown
 from pcmrs.spatial import Floats, Transform, distance, rotation_angle
 from pcmrs.workflows.data import as_transform
+
+SHIFTED, TURNED = 0.02, 0.01
+"""Farther than noise would have it, m and rad: the tracker was moved."""
+SHARE = 0.05
+"""Of a new sight of the tracker's stand in what is believed of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +44,23 @@ def as_stl(vertices: Floats, faces: npt.NDArray[np.int64]) -> bytes:
     from trimesh.exchange.stl import export_stl
 
     return export_stl(Trimesh(vertices, faces, process=False))
+
+
+def as_zone(vertices: Floats, margin: float) -> bytes:
+    """What the arm keeps out of around corners (V, 3), m: all within `margin` of their convex hull, as binary STL."""
+    from trimesh.convex import convex_hull
+    from trimesh.creation import icosphere
+    from trimesh.exchange.stl import export_stl
+
+    around = np.asarray(icosphere(subdivisions=1, radius=margin).vertices) if margin > 0.0 else np.zeros((1, 3))
+    corners = np.asarray(convex_hull(vertices).vertices)
+    return export_stl(convex_hull((corners[:, None] + around).reshape(-1, 3)))
+
+
+def along(axis: Floats) -> Floats:
+    """A rotation (3, 3) that takes y to a unit vector (3,)."""
+    rotation, _ = Rotation.align_vectors([axis], [[0.0, 1.0, 0.0]])
+    return np.asarray(rotation.as_matrix())
 
 
 class Arm:
@@ -88,8 +111,18 @@ class Sight:
         """Takes the present joints, rad, (n,), and pose of the tool; returns `Arm.frames`."""
         frames = self.arm.frames(positions)
         if coil is not None and coil.valid and not moving:
-            self.base_from_tracker = frames[-1] @ self._flange_from_coil @ as_transform(coil).inverse()
+            self._stand(frames[-1] @ self._flange_from_coil @ as_transform(coil).inverse())
         return frames
+
+    def _stand(self, found: Transform) -> None:
+        """Takes in where the tracker seems to stand: over its distance the noise of an angle is millimetres."""
+        kept = self.base_from_tracker
+        if kept is None or distance(kept, found) > SHIFTED or rotation_angle(kept, found) > TURNED:
+            self.base_from_tracker = found
+            return
+        rest = kept.inverse() @ found
+        turn = SHARE * Rotation.from_matrix(rest.rotation).as_rotvec()
+        self.base_from_tracker = kept @ Transform.from_rotvec(SHARE * rest.translation, turn)
 
     def in_base(self, body: BodyPose | None) -> Transform | None:
         """Where a body is that the tracker sees."""

@@ -7,21 +7,36 @@ from dataclasses import replace
 from nicegui import events, ui
 
 from pcmrs.console.asking import Asking
-from pcmrs.console.choices import Choices
+from pcmrs.console.cell import CellPanel
+from pcmrs.console.chart import ChartPanel
+from pcmrs.console.choices import Choice, Choices
 from pcmrs.console.feed import Feed
 from pcmrs.console.geometry import placement
 from pcmrs.console.planning.panel import PlanningPanel
-from pcmrs.console.scene import ScenePanel
-from pcmrs.console.signals import SignalsPanel
+from pcmrs.console.playback import Playback
+from pcmrs.console.recordings import Recordings
+from pcmrs.console.replaying import ReplayBar, choose_recording
+from pcmrs.console.signals.panel import SignalsPanel
+from pcmrs.console.surfaces import Surfaces
 from pcmrs.console.texts import Texts, languages
 from pcmrs.console.timeline import TimelinePanel
+from pcmrs.console.told import Told
 from pcmrs.console.workflow import WorkflowPanel
 from pcmrs.fsm import Blueprint
-from pcmrs.fsm.chart import svg
+from pcmrs.messages import Snapshot
 from pcmrs.messages.setup import Setup
 
 REFRESHED = 0.1
 """Between two looks at what has changed, s."""
+STYLE = """
+.state-chart svg { max-width: 100%; height: auto; }
+.replay { background: repeating-linear-gradient(135deg, #ede7f6 0 18px, #d1c4e9 18px 36px); min-height: 52px; }
+.nicegui-content { height: calc(100vh - 64px); flex-wrap: nowrap; overflow: hidden; }
+.halves { flex: 1 1 0; min-height: 0; }
+.left-panels { flex: 1 1 0; min-height: 0; }
+.left-panels .q-tab-panel { height: 100%; overflow: auto; }
+@media (pointer: coarse) { .q-btn, .q-tab, .q-checkbox { min-height: 44px; min-width: 44px; } }
+"""
 
 
 class Page:
@@ -32,99 +47,145 @@ class Page:
         setup: Of the cell.
         blueprint: Its workflow.
         texts: Of the page's language.
+        surfaces: Where it finds the body's surface.
+        recordings: To choose from.
+        playback: A recording and its name, to be shown in place of what the cell tells; nothing but Stop is sent then.
     """
 
-    def __init__(self, feed: Feed, setup: Setup, blueprint: Blueprint, texts: Texts) -> None:
+    def __init__(
+        self,
+        feed: Feed,
+        setup: Setup,
+        blueprint: Blueprint,
+        texts: Texts,
+        surfaces: Surfaces,
+        recordings: Recordings,
+        playback: tuple[str, Playback] | None = None,
+    ) -> None:
         self._feed, self._setup, self._blueprint, self._texts = feed, setup, blueprint, texts
+        self._told: Told = feed if playback is None else playback[1]
         self._asking, self._choices = Asking(feed, texts), Choices(blueprint)
-        self._version = -1
-        self._drawn: dict[str, str] = {}
+        self._versions = (-1, -1)
+        ui.add_css(STYLE)
+        ui.colors(primary="#0b5394")
+        ui.query(".nicegui-content").classes("p-0 gap-0")
         ui.keyboard(on_key=self._key, ignore=["input", "textarea"])
         self._header()
-        with ui.splitter(value=56).classes("w-full").style("height: calc(100vh - 64px)") as halves:
-            with halves.before, ui.column().classes("w-full h-full gap-0"):
-                self._left()
+        self._trouble = ui.label().classes("w-full bg-red-2 q-pa-sm").props('data-testid="trouble"')
+        if playback is not None:
+            name, shown = playback
+            ReplayBar(shown, name, texts)
+        with ui.splitter(value=56).classes("w-full halves") as halves:
+            with halves.before, ui.column().classes("w-full h-full gap-0 no-wrap"):
+                self._left(surfaces)
             with halves.after, ui.column().classes("w-full gap-0 q-pa-xs"):
-                self._right()
+                self._right(recordings)
         ui.timer(REFRESHED, self._refresh)
+
+    @property
+    def _is_replay(self) -> bool:
+        return self._told is not self._feed
 
     def _header(self) -> None:
         texts = self._texts
-        ui.query(".nicegui-content").classes("p-0")
-        ui.add_css(".state-chart svg { max-width: 100%; height: auto; }")
-        with ui.header().classes("items-center q-py-none bg-blue-grey-10").style("height: 64px"):
+        with ui.header().classes("items-center no-wrap q-py-none gap-2 bg-blue-grey-10").style("height: 64px"):
             stop = ui.button(f"{texts('stop')} ({texts('stop_key')})", on_click=self._asking.stop, color="red-9")
-            stop.props("size=md no-caps unelevated").classes("text-weight-bold").props('data-testid="stop"')
+            stop.props("size=md no-caps unelevated").classes("text-weight-bold whitespace-nowrap").style(
+                "min-height: 48px"
+            )
+            stop.props('data-testid="stop"')
             self._latched = ui.badge(texts("latched"), color="red-9").props('data-testid="latched"')
-            with ui.column().classes("gap-0"):
-                ui.label(self._blueprint.title or self._blueprint.id).classes("text-weight-bold")
+            with ui.column().classes("gap-0").style("min-width: 0"):
+                ui.label(self._blueprint.title or self._blueprint.id).classes("text-weight-bold ellipsis w-full")
                 signed = texts("signed_in", user=self._setup.user, role=self._setup.role)
                 simulated = f", {texts('simulated')}" if "sim" in self._setup.drivers.values() else ""
                 ui.label(f"{signed}{simulated}").classes("text-caption").props('data-testid="signed-in"')
-            self._lease = ui.label().classes("text-caption").props('data-testid="lease"')
-            self._holding = (
-                ui.button(on_click=self._hold).props("flat dense no-caps color=white").props('data-testid="hold"')
-            )
+            with ui.column().classes("gap-0 items-start"):
+                self._lease = ui.label().classes("text-caption").props('data-testid="lease"')
+                self._holding = ui.button(on_click=self._hold).props("flat dense no-caps color=white")
+                self._holding.props('data-testid="hold"')
             ui.space()
-            self._error = ui.label().classes("text-h6").props('data-testid="error"')
+            with ui.column().classes("gap-0 items-end"):
+                ui.label(texts("error_now")).classes("text-caption").style("line-height: 1")
+                self._error = ui.label().classes("text-h4 whitespace-nowrap").props('data-testid="error"')
             ui.space()
-            ui.label(texts("research")).classes("text-caption")
+            ui.label(texts("research")).classes("text-caption").style("max-width: 130px; line-height: 1.1")
             ui.toggle(list(languages()), value=texts.language, on_change=_in_language).props("dense size=sm").props(
                 'data-testid="language"'
             )
-        self._trouble = ui.label().classes("w-full bg-red-2 q-pa-sm").props('data-testid="trouble"')
 
-    def _left(self) -> None:
+    def _left(self, surfaces: Surfaces) -> None:
         texts = self._texts
         with ui.tabs().props("dense no-caps align=left") as tabs:
             ui.tab("scene", texts("scene"))
             ui.tab("chart", texts("chart"))
-        with ui.tab_panels(tabs, value="scene", animated=False, keep_alive=True).classes("w-full col-grow"):
-            with ui.tab_panel("scene").classes("p-0 h-full"):
-                self._scene = ScenePanel(self._feed, self._setup)
+        with ui.tab_panels(tabs, value="scene", animated=False, keep_alive=True).classes("w-full left-panels"):
+            with ui.tab_panel("scene").classes("p-0").style("overflow: hidden"):
+                CellPanel(self._told, self._setup, texts, surfaces)
             with ui.tab_panel("chart").classes("p-0"):
-                self._chart = ui.html("", sanitize=False).classes("w-full state-chart").props('data-testid="chart"')
+                self._chart = ChartPanel(self._blueprint)
 
-    def _right(self) -> None:
+    def _right(self, recordings: Recordings) -> None:
         texts, feed, setup = self._texts, self._feed, self._setup
+        names = ["workflow", "planning", "signals", "session"]
+        if self._is_replay:
+            names.remove("planning")
         with ui.tabs().props("dense no-caps align=left") as tabs:
-            for name in ("workflow", "planning", "signals", "session"):
+            for name in names:
                 ui.tab(name, texts(name)).props(f'data-testid="tab-{name}"')
+        self._planning: PlanningPanel | None = None
         with ui.tab_panels(tabs, value="workflow", animated=False, keep_alive=True).classes("w-full"):
             with ui.tab_panel("workflow").classes("p-1"):
-                self._workflow = WorkflowPanel(feed, setup, self._blueprint, texts, self._asking)
-            with ui.tab_panel("planning").classes("p-1"):
-                self._planning = PlanningPanel(feed, setup, self._blueprint, texts, self._asking)
+                self._workflow = WorkflowPanel(self._told, setup, self._blueprint, texts, self._asking)
+            if not self._is_replay:
+                with ui.tab_panel("planning").classes("p-1"):
+                    self._planning = PlanningPanel(feed, setup, self._blueprint, texts, self._asking)
             with ui.tab_panel("signals").classes("p-1"):
-                SignalsPanel(feed, texts)
+                SignalsPanel(feed, self._told, setup, texts, lambda: tabs.value == "signals")
             with ui.tab_panel("session").classes("p-1"):
-                self._timeline = TimelinePanel(feed, setup, texts)
+                choose_recording(recordings, texts)
+                self._timeline = TimelinePanel(feed, self._told, setup, texts)
+        self._right_tabs = tabs
+        tabs.on_value_change(self._timeline.refresh)
 
     def _refresh(self) -> None:
-        feed, texts = self._feed, self._texts
-        found = placement(feed.data, feed.poses.get("coil"), feed.poses.get("body_ref"))
-        self._error.set_text("" if found is None else f"{found.mm[0]:.2f} mm   {found.degrees:.2f}°")
-        if feed.version == self._version:
+        feed, told = self._feed, self._told
+        found = placement(told.data, told.poses.get("coil"), told.poses.get("body_ref"))
+        self._error.set_text(
+            self._texts("unknown") if found is None else f"{found.mm[0]:.2f} mm   {found.degrees:.2f}°"
+        )
+        if (feed.version, told.version) == self._versions:
             return
-        self._version = feed.version
+        self._versions = (feed.version, told.version)
         self._trouble.set_visibility(feed.client is None)
-        self._trouble.set_text(texts("unreachable", why=feed.trouble))
-        shown = feed.snapshot
+        self._trouble.set_text(self._texts("unreachable", why=feed.trouble))
+        self._show_holder(feed.snapshot)
+        shown = told.snapshot
         if shown is None:
             return
-        self._latched.set_visibility(shown.latched)
-        holder = None if shown.lease is None else shown.lease.holder
+        self._chart.refresh(shown)
+        choices = self._possible(shown)
+        self._workflow.refresh(shown, choices)
+        if self._planning is not None:
+            self._planning.refresh(choices)
+        if self._right_tabs.value == "session":
+            self._timeline.refresh()
+
+    def _show_holder(self, shown: Snapshot | None) -> None:
+        """Of the cell as it is now, whatever is shown otherwise: Stop goes there."""
+        self._latched.set_visibility(shown is not None and shown.latched)
+        holder = None if shown is None or shown.lease is None else shown.lease.holder
+        texts = self._texts
         self._lease.set_text(texts("nobody_holds") if holder is None else texts("holds", user=holder))
         self._holding.set_text(texts("release" if holder == self._setup.user else "take"))
-        if shown.branches != self._drawn:
-            self._drawn = dict(shown.branches)
-            self._chart.set_content(svg(self._blueprint, shown.branches))
+        self._holding.set_visibility(not self._is_replay)
+
+    def _possible(self, shown: Snapshot) -> dict[str, Choice]:
         choices = self._choices.all(shown, self._setup)
-        if feed.client is None:
-            choices = {name: replace(each, why_not=feed.trouble) for name, each in choices.items()}
-        self._workflow.refresh(shown, choices)
-        self._planning.refresh(choices)
-        self._timeline.refresh()
+        why_not = self._texts("only_replay") if self._is_replay else ""
+        if self._feed.client is None:
+            why_not = self._feed.trouble
+        return {name: replace(each, why_not=why_not or each.why_not) for name, each in choices.items()}
 
     async def _hold(self) -> None:
         shown = self._feed.snapshot
@@ -139,7 +200,7 @@ class Page:
             return
         if event.key.name == "Escape":
             await self._asking.stop()
-        else:
+        elif self._planning is not None:
             self._planning.key(event.key.name)
 
 

@@ -7,22 +7,28 @@ import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import uvicorn
-from fastapi import FastAPI, Response
+from fastapi import FastAPI
 from nicegui import ui
 
 from pcmrs.console.feed import Dial, Feed
-from pcmrs.console.geometry import as_stl, vertices_of
 from pcmrs.console.guard import Guard
 from pcmrs.console.page import Page
-from pcmrs.console.scene import SURFACE
+from pcmrs.console.playback import Playback
+from pcmrs.console.recordings import Recordings
+from pcmrs.console.replaying import refuse_recording, wait_for_recording
+from pcmrs.console.surfaces import Surfaces
 from pcmrs.console.texts import Texts
-from pcmrs.errors import BusError
+from pcmrs.errors import BusError, PcmrsError
 from pcmrs.fsm import Blueprint, parse_blueprint
 
 LARGEST = 2**20
 """Bytes of a message of a browser."""
+AWAY, REMEMBERED = 60.0, 10_000
+"""A page that was cut off for so long, s, and missed no more messages, goes on; later it is loaded anew, and forgets
+what was planned on it and not sent."""
 ENDING_TIME = 1
 """Open pages keep the server so long from ending, s."""
 
@@ -42,7 +48,13 @@ class Place:
 
 
 async def serve_console(
-    dial: Dial, place: Place, token: str, language: str, ready: Callable[[str], None], ended: asyncio.Event
+    dial: Dial,
+    place: Place,
+    token: str,
+    language: str,
+    ready: Callable[[str], None],
+    ended: asyncio.Event,
+    recordings: Path | None = None,
 ) -> None:
     """Serves the page until it is told to end.
 
@@ -53,20 +65,28 @@ async def serve_console(
         language: Of whoever asks for none.
         ready: Called with the address, token included, as soon as it can be opened.
         ended: Set to end it.
+        recordings: Folder with those that may be looked at; None for none.
 
     Raises:
         BusError: The port is taken, or the address is not ours.
     """
     feed = Feed(dial)
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    _build(app, feed, language)
-    ui.run_with(app, title="PCMRS", show_welcome_message=False, reconnect_timeout=30.0)
+    _build(app, feed, language, Recordings(recordings))
+    ui.run_with(
+        app, title="PCMRS", show_welcome_message=False, reconnect_timeout=AWAY, message_history_length=REMEMBERED
+    )
     listening = _listen(place)
     host, port = listening.getsockname()[:2]
     guarded = Guard(app, token, {f"{name}:{port}" for name in (host, "127.0.0.1", "localhost")} | {*place.names})
     server = _Server(
         uvicorn.Config(
-            guarded, log_level="warning", access_log=False, ws_max_size=LARGEST, timeout_graceful_shutdown=ENDING_TIME
+            guarded,
+            log_level="warning",
+            access_log=False,
+            ws_max_size=LARGEST,
+            ws_ping_interval=None,  # the page has pings of its own, which are more patient
+            timeout_graceful_shutdown=ENDING_TIME,
         )
     )
     async with asyncio.TaskGroup() as group:
@@ -105,26 +125,32 @@ def _listen(place: Place) -> socket.socket:
         raise BusError(text, host=place.host, port=place.port) from None
 
 
-def _build(app: FastAPI, feed: Feed, language: str) -> None:
+def _build(app: FastAPI, feed: Feed, language: str, recordings: Recordings) -> None:
     """Declares what the server answers."""
     workflows: dict[str, Blueprint] = {}
-
-    @app.get(SURFACE)
-    def surface() -> Response:
-        shown = None if feed.setup is None else feed.setup.surface
-        if shown is None:
-            return Response(status_code=404)
-        return Response(as_stl(*vertices_of(shown)), media_type="model/stl")
+    surfaces = Surfaces(feed)
+    surfaces.declare(app)
 
     @ui.page("/")
-    def page(language: str = language) -> None:
+    def page(language: str = language, replay: str = "") -> None:
         texts, setup = Texts(language), feed.setup
         if setup is None:
             _wait(feed, texts)
             return
         if setup.blueprint not in workflows:
             workflows[setup.blueprint] = parse_blueprint(setup.blueprint.encode(), origin="workflow")
-        Page(feed, setup, workflows[setup.blueprint], texts)
+        blueprint, playback = workflows[setup.blueprint], None
+        if replay:
+            recorded = recordings.get(replay)
+            if recorded is None:
+                wait_for_recording(recordings, texts)
+                return
+            try:
+                playback = replay, Playback(recorded, setup, blueprint)
+            except PcmrsError as error:
+                refuse_recording(error.text, texts)
+                return
+        Page(feed, setup, blueprint, texts, surfaces, recordings, playback)
 
 
 def _wait(feed: Feed, texts: Texts) -> None:

@@ -11,8 +11,9 @@ from nicegui import ui
 
 from pcmrs.console.asking import Asking
 from pcmrs.console.choices import Choice
-from pcmrs.console.feed import Feed
+from pcmrs.console.history import heading, why
 from pcmrs.console.texts import Texts
+from pcmrs.console.told import Told
 from pcmrs.fsm import Blueprint
 from pcmrs.messages import DeviceEvent, Snapshot, Verdict
 from pcmrs.messages.setup import Setup
@@ -25,15 +26,15 @@ class WorkflowPanel:
     """Buttons by branch, the running operation and the last refusals.
 
     Args:
-        feed: What the cell tells.
+        told: What is shown.
         setup: Of the cell.
         blueprint: Its workflow.
         texts: Of the page's language.
         asking: Asks the daemon.
     """
 
-    def __init__(self, feed: Feed, setup: Setup, blueprint: Blueprint, texts: Texts, asking: Asking) -> None:
-        self._feed, self._setup, self._blueprint, self._texts, self._asking = feed, setup, blueprint, texts, asking
+    def __init__(self, told: Told, setup: Setup, blueprint: Blueprint, texts: Texts, asking: Asking) -> None:
+        self._told, self._setup, self._blueprint, self._texts, self._asking = told, setup, blueprint, texts, asking
         self._choices: Mapping[str, Choice] = {}
         self._buttons: dict[str, tuple[ui.button, ui.tooltip]] = {}
         self._states: dict[str, ui.label] = {}
@@ -75,7 +76,7 @@ class WorkflowPanel:
             button, tooltip = self._buttons[name]
             button.set_enabled(not choice.why_not)
             tooltip.set_text(choice.why_not or name)
-        residual = self._feed.data.residual
+        residual = self._told.data.residual
         if residual is not None:
             limit = self._texts("within", limit=1000.0 * self._setup.residual_limit)
             self._residual.set_text(f"{self._texts('residual')}: {1000.0 * residual:.2f} mm ({limit})")
@@ -96,11 +97,11 @@ class WorkflowPanel:
 
     def _show_refused(self) -> None:
         self._refused.clear()
-        bad = [event for _, event in self._feed.events if self._is_bad(event)][-REFUSED:]
+        bad = [event for _, event in self._told.events if self._is_bad(event)][-REFUSED:]
         with self._refused:
             for event in reversed(bad):
                 with ui.card().classes("w-full q-pa-xs gap-0 bg-orange-1").props("flat bordered"):
-                    ui.label(heading(event, self._texts)).classes("text-weight-medium")
+                    ui.label(heading(event)).classes("text-weight-medium")
                     ui.label(why(event)).classes("text-body2")
                     if isinstance(event, Verdict) and event.allowed:
                         ui.label(self._texts("allowed", names=", ".join(event.allowed))).classes("text-grey-8")
@@ -146,17 +147,3 @@ class WorkflowPanel:
 
 
 EXAMPLES = {"landmark_index": '{"index": 0}'}
-
-
-def heading(event: Verdict | DeviceEvent, texts: Texts) -> str:
-    """What was decided or reported, in a few words."""
-    if isinstance(event, Verdict):
-        return texts("asked", name=f"{event.branch}.{event.operation}", decision=event.decision)
-    return f"{event.device}: {event.code}"
-
-
-def why(event: Verdict | DeviceEvent) -> str:
-    """The text that goes with it; empty where there is none."""
-    if isinstance(event, DeviceEvent):
-        return event.text
-    return "" if event.reason is None else event.reason.text

@@ -41,6 +41,7 @@ class JournalReader:
         self,
         *,
         after: int = 0,
+        before: int | None = None,
         first: int | None = None,
         last: int | None = None,
         kind: Kind | None = None,
@@ -52,6 +53,7 @@ class JournalReader:
 
         Args:
             after: Only rows with a larger sequence.
+            before: Only rows with a smaller one.
             first: At most so many: the first ones, of the `last` ones when both are given.
             last: At most so many: the last ones.
             kind: Only this kind.
@@ -61,8 +63,9 @@ class JournalReader:
         """
         wanted = {"kind": kind, "branch": branch, "source": source, "command_id": command_id}
         filters = {column: value for column, value in wanted.items() if value is not None}
-        where = " AND ".join(["sequence > ?", *(f"{column} = ?" for column in filters)])
-        query, values = f"SELECT {COLUMNS} FROM journal WHERE {where}", [after, *filters.values()]
+        bounds = {"sequence > ?": after} | ({} if before is None else {"sequence < ?": before})
+        where = " AND ".join([*bounds, *(f"{column} = ?" for column in filters)])
+        query, values = f"SELECT {COLUMNS} FROM journal WHERE {where}", [*bounds.values(), *filters.values()]
         if last is not None:
             query, values = f"SELECT * FROM ({query} ORDER BY sequence DESC LIMIT ?)", [*values, last]
         # A negative limit is none.

@@ -8,9 +8,16 @@ from pcmrs.messages.base import Message
 
 
 class JournalQuery(Message, frozen=True, kw_only=True):
-    """Asks for rows of the journal after sequence `after`, at most `limit`."""
+    """Asks for rows of the journal.
+
+    Attributes:
+        after: Only those with a larger sequence.
+        before: Only those with a smaller one, and of these the last ones; None for the first ones of all.
+        limit: At most so many.
+    """
 
     after: int = 0
+    before: int | None = None
     limit: int = 100
 
 

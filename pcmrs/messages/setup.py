@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from pcmrs.messages.base import Message
 from pcmrs.messages.poses import PoseMessage
 from pcmrs.messages.roles import Role
+from pcmrs.messages.stimulation import Epoch
 
 Point = tuple[float, float, float]
 
@@ -44,6 +47,14 @@ class ArmShown(Message, frozen=True, kw_only=True, omit_defaults=False):
     link_radius: float
 
 
+class SliceShown(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """A rectangle across the tracker's measuring volume: `distance` along its -z, width along x, height along y, m."""
+
+    distance: float
+    width: float
+    height: float
+
+
 class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
     """The answer to ``svc/setup/<user>``.
 
@@ -59,6 +70,10 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
         operator: Who is responsible for it.
         residual_limit: Mean distance of the landmarks beyond which a registration is rejected, m.
         drivers: Device to the driver that serves it; ``sim`` is simulated.
+        body_margin: All links but the tool keep so far from the convex hull of the surface, m.
+        tre_limit: Predicted error at a target beyond which a plan is refused, m.
+        volume: Where the tracker measures, near to far; empty where nobody has said.
+        mep: What a response is told from: the table ``procedure.stimulation.mep`` of the configuration.
     """
 
     user: str
@@ -75,6 +90,10 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
     operator: str
     residual_limit: float
     drivers: dict[str, str]
+    body_margin: float = 0.0
+    tre_limit: float = 0.004
+    volume: list[SliceShown] = []
+    mep: dict[str, Any] = {}
 
 
 class LandmarkShown(Message, frozen=True, kw_only=True, omit_defaults=False):
@@ -85,6 +104,24 @@ class LandmarkShown(Message, frozen=True, kw_only=True, omit_defaults=False):
     digitized: Point | None = None
 
 
+class StimulationShown(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """What a procedure with stimulation has gathered; intensities in percent of the maximum stimulator output.
+
+    Attributes:
+        ceiling: That no pulse goes above; None until it has been set.
+        intensity: Of the next pulse; None until it has been set.
+        response: To the last pulse: intensity, what was measured, and why it does not count where it does not.
+        epoch: The signal that it was judged by.
+        hunt: For the threshold: its settings and pulses, as the journal has them.
+    """
+
+    ceiling: float | None = None
+    intensity: float | None = None
+    response: dict[str, Any] | None = None
+    epoch: Epoch | None = None
+    hunt: dict[str, Any] | None = None
+
+
 class Gathered(Message, frozen=True, kw_only=True, omit_defaults=False):
     """The answer to ``svc/data``: what the procedure has gathered so far.
 
@@ -92,9 +129,15 @@ class Gathered(Message, frozen=True, kw_only=True, omit_defaults=False):
         body_ref_from_image: The registration in force.
         residual: Mean distance of its landmarks, m.
         plan: ``image_from_coil`` of the accepted tool plan.
+        sigma: Noise of a landmark that is reckoned with now, standard deviation per axis, m.
+        covariance: Of the registration, where the surface has refined it, (6, 6) row by row; empty otherwise.
+        stimulation: None where the workflow stimulates nothing.
     """
 
     landmarks: list[LandmarkShown]
     body_ref_from_image: PoseMessage | None = None
     residual: float | None = None
     plan: PoseMessage | None = None
+    sigma: float | None = None
+    covariance: list[float] = []
+    stimulation: StimulationShown | None = None

@@ -51,6 +51,14 @@ def all_files(folder: Path) -> list[Path]:
     return sorted((path for path in folder.glob(f"*{SUFFIX}") if _match(path)), key=_order)
 
 
+def recordings_in(folder: Path) -> dict[str, list[Path]]:
+    """Name of each recording in a folder to its files, oldest first; those that are numbered belong together."""
+    found: dict[str, list[Path]] = {}
+    for path in sorted(folder.glob(f"*{SUFFIX}"), key=_order):
+        found.setdefault(_order(path)[0], []).append(path)
+    return found
+
+
 def check_new(first: Path) -> None:
     """Accepts the name of a recording that is not there yet.
 

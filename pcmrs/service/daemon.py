@@ -35,7 +35,7 @@ from pcmrs.service.publishing import answer_queries
 from pcmrs.service.recorder import JournalRecorder
 from pcmrs.service.recording import open_recorder
 from pcmrs.service.recovery import conclude, keep_journal, recover
-from pcmrs.service.showing import setup_of
+from pcmrs.service.showing import gathered, setup_of
 from pcmrs.service.stall import StallWatch
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.settings import Settings
@@ -153,7 +153,8 @@ class Daemon:
                 metrics_trouble=lambda: metrics.trouble,
             )
             shown = partial(setup_of, procedure.cell, settings, blueprint)
-            answer_queries(bus, dispatcher, journal.reader, inspection.health, shown)
+            so_far = partial(gathered, procedure.cell, dispatcher.procedure)
+            answer_queries(bus, dispatcher, journal.reader, inspection.health, shown, so_far)
             stack.push_async_callback(metrics.close)
             metrics.start(inspection.health)
             bus.alive("daemon")

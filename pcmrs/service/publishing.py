@@ -28,7 +28,6 @@ from pcmrs.messages import (
 )
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import Gathered, Setup
-from pcmrs.service.showing import gathered
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 
@@ -66,6 +65,7 @@ def answer_queries(
     journal: JournalReader,
     health: Callable[[], Health],
     setup: Callable[[], Setup],
+    gathered: Callable[[], Gathered],
 ) -> None:
     """Serves the read-only queries below ``svc/``; `setup` reads a file."""
 
@@ -79,7 +79,7 @@ def answer_queries(
         return health()
 
     async def data(_key: str, _request: Empty) -> Gathered:
-        return gathered(dispatcher.procedure.data)
+        return gathered()
 
     async def laid_out(key: str, _request: Empty) -> Setup:
         user = key.rpartition("/")[2]
@@ -100,7 +100,7 @@ def answer_queries(
         return dispatcher.prospect(command)
 
     async def page(_key: str, query: JournalQuery) -> JournalPage:
-        return await asyncio.to_thread(_journal_page, journal.path, query)
+        return await asyncio.to_thread(journal_page, journal.path, query)
 
     bus.serve("svc/snapshot", Empty, snapshot)
     bus.serve("svc/setup/*", Empty, laid_out)
@@ -111,8 +111,10 @@ def answer_queries(
     bus.serve("svc/journal", JournalQuery, page)
 
 
-def _journal_page(path: Path, query: JournalQuery) -> JournalPage:
+def journal_page(path: Path, query: JournalQuery) -> JournalPage:
     """Reads by a connection of its own, since it runs beside the event loop."""
     rows = max(1, min(query.limit, LARGEST_PAGE))
+    last = None if query.before is None else rows
     with JournalReader(path) as journal:
-        return JournalPage(rows=[msgspec.to_builtins(row) for row in journal.read(after=query.after, first=rows)])
+        found = journal.read(after=query.after, before=query.before, first=rows, last=last)
+        return JournalPage(rows=[msgspec.to_builtins(row) for row in found])

@@ -4,13 +4,27 @@ from __future__ import annotations
 
 from itertools import zip_longest
 
+import msgspec
+
+from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.files.dump import blueprint_toml
-from pcmrs.messages.setup import ArmShown, BoxShown, Gathered, LandmarkShown, Setup, SurfaceShown
+from pcmrs.messages.setup import (
+    ArmShown,
+    BoxShown,
+    Gathered,
+    LandmarkShown,
+    Setup,
+    SliceShown,
+    StimulationShown,
+    SurfaceShown,
+)
 from pcmrs.settings import Settings
+from pcmrs.workflows.accuracy import sigma_in_force
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message
 from pcmrs.workflows.surface import read_surface
+from pcmrs.workflows.tms.data import Data
 
 
 def setup_of(cell: Cell, settings: Settings, blueprint: Blueprint) -> Setup:
@@ -48,11 +62,16 @@ def setup_of(cell: Cell, settings: Settings, blueprint: Blueprint) -> Setup:
         operator=procedure.operator,
         residual_limit=procedure.registration.residual_limit_mm / 1000.0,
         drivers={device: driver for driver, devices in settings.drivers().items() for device in devices},
+        body_margin=procedure.zones.body_margin,
+        tre_limit=procedure.registration.tre_limit_mm / 1000.0,
+        volume=[SliceShown(**msgspec.to_builtins(each)) for each in procedure.tracking.volume],
+        mep=msgspec.to_builtins(procedure.stimulation.mep),
     )
 
 
-def gathered(data: PlacementData) -> Gathered:
+def gathered(cell: Cell, procedure: Procedure[Cell, PlacementData]) -> Gathered:
     """What the procedure has gathered so far."""
+    data = procedure.data
     registered = data.registered
     return Gathered(
         landmarks=[
@@ -62,4 +81,17 @@ def gathered(data: PlacementData) -> Gathered:
         body_ref_from_image=None if registered is None else registered.body_ref_from_image,
         residual=None if registered is None else registered.residual,
         plan=data.plan,
+        sigma=sigma_in_force(cell, data),
+        covariance=[] if registered is None else list(registered.covariance),
+        stimulation=_stimulation(data) if isinstance(data, Data) else None,
+    )
+
+
+def _stimulation(data: Data) -> StimulationShown:
+    return StimulationShown(
+        ceiling=None if data.ceiling is None else data.ceiling.percent,
+        intensity=data.intensity,
+        response=None if data.response is None else msgspec.to_builtins(data.response),
+        epoch=data.epoch,
+        hunt=None if data.hunt is None else msgspec.to_builtins(data.hunt),
     )

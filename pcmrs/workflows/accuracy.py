@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 
 import msgspec
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from pcmrs.errors import RefusalError
 from pcmrs.registration import NoiseEstimate, RegistrationLimits, predict_tre
 from pcmrs.registration.rigid import motion_jacobians
-from pcmrs.spatial import Floats
+from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Registered, as_transform
 
@@ -62,13 +63,33 @@ def limits_in_force(cell: Cell, data: PlacementData) -> RegistrationLimits:
 
 def tre_at(cell: Cell, data: PlacementData, registered: Registered, target: Floats) -> float:
     """Predicted rms error of a registration at a target in the image (3,), m."""
-    body_ref_from_image = as_transform(registered.body_ref_from_image)
-    if registered.covariance:
-        (jacobian,) = motion_jacobians(np.atleast_2d(body_ref_from_image @ target))
-        covariance = np.array(registered.covariance).reshape(6, 6)
-        return float(np.sqrt(np.trace(jacobian @ covariance @ jacobian.T)))
     landmarks = np.array([landmark.position for landmark in registered.landmarks])
-    return float(predict_tre(landmarks, target, sigma_in_force(cell, data))[0])
+    body_ref_from_image, covariance = as_transform(registered.body_ref_from_image), registered.covariance
+    return float(tre_over(landmarks, body_ref_from_image, covariance, sigma_in_force(cell, data), target[None])[0])
+
+
+def tre_over(
+    landmarks: Floats,
+    body_ref_from_image: Transform,
+    covariance: Sequence[float],
+    sigma: float,
+    targets: Floats,
+) -> Floats:
+    """Predicted rms error of a registration at targets in the image (M, 3), m, (M,).
+
+    Args:
+        landmarks: That it was made of, in the image, m, (N, 3).
+        body_ref_from_image: The registration.
+        covariance: Of `Registered`: empty where no surface has refined it.
+        sigma: Of `sigma_in_force`, m; counts where it is empty.
+        targets: m.
+    """
+    if not covariance:
+        return predict_tre(landmarks, targets, sigma)
+    jacobians = motion_jacobians(body_ref_from_image @ targets)
+    motion = np.array(covariance).reshape(6, 6)
+    tre: Floats = np.sqrt(np.einsum("mij,jk,mik->m", jacobians, motion, jacobians))
+    return tre
 
 
 def check_tre(cell: Cell, data: PlacementData, target: Floats) -> float | None:

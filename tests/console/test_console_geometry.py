@@ -84,6 +84,20 @@ def test_tool_and_body_are_shown_by_one_tracker(seed: int) -> None:
     assert sight.in_base(body("body_ref", base_from_body, valid=False)) is None
 
 
+def test_the_trackers_noise_is_smoothed_and_its_moving_is_followed_at_once() -> None:
+    sight, q, random = Sight(setup()), np.zeros(7), np.random.default_rng(1)
+    base_from_coil = sight.arm.frames(q)[-1] @ FLANGE_FROM_COIL
+    for base_from_tracker in (some_pose(1), some_pose(2)):
+        errors = []
+        for _ in range(400):
+            noise = Transform.from_rotvec(random.normal(0.0, 5e-5, 3), random.normal(0.0, 7e-4, 3))
+            sight.see(q, body("coil", base_from_tracker.inverse() @ base_from_coil @ noise), moving=False)
+            assert sight.base_from_tracker is not None
+            errors.append(distance(sight.base_from_tracker, base_from_tracker))
+        assert max(errors) < 0.02
+        assert np.median(errors[100:]) < 0.35 * errors[0] or np.median(errors[100:]) < 5e-4
+
+
 @given(st.integers(0, 10_000))
 def test_the_error_is_the_measured_pose_in_the_planned_one(seed: int) -> None:
     image_from_plan, body_from_image, tracker_from_body = (some_pose(seed + each) for each in range(3))

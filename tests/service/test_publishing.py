@@ -14,7 +14,7 @@ from pcmrs.dispatcher import Dispatcher
 from pcmrs.journal import Journal, JournalReader, JournalRow
 from pcmrs.messages import BlueprintTag, JournalPage, JournalQuery
 from pcmrs.messages.health import Health
-from pcmrs.messages.setup import Setup
+from pcmrs.messages.setup import Gathered, Setup
 from pcmrs.service.publishing import LARGEST_PAGE, answer_queries
 
 ROW = JournalRow(
@@ -50,6 +50,10 @@ def no_setup() -> Setup:
     raise AssertionError
 
 
+def no_data() -> Gathered:
+    raise AssertionError
+
+
 async def test_the_journal_is_paged_from_its_beginning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     readers: set[int] = set()
     read = JournalReader.read
@@ -62,11 +66,13 @@ async def test_the_journal_is_paged_from_its_beginning(tmp_path: Path, monkeypat
     journal = Journal.open(tmp_path / "journal.sqlite", durable=False)
     await journal.append([ROW] * (LARGEST_PAGE + 2))
     served = Served()
-    answer_queries(cast(Bus, served), cast("Dispatcher[Any, Any]", None), journal.reader, no_health, no_setup)
+    answer_queries(cast(Bus, served), cast("Dispatcher[Any, Any]", None), journal.reader, no_health, no_setup, no_data)
     assert await served.page(limit=3) == [1, 2, 3]
     assert await served.page(after=3, limit=2) == [4, 5]
     assert await served.page(limit=10 * LARGEST_PAGE) == list(range(1, LARGEST_PAGE + 1))
     assert await served.page(after=LARGEST_PAGE) == [LARGEST_PAGE + 1, LARGEST_PAGE + 2]
     assert await served.page(after=10 * LARGEST_PAGE) == []
+    assert await served.page(before=10 * LARGEST_PAGE, limit=2) == [LARGEST_PAGE + 1, LARGEST_PAGE + 2]
+    assert await served.page(before=4, after=1, limit=5) == [2, 3]
     assert threading.get_ident() not in readers
     await journal.close()

@@ -75,17 +75,27 @@ class RegistrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
     reference_frames: Annotated[int, msgspec.Meta(ge=2)] = 6
 
 
+class VolumeSlice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A rectangle across the tracker's measuring volume: `distance` along its -z, width along x, height along y, m."""
+
+    distance: Positive
+    width: Positive
+    height: Positive
+
+
 class TrackingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """When a tracked pose is not believed.
+    """When a tracked pose is not believed, and where the tracker measures.
 
     Attributes:
         error_mm: It fits worse than this to the geometry of its marker body.
         speed: The body went faster since the frame before, m/s: more than hand, head or arm do.
         turn: It turned faster, rad/s.
         steady: After that it is believed again when so many frames have shown no jump.
+        volume: Where the tracker measures, near to far, as its maker says; only shown. Empty where nobody has said.
     """
 
     error_mm: Positive = 1.0
     speed: Positive = 2.0
     turn: Positive = 20.0
     steady: Annotated[int, msgspec.Meta(ge=1)] = 10
+    volume: tuple[VolumeSlice, ...] = ()

@@ -1,0 +1,90 @@
+"""The body in the scene: surface or predicted error, its zone, landmarks planned and digitized."""
+
+from __future__ import annotations
+
+from nicegui import ui
+from nicegui.elements.scene.scene_object3d import Object3D
+
+from pcmrs.console.geometry import residuals
+from pcmrs.console.scene import BOX, GOOD, OPEN, POOR, SKIN, SURFACE, show
+from pcmrs.console.surfaces import ZONE, Surfaces
+from pcmrs.console.told import Told
+from pcmrs.messages import PoseMessage
+from pcmrs.messages.setup import LandmarkShown, Setup
+from pcmrs.spatial import Transform
+from pcmrs.workflows.data import as_transform
+
+BALL, CUBE = 0.004, 0.006
+"""Radius of a planned landmark, edge of a digitized one, m."""
+
+
+class BodyShown:
+    """What moves with the body's reference.
+
+    Args:
+        scene: To draw in.
+        told: What is shown.
+        setup: Of the cell.
+        surfaces: Where the page finds the surface.
+    """
+
+    def __init__(self, scene: ui.scene, told: Told, setup: Setup, surfaces: Surfaces) -> None:
+        self._scene, self._told, self._setup, self._surfaces = scene, told, setup, surfaces
+        self._drawn: tuple[list[LandmarkShown], PoseMessage | None] = ([], None)
+        self._landmarks: list[Object3D] = []
+        self._plain: Object3D | None = None
+        self._zone: Object3D | None = None
+        self._coloured: tuple[str, Object3D] | None = None
+        with scene, scene.group() as self._image:
+            if setup.surface is not None:
+                self._plain = scene.stl(SURFACE).material(SKIN, 0.9).with_name("surface")
+                self._zone = scene.stl(ZONE).material(BOX, 0.15).with_name("zone of the body")
+        self._image.with_name("body").visible(False)
+        with scene, scene.group() as self._reference:
+            pass
+        self._reference.with_name("body_ref").visible(False)
+
+    def follow(self, base_from_body_ref: Transform | None, *, zone: bool) -> Transform | None:
+        """Puts it where the tracker sees it; returns where the image is then, None while that is not known."""
+        registered = self._told.data.body_ref_from_image
+        image = None
+        if registered is not None and base_from_body_ref is not None:
+            image = base_from_body_ref @ as_transform(registered)
+        show(self._image, image)
+        show(self._reference, base_from_body_ref)
+        if self._zone is not None:
+            self._zone.visible(zone)
+        data = self._told.data
+        if (data.landmarks, data.body_ref_from_image) != self._drawn:
+            self._drawn = data.landmarks, data.body_ref_from_image
+            self._draw_landmarks()
+        return image
+
+    async def colour(self, *, wanted: bool) -> None:
+        """Colours the surface by the predicted error, or shows it plain again."""
+        where = await self._surfaces.error(self._setup, self._told.data) if wanted else None
+        if where == (None if self._coloured is None else self._coloured[0]):
+            return
+        if self._coloured is not None:
+            self._coloured[1].delete()
+            self._coloured = None
+        if where is not None:
+            with self._scene, self._image:
+                self._coloured = (where, self._scene.gltf(where).with_name("predicted error"))
+        if self._plain is not None:
+            self._plain.visible(where is None)
+
+    def _draw_landmarks(self) -> None:
+        """Planned ones as balls, digitized ones as cubes; both by how far they are from each other."""
+        for each in self._landmarks:
+            each.delete()
+        self._landmarks = []
+        for landmark, residual in zip(self._told.data.landmarks, residuals(self._told.data), strict=True):
+            colour = OPEN if residual is None else GOOD if residual <= self._setup.residual_limit else POOR
+            with self._scene, self._image:
+                ball = self._scene.sphere(BALL).material(colour).with_name(f"landmark {landmark.name}")
+                self._landmarks.append(ball.move(*landmark.planned))
+            if landmark.digitized is not None:
+                with self._scene, self._reference:
+                    cube = self._scene.box(CUBE, CUBE, CUBE).material(colour).with_name(f"digitized {landmark.name}")
+                    self._landmarks.append(cube.move(*landmark.digitized))

@@ -1,0 +1,113 @@
+"""The cell in three dimensions: arm, tool, tracker, body, forbidden zones; planned green, measured red."""
+
+from __future__ import annotations
+
+import numpy as np
+from nicegui import ui
+from nicegui.elements.scene.scene_object3d import Object3D
+
+from pcmrs.console.body import BodyShown
+from pcmrs.console.geometry import Sight, along
+from pcmrs.console.scene import ARM, AXES, BACKGROUND, BOX, MEASURED, PLANNED, put, show
+from pcmrs.console.surfaces import Surfaces
+from pcmrs.console.texts import Texts
+from pcmrs.console.told import Told
+from pcmrs.console.tracking import TrackingShown, VisibilityRow
+from pcmrs.console.tre import gradient
+from pcmrs.messages.setup import Setup
+from pcmrs.spatial import Floats, Transform
+from pcmrs.workflows.data import as_transform
+
+RATE = 30.0
+"""Updates per second."""
+
+
+class CellPanel:
+    """Follows the cell for as long as its page is open.
+
+    Args:
+        told: What is shown.
+        setup: Of the cell.
+        texts: Of the page's language.
+        surfaces: Where the page finds the body's surface.
+    """
+
+    def __init__(self, told: Told, setup: Setup, texts: Texts, surfaces: Surfaces) -> None:
+        self._told, self._setup = told, setup
+        self._sight = Sight(setup)
+        with ui.element("div").classes("relative w-full h-full"):
+            with ui.scene(width=10, height=10, grid=False, fps=int(RATE), background_color=BACKGROUND) as scene:
+                self.scene = scene.classes("w-full h-full").props('aria-label="Scene"')
+                self._links = [self._link(span) for span in self._sight.arm.spans]
+                self._boxes = [self._box(name, size, pose) for name, size, pose in _boxes(setup)]
+                self._planned = self._tool(PLANNED, 0.55, "planned")
+                self._measured = self._tool(MEASURED, 0.85, "measured")
+            self._tracking = TrackingShown(scene, setup)
+            self._body = BodyShown(scene, told, setup, surfaces)
+            with ui.column().classes("absolute top-2 left-2 gap-0"):
+                self._seen = VisibilityRow(texts)
+            with ui.row().classes("absolute bottom-0 left-2 items-center gap-2 w-full"):
+                self._wanted = {name: ui.checkbox(texts(name), value=True) for name in ("zones", "tracker")}
+                self._error = ui.checkbox(texts("predicted_error")).props('data-testid="predicted-error"')
+                self._legend(texts)
+        scene.move_camera(1.3, 1.0, 0.85, 0.4, 0.0, 0.3, duration=0.0)
+        ui.timer(1.0 / RATE, self._follow)
+        ui.timer(0.5, self._colour)
+
+    def _legend(self, texts: Texts) -> None:
+        """Of the predicted error, while it is shown."""
+        with ui.row().classes("items-center gap-1 no-wrap text-caption").bind_visibility_from(self._error, "value"):
+            ui.label("0")
+            ui.element("div").style(f"width: 90px; height: 12px; background: {gradient()}")
+            limit = texts("error_scale", mm=1000.0 * self._setup.tre_limit)
+            ui.label(limit).props('data-testid="legend"')
+
+    def _link(self, span: Floats) -> Object3D:
+        """A group with a ball at a joint and a bar to the next."""
+        radius = self._sight.arm.radius
+        with self.scene.group() as group:
+            self.scene.sphere(radius).material(ARM)
+            length = float(np.linalg.norm(span))
+            if length > 1e-3:
+                bar = self.scene.cylinder(0.8 * radius, 0.8 * radius, length, 24).material(ARM)
+                put(bar, Transform(along(span / length), span / 2.0))
+        return group.with_name("link")
+
+    def _box(self, name: str, size: tuple[float, float, float], pose: Transform) -> Object3D:
+        shape = self.scene.box(*size).material(BOX, 0.35).with_name(f"box {name}")
+        put(shape, pose)
+        return shape
+
+    def _tool(self, colour: str, opacity: float, name: str) -> Object3D:
+        """A disc or rod about its z axis, with its handle along -y."""
+        radius, half = self._setup.tool_radius, self._setup.tool_half_length
+        with self.scene.group() as group:
+            disc = self.scene.cylinder(radius, radius, 2.0 * half, 48).material(colour, opacity)
+            put(disc, Transform(AXES, np.array((0.0, 0.0, half))))
+            handle = self.scene.box(0.02, 0.16, 0.02).material(colour, opacity)
+            handle.move(0.0, -radius - 0.07, half)
+        return group.with_name(name).visible(False)
+
+    def _follow(self) -> None:
+        told = self._told
+        self._seen.follow(told)
+        if told.joints is None:
+            return
+        coil, body_ref = told.poses.get("coil"), told.poses.get("body_ref")
+        frames = self._sight.see(told.joints.positions, coil, moving=told.joints.moving)
+        for link, frame in zip(self._links, frames, strict=False):
+            put(link, frame)
+        for box in self._boxes:
+            box.visible(self._wanted["zones"].value)
+        self._tracking.follow(told, self._sight, wanted=self._wanted["tracker"].value)
+        show(self._measured, self._sight.in_base(coil))
+        image = self._body.follow(self._sight.in_base(body_ref), zone=self._wanted["zones"].value)
+        plan = told.data.plan
+        show(self._planned, None if image is None or plan is None else image @ as_transform(plan))
+
+    async def _colour(self) -> None:
+        await self._body.colour(wanted=self._error.value)
+
+
+def _boxes(setup: Setup) -> list[tuple[str, tuple[float, float, float], Transform]]:
+    return [(each.name, each.size, as_transform(each.pose)) for each in setup.boxes]

@@ -1,0 +1,197 @@
+"""A recorded session, to be looked at: at any moment of it, everything that was known then. It publishes nothing."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pcmrs.bus.codec import convert, unpack
+from pcmrs.console.told import EVENTS, Told
+from pcmrs.errors import FileFormatError, PcmrsError
+from pcmrs.fsm import Blueprint
+from pcmrs.messages import BodyPose, DeviceEvent, JointState, Snapshot, Target, Verdict
+from pcmrs.messages.setup import Gathered, Setup
+from pcmrs.recording.reading import Reading
+
+RATE_HZ = 10.0
+"""Of joints and poses so many are kept: more than an eye follows, and an hour of them fits into memory."""
+THINNED = ("state/joints", "state/pose/")
+WHOLE = ("state/fsm", "state/event", "state/target")
+_SECOND = 1e9
+
+
+@dataclass
+class Track:
+    """What came on one key, in order: s since the beginning, and the payloads."""
+
+    times: list[float] = field(default_factory=list)
+    payloads: list[bytes] = field(default_factory=list)
+
+    def add(self, at: float, payload: bytes) -> None:
+        """Takes one more; the recorder's times never go back."""
+        self.times.append(at)
+        self.payloads.append(payload)
+
+    def until(self, at: float) -> int:
+        """How many there were at a moment."""
+        return bisect_right(self.times, at)
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What was read of a recording.
+
+    Attributes:
+        begun: When it begins, Unix seconds.
+        duration: s.
+        tracks: By key.
+        damage: What could not be read; empty where all could.
+    """
+
+    begun: float
+    duration: float
+    tracks: dict[str, Track]
+    damage: str
+
+
+def read_recorded(files: Sequence[Path], progress: Callable[[float], None]) -> Recorded:
+    """Reads a recording, thinned; takes a while, so not in an event loop.
+
+    Args:
+        files: Of one recording, oldest first.
+        progress: Told the share that has been read.
+
+    Raises:
+        FileFormatError: One is no recording of PCMRS, or nothing is in them.
+        OSError: One cannot be read.
+    """
+    readings = [Reading(path) for path in files]
+    total, before = sum(each.size for each in readings), 0
+    tracks: dict[str, Track] = defaultdict(Track)
+    first = last = None
+    for reading in readings:
+        for at_ns, heard in reading.bus_messages():
+            first = at_ns if first is None else first
+            last = at_ns
+            _keep(tracks, heard.key, (at_ns - first) / _SECOND, heard.payload)
+            progress((before + reading.whole) / total)
+        before += reading.size
+    if first is None or last is None:
+        raise FileFormatError(f"{files[0]} holds nothing that a cell has said.", file=str(files[0]))
+    damage = "; ".join(f"{each.path.name}: {each.damage}" for each in readings if each.damage)
+    return Recorded(first / _SECOND, (last - first) / _SECOND, dict(tracks), damage)
+
+
+class Playback(Told):
+    """A recording at one moment.
+
+    Args:
+        recorded: What was read of it.
+        setup: Of the cell that shows it.
+        blueprint: Of that cell.
+
+    Attributes:
+        position: The moment, s since the beginning.
+        trouble: Why something of it is not shown; empty where all is.
+
+    Raises:
+        FileFormatError: It is of another workflow, or another arm.
+    """
+
+    def __init__(self, recorded: Recorded, setup: Setup, blueprint: Blueprint) -> None:
+        super().__init__()
+        self.recorded = recorded
+        self.position = 0.0
+        self.trouble = recorded.damage
+        self._all_events = [(recorded.begun + at, event) for at, event in self._events()]
+        self._shown: dict[str, int] = {}
+        self._check(setup, blueprint)
+        self.seek(0.0)
+
+    @property
+    def now(self) -> float:
+        return self.position
+
+    def seek(self, position: float) -> None:
+        """Goes to a moment, s since the beginning; before it and after the end, to these."""
+        self.position = min(max(position, 0.0), self.recorded.duration)
+        for key, track in self.recorded.tracks.items():
+            count = track.until(self.position)
+            if count != self._shown.get(key, 0):
+                self._shown[key] = count
+                self._take(key, track, count)
+
+    def _take(self, key: str, track: Track, count: int) -> None:
+        """Shows the newest of what there was; nothing where there was nothing yet."""
+        try:
+            self._show(key, track.payloads[count - 1] if count else None, track.times[count - 1] if count else 0.0)
+        except PcmrsError as error:
+            self.trouble = f"{key}: {error.text}"
+        if key == "state/event":
+            self.events.clear()
+            self.events.extend(self._all_events[max(0, count - EVENTS) : count])
+        if key in WHOLE:
+            self.version += 1
+
+    def _show(self, key: str, payload: bytes | None, at: float) -> None:
+        if key == "state/fsm":
+            self.snapshot = None if payload is None else unpack(payload, Snapshot)
+        elif key == "state/target":
+            target = Target() if payload is None else unpack(payload, Target)
+            self.data = Gathered(landmarks=[], plan=target.pose, body_ref_from_image=target.body_ref_from_image)
+        elif key == "state/joints":
+            self.joints = None if payload is None else unpack(payload, JointState)
+            self._hear("joints", payload, at)
+        elif key.startswith("state/pose/"):
+            body = key.rpartition("/")[2]
+            self.poses.pop(body, None)
+            if payload is not None:
+                self.poses[body] = unpack(payload, BodyPose)
+            self._hear(body, payload, at)
+
+    def _hear(self, what: str, payload: bytes | None, at: float) -> None:
+        self.heard.pop(what, None)
+        if payload is not None:
+            self.heard[what] = at
+
+    def _events(self) -> list[tuple[float, Verdict | DeviceEvent]]:
+        track = self.recorded.tracks.get("state/event", Track())
+        return [(at, _event(unpack(payload, dict))) for at, payload in zip(track.times, track.payloads, strict=True)]
+
+    def _check(self, setup: Setup, blueprint: Blueprint) -> None:
+        """Refuses what this cell's page cannot show truly."""
+        states = self.recorded.tracks.get("state/fsm", Track())
+        for payload in states.payloads[:1]:
+            found = unpack(payload, Snapshot)
+            unknown = [f"{b}={s}" for b, s in found.branches.items() if not _has(blueprint, b, s)]
+            recorded, here = (f"{each.id} {each.version}" for each in (found.blueprint, blueprint))
+            if unknown or found.blueprint.id != blueprint.id:
+                text = f"The recording is of the workflow {recorded}, this cell's is {here}: "
+                text += "open it in the console of a cell with that workflow."
+                raise FileFormatError(text, recorded=recorded, unknown=unknown)
+        for payload in self.recorded.tracks.get("state/joints", Track()).payloads[:1]:
+            many, own = len(unpack(payload, JointState).positions), len(setup.arm.joints)
+            if many != own:
+                text = f"The recording is of an arm with {many} joints, {setup.arm.name} has {own}."
+                raise FileFormatError(text, recorded=many, here=own)
+
+
+def _keep(tracks: dict[str, Track], key: str, at: float, payload: bytes) -> None:
+    if key in WHOLE:
+        tracks[key].add(at, payload)
+    elif key.startswith(THINNED):
+        track = tracks[key]
+        if not track.times or at - track.times[-1] >= 1.0 / RATE_HZ:
+            track.add(at, payload)
+
+
+def _has(blueprint: Blueprint, branch: str, state: str) -> bool:
+    return branch in blueprint.branches and state in blueprint.branches[branch].states
+
+
+def _event(fields: dict[str, Any]) -> Verdict | DeviceEvent:
+    return convert(fields, Verdict) if "decision" in fields else convert(fields, DeviceEvent)

@@ -1,0 +1,65 @@
+"""The recordings that may be looked at, read once for all pages, in a thread."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+from nicegui import background_tasks
+
+from pcmrs.console.playback import Recorded, read_recorded
+from pcmrs.errors import PcmrsError
+from pcmrs.recording.series import recordings_in
+
+
+class Recordings:
+    """Those in a folder; one is kept in memory.
+
+    Args:
+        folder: Where they lie; None for none.
+
+    Attributes:
+        progress: Share of the one that is being read.
+        trouble: Why the last one could not be read; empty where it could.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+        self._name = ""
+        self._read: Recorded | None = None
+        self._reading: asyncio.Task[None] | None = None
+        self.progress = 0.0
+        self.trouble = ""
+
+    def names(self) -> list[str]:
+        """Newest first, where their names begin with their date."""
+        return [] if self._folder is None else sorted(recordings_in(self._folder), reverse=True)
+
+    def get(self, name: str) -> Recorded | None:
+        """One of `names`; None while it is being read, which begins now, and where that failed."""
+        if name != self._name or self.trouble:
+            if self._reading is not None:
+                self._reading.cancel()
+            self._name, self._read, self.progress, self.trouble = name, None, 0.0, ""
+            self._reading = background_tasks.create(self._open(name), name=f"read {name}")
+        return self._read
+
+    @property
+    def is_read(self) -> bool:
+        """Whether the one that was asked for last is there."""
+        return self._read is not None
+
+    async def _open(self, name: str) -> None:
+        files = recordings_in(self._folder).get(name) if self._folder is not None else None
+        if files is None:
+            self.trouble = f"There is no recording {name}."
+            return
+        try:
+            read = await asyncio.to_thread(read_recorded, files, self._tell)
+        except (PcmrsError, OSError) as error:
+            self.trouble = str(error)
+        else:
+            self._read = read if name == self._name else None
+
+    def _tell(self, share: float) -> None:
+        self.progress = share
