@@ -31,6 +31,10 @@ MESSAGES = (
 """Where the types are that the table of keys names."""
 
 
+OWN_TYPE = re.compile(r"(?<!/)\b(?!CDR:)[A-Z]\w+")
+"""A type of ours in a payload; those of ROS 2 follow a slash."""
+
+
 def on_page_markdown(markdown: str, **_context: Any) -> str:
     """Fills the page."""
     return re.sub(r"^\{\{ (\w+) \}\}$", lambda found: "\n".join(FILLED[found[1]]()), markdown, flags=re.MULTILINE)
@@ -41,10 +45,10 @@ def keys_of_bus() -> Iterator[str]:
     types = _message_types()
     yield "| key | use | payload | what for | who may | who serves it |\n| --- | --- | --- | --- | --- | --- |"
     for row in KEYS:
-        payload = re.sub(r"[A-Z]\w+", lambda name: f"[{name[0]}](#{name[0].lower()})", row.payload)
+        payload = OWN_TYPE.sub(lambda name: f"[{name[0]}](#{name[0].lower()})", row.payload)
         who = ", ".join(row.users), ", ".join(row.owners)
         yield f"| `{row.key}` | {row.use} | {_cell(payload)} | {_cell(row.text)} | {who[0]} | {who[1]} |"
-    named = dict.fromkeys(name for row in KEYS for name in re.findall(r"[A-Z]\w+", row.payload))
+    named = dict.fromkeys(name for row in KEYS for name in OWN_TYPE.findall(row.payload))
     _, components = msgspec.json.schema_components([types[name] for name in named])
     yield "\n## Payloads\n"
     for name, definition in components.items():
