@@ -40,6 +40,9 @@ def address(tmp_path: Path) -> Iterator[list[str]]:
         yield options
 
 
+PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "ratms_plan.json").read_text())
+
+
 def state(address: list[str]) -> dict[str, Any]:
     command = [sys.executable, "-m", "pcmrs.cli", "state", "--json", *address]
     shown: dict[str, Any] = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
@@ -87,7 +90,7 @@ class Operator:
 
     def plan_tool(self) -> None:
         self.open("planning")
-        self.at("mode").get_by_text("Tool pose").click()
+        self.choose_tool()
         self.at("tool-point").fill("4 -12 143")
         self.press("place-tool")
         self.shows("tool-pose", "4.0 -12.0 143.0")
@@ -97,6 +100,9 @@ class Operator:
         self.press("send-tool")
         self.open("workflow")
         self.shows("state-toolplan", "1")
+
+    def choose_tool(self) -> None:
+        self.at("mode").get_by_text("Tool pose").click()
 
     def to_standoff(self) -> None:
         self.plan_landmarks()
@@ -158,6 +164,48 @@ def test_a_procedure_by_clicking(address: list[str]) -> None:
         operator.shows("stop", "STOPP")
 
 
+class Typist(Operator):
+    """Whoever has no mouse."""
+
+    def press(self, name: str) -> None:
+        self.expect(self.at(name)).to_be_enabled(timeout=60_000)
+        self.at(name).press("Enter")
+
+    def open(self, tab: str) -> None:
+        self.at(f"tab-{tab}").press("Enter")
+
+    def plan_landmarks(self) -> None:
+        self.open("planning")
+        for landmark in PLAN["landmarks"]:
+            self.at("landmark-name").fill(landmark["name"])
+            self.at("landmark-point").fill(" ".join(f"{1000.0 * value:.3f}" for value in landmark["position"]))
+            self.press("add-landmark")
+            self.shows("landmarks", f"{landmark['name']}:")
+        self.press("send-landmarks")
+        self.open("workflow")
+        self.shows("state-registration", "100")
+
+    def choose_tool(self) -> None:
+        self.at("mode").get_by_text("Tool pose").press("Enter")
+
+
+def test_a_procedure_by_keyboard(address: list[str]) -> None:
+    with console(*address) as (_, url), browser(url) as page:
+        typist = Typist(page)
+        typist.to_standoff()
+        typist.press("placement.approach")
+        typist.shows("running", "placement.approach")
+        page.keyboard.press("Escape")
+        typist.shows("state-placement", "held")
+        for operation in ("robot.acknowledge", "placement.back_off"):
+            typist.press(operation)
+        typist.shows("state-placement", "retracted")
+        typist.press("placement.approach")
+        typist.shows("state-placement", "standoff")
+        typist.press("placement.confirm")
+        typist.shows("state-placement", "placed")
+
+
 def test_a_console_that_is_killed_in_motion_changes_nothing(address: list[str]) -> None:
     with console(*address) as (process, url), browser(url) as page:
         operator = Operator(page)
@@ -185,5 +233,15 @@ def test_a_viewer_sees_all_and_commands_nothing(tmp_path: Path) -> None:
             for button in buttons.all():
                 viewer.expect(button).to_be_disabled()
             assert cell.on_site()["branches"]["registration"] == "000"
+            beside = ("--endpoint", f"tcp/127.0.0.1:{(tmp_path / 'port').read_text()}", "--site", SITE, "--cell", CELL)
+            assert page.context.browser is not None
+            with console(*beside) as (_, other):
+                second = page.context.browser.new_page()
+                second.goto(other)
+                operator = Operator(second)
+                operator.press("hold")
+                viewer.shows("lease", "local holds the cell")
+                operator.press("registration.use_previous")
+                viewer.shows("refused", "registration.use_previous: rejected")
             page.keyboard.press("Escape")
             viewer.expect(viewer.at("latched")).to_be_visible()
