@@ -173,8 +173,6 @@ class User:
         words = shlex.split(shown.command, comments=True)
         if program == SERVE:
             words[1:1] = [word for setting in self._settings for word in ("--set", setting)]
-        elif program == "pcmrs console":
-            words += ["--port", str(self.console_port)]
         process = self._running[program] = self._started(words, program)
         wait_until(lambda: shown.matches(self.printed(program)) or process.poll() is not None, START_TIME)
         status = process.poll()

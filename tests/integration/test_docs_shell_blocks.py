@@ -69,7 +69,7 @@ def _own(user: User) -> dict[str, str]:
     install = f"pip install --quiet --no-index --no-deps --no-build-isolation --target {user.packages} ."
     return {
         "8057": str(user.planner_port),
-        "8080": str(user.console_port),
+        "8081": str(user.console_port),
         "9000": str(free_port()),
         "tracker.driver=lab_tracker": "tracker.driver=lab_tracker --set cell.rate=1",
         "pip install --no-deps .": install,
