@@ -127,10 +127,10 @@ class MusclePanel:
     def _chart(self, title: str, x: str, y: str, height: int) -> ui.echart:
         options: dict[str, Any] = {
             "animation": False,
-            "title": {"text": self._texts(title), "textStyle": {"fontSize": 13}, "left": 0},
+            "title": {"text": f"{self._texts(title)}, {y}", "textStyle": {"fontSize": 13}, "left": 0},
             "grid": {"left": 50, "right": 40, "top": 45, "bottom": 25},
             "xAxis": {"type": "value", "name": x},
-            "yAxis": {"type": "value", "name": y},
+            "yAxis": {"type": "value"},
             "series": [],
         }
         return ui.echart(options).classes("w-full").style(f"height: {height}px").props(f'data-testid="chart-{title}"')
