@@ -108,7 +108,6 @@ def take(page: Page, folder: Path) -> None:
     picture("signals")
     page.get_by_role("tab", name="State chart").click()
     page.get_by_test_id("tab-session").click()
-    picture("session")
     page.get_by_test_id("watch").click()
     moment = page.get_by_test_id("moment")
     moment.wait_for()

@@ -31,13 +31,8 @@ def row(session: str, kind: Any = "outcome", **fields: Any) -> JournalRow:
         id="1", branch="robot", operation="connect", decision="rejected", state="0", sequence=1,
         reason=Reason(code="why", text="The cable is loose."),
     )  # fmt: skip
-    known: dict[str, Any] = {
-        "branch": "robot",
-        "operation": "connect",
-        "source": "bus:anna",
-        "user": "anna",
-        "verdict": verdict,
-    }
+    known: dict[str, Any] = {"branch": "robot", "operation": "connect", "user": "anna", "verdict": verdict}
+    known["source"] = "bus:anna"
     return JournalRow(
         kind=kind, wall=1.7e9, monotonic=1.0, boot_id="b", session_id=session, blueprint=TAG, **known | fields
     )

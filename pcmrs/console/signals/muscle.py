@@ -44,6 +44,12 @@ class MusclePanel:
             self._hunt = self._chart("hunt", texts("pulse"), "%", 220)
             self._found = ui.label().props('data-testid="threshold"')
 
+    def look(self) -> None:
+        """Keeps the signal of the newest pulse."""
+        shown = self._told.data.stimulation
+        if shown is not None and shown.epoch is not None and (not self._epochs or self._epochs[-1] != shown.epoch):
+            self._epochs.append(shown.epoch)
+
     def draw(self) -> None:
         """Shows what is new."""
         if self._told.version == self._version:
@@ -55,7 +61,7 @@ class MusclePanel:
         self._draw_amplitudes([each for each in given if each.microvolts is not None])
         if shown is not None:
             self._draw_standing(shown)
-            self._draw_emg(shown)
+            self._draw_emg()
             self._draw_hunt(shown)
         self._emg.set_visibility(bool(self._epochs))
         self._hunt.set_visibility(shown is not None and shown.hunt is not None)
@@ -65,10 +71,8 @@ class MusclePanel:
         of = {key: unknown if value is None else f"{value:g} %" for key, value in _percents(shown).items()}
         self._standing.set_text(self._texts("stimulation", **of))
 
-    def _draw_emg(self, shown: StimulationShown) -> None:
+    def _draw_emg(self) -> None:
         """The newest signal above those before it; its window, and the pulse."""
-        if shown.epoch is not None and (not self._epochs or self._epochs[-1] != shown.epoch):
-            self._epochs.append(shown.epoch)
         settings, drawn = self._settings, [waves(each, self._settings) for each in self._epochs]
         window = [{"xAxis": 1000.0 * settings.window_start}, {"xAxis": 1000.0 * settings.window_end}]
         marks = {"markArea": {"silent": True, "itemStyle": {"color": "#e69f0022"}, "data": [window]}}
@@ -127,10 +131,10 @@ class MusclePanel:
     def _chart(self, title: str, x: str, y: str, height: int) -> ui.echart:
         options: dict[str, Any] = {
             "animation": False,
-            "title": {"text": self._texts(title), "textStyle": {"fontSize": 13}, "left": 0},
+            "title": {"text": f"{self._texts(title)}, {y}", "textStyle": {"fontSize": 13}, "left": 0},
             "grid": {"left": 50, "right": 40, "top": 45, "bottom": 25},
             "xAxis": {"type": "value", "name": x},
-            "yAxis": {"type": "value", "name": y},
+            "yAxis": {"type": "value"},
             "series": [],
         }
         return ui.echart(options).classes("w-full").style(f"height: {height}px").props(f'data-testid="chart-{title}"')

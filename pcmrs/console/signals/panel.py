@@ -36,8 +36,12 @@ class SignalsPanel:
         self._motion = MotionPanel(told, texts)
         self._muscle = MusclePanel(told, setup, texts)
         self._health = WellbeingPanel(texts)
-        ui.timer(PERIOD, self._motion.look)
+        ui.timer(PERIOD, self._look)
         ui.timer(DRAWN, self._draw)
+
+    def _look(self) -> None:
+        self._motion.look()
+        self._muscle.look()
 
     def _draw(self) -> None:
         if self._is_open():

@@ -1,0 +1,60 @@
+"""In a real browser: the predicted error as a colour, and a session looked at again, in which nothing is asked."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+from consoles import CHROMIUM, browser, console
+from test_console_browser import PATIENT, Operator, state
+
+from pcmrs.experiment.process import own_settings, serve_command
+
+pytest.importorskip("playwright")
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.timeout(400),
+    pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed: apt-get install chromium"),
+]
+
+
+def test_colours_and_a_replay(tmp_path: Path) -> None:
+    overrides = [*own_settings(tmp_path / "cell", "seen"), *PATIENT, "recording.enabled=true"]
+    with subprocess.Popen(serve_command(overrides), stdout=subprocess.PIPE, text=True) as daemon:
+        assert daemon.stdout is not None
+        ready = json.loads(daemon.stdout.readline())
+        _, site, cell = ready["prefix"].split("/")
+        address = ["--endpoint", ready["endpoint"], "--site", site, "--cell", cell]
+        recordings = ["--recordings", str(Path(ready["folder"]) / "recordings")]
+        with console(*address, *recordings) as (_, url), browser(url) as page:
+            operator = Operator(page)
+            operator.plan_landmarks()
+            operator.press("digitization.digitize_all")
+            operator.press("registration.register")
+            operator.shows("state-registration", "111")
+            with page.expect_response("**/error/*.glb") as answer:
+                operator.at("predicted-error").click()
+            assert answer.value.body()[:4] == b"glTF"
+            operator.shows("legend", "4.0 mm")
+            operator.open("session")
+            operator.shows("timeline", "registration.register: accepted")
+            operator.at("filter").fill("plan_landmarks")
+            operator.expect(operator.at("timeline")).not_to_contain_text("registration.register")
+            operator.press("watch")
+            operator.at("moment").wait_for()
+            operator.shows("state-registration", "000")
+            box = operator.at("moment").bounding_box()
+            assert box is not None
+            page.mouse.click(box["x"] + box["width"] - 2, box["y"] + box["height"] / 2)
+            operator.shows("state-registration", "111")
+            for button in page.locator("button[data-testid*='.']").all():
+                operator.expect(button).to_be_disabled()
+            assert state(address)["branches"]["registration"] == "111"
+            page.keyboard.press("Escape")
+            operator.expect(operator.at("latched")).to_be_visible()
+            assert state(address)["latched"]
+            operator.press("to-cell")
+            operator.at("tab-planning").wait_for()
+        daemon.terminate()
