@@ -16,7 +16,6 @@ pytest.importorskip("playwright")
 nibabel = pytest.importorskip("nibabel")
 
 pytestmark = [
-    pytest.mark.nightly,
     pytest.mark.timeout(600),
     pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed: apt-get install chromium"),
 ]
@@ -69,6 +68,7 @@ def bomb(path: Path) -> Path:
     return path
 
 
+@pytest.mark.browser
 def test_files_are_planned_on_or_refused_and_the_page_stays_up(tmp_path: Path) -> None:
     broken, huge = tmp_path / "broken.stl", tmp_path / "huge.nii"
     broken.write_bytes(b"solid nonsense")
@@ -109,6 +109,7 @@ def test_files_are_planned_on_or_refused_and_the_page_stays_up(tmp_path: Path) -
         planner.shows("state-registration", "100")
 
 
+@pytest.mark.nightly
 def test_a_plan_is_validated_while_it_is_edited(tmp_path: Path) -> None:
     with running_cell(tmp_path, *PATIENT) as address, console(*address) as (_, url), browser(url) as page:
         planner = Planner(page)
@@ -120,6 +121,7 @@ def test_a_plan_is_validated_while_it_is_edited(tmp_path: Path) -> None:
         planner.shows("check", "✗")
 
 
+@pytest.mark.nightly
 def test_a_grid_is_laid_and_planned(tmp_path: Path) -> None:
     settings = (*PATIENT, "workflow=grid_mapping")
     with running_cell(tmp_path, *settings) as address, console(*address) as (_, url), browser(url) as page:
@@ -141,6 +143,7 @@ def test_a_grid_is_laid_and_planned(tmp_path: Path) -> None:
         planner.shows("state-mapping", "point_1")
 
 
+@pytest.mark.nightly
 def test_a_trajectory_is_planned(tmp_path: Path) -> None:
     settings = (*PATIENT, "workflow=femoroplasty")
     with running_cell(tmp_path, *settings) as address, console(*address) as (_, url), browser(url) as page:
