@@ -1,0 +1,104 @@
+"""Frames that the console's scene shows per second while the arm moves, in headless Chromium.
+
+A cell in real time with a kinematic arm, the console and the browser are processes of one machine. Chromium draws with
+the processor, for there is no graphics card, and takes only the time that the others leave (`chrt -i 0`). Counted, while
+the tool goes to its standoff and home: frames that the browser has drawn, and those of them in which the arm stood
+elsewhere than in the one before. The aim is 30 of the latter per second. All is simulated.
+
+    .venv/bin/python benchmarks/console.py [--motions 4] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pcmrs.campaign.driving import landmarks, tool_pose
+from pcmrs.client import PlainClient
+
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "console"))
+from consoles import browser, console, running_cell
+
+AIM_HZ = 30.0
+SETTINGS = ("cell.rate=1", "procedure.max_pose_age=3", "robot.deadman=1.0", "sim.arm.physics=kinematic")
+COUNT = """() => {
+    const scene = window[Object.keys(window).find((name) => name.startsWith("scene_c"))];
+    const links = () => scene.children.filter((each) => each.name === "link");
+    window.counted = { drawn: [], moved: [] };
+    let before = "";
+    scene.onBeforeRender = () => {
+        const now = performance.now();
+        const stand = links().map((each) => [...each.position.toArray(), ...each.quaternion.toArray()].join()).join();
+        window.counted.drawn.push(now);
+        if (stand !== before) window.counted.moved.push(now);
+        before = stand;
+    };
+}"""
+
+
+def measure(motions: int) -> list[dict[str, float]]:
+    with tempfile.TemporaryDirectory(prefix="pcmrs-") as name, running_cell(Path(name), *SETTINGS) as address:
+        options = dict(zip(address[::2], address[1::2], strict=True))
+        where = options["--endpoint"], options["--site"], options["--cell"]
+        with console(*address) as (_, url), browser(url) as page, PlainClient.connect(*where) as cell:
+            page.locator("canvas").first.wait_for()
+            for operation, arguments in (
+                ("registration.plan_landmarks", landmarks()),
+                ("digitization.digitize_all", {}),
+                ("registration.register", {}),
+                ("toolplan.plan", tool_pose()),
+                ("robot.connect", {}),
+            ):
+                ask(cell, operation, arguments)
+            return [
+                during(page, cell, operation)
+                for _ in range(motions)
+                for operation in ("placement.approach", "placement.home")
+            ]
+
+
+def ask(cell: PlainClient, operation: str, arguments: dict[str, Any] | None = None) -> None:
+    verdict = cell.call(operation, arguments)
+    assert verdict.decision == "accepted", verdict
+    cell.until(lambda state: not state.running)
+
+
+def during(page: Any, cell: PlainClient, operation: str) -> dict[str, float]:
+    """From the first frame in which the arm has moved to the last one."""
+    page.evaluate(COUNT)
+    ask(cell, operation)
+    counted = page.evaluate("() => window.counted")
+    moved = np.array(counted["moved"][1:]) / 1e3
+    drawn = np.array(counted["drawn"]) / 1e3
+    lasted = moved[-1] - moved[0]
+    return {
+        "lasted_s": float(lasted),
+        "drawn_hz": float(((drawn >= moved[0]) & (drawn <= moved[-1])).sum() / lasted),
+        "moved_hz": float((len(moved) - 1) / lasted),
+        "longest_ms": float(np.diff(moved).max() * 1e3),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--motions", type=int, default=4)
+    parser.add_argument("--json", action="store_true")
+    given = parser.parse_args()
+    report = measure(given.motions)
+    if given.json:
+        print(json.dumps(report))
+        return
+    print(f"Python {platform.python_version()}; the aim is {AIM_HZ:g} frames/s in which the arm has moved")
+    for row in report:
+        print("  ".join(f"{what} {value:7.2f}" for what, value in row.items()))
+
+
+if __name__ == "__main__":
+    main()
