@@ -20,11 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from pcmrs.campaign.driving import landmarks, tool_pose
 from pcmrs.client import PlainClient
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "console"))
-from consoles import browser, console, running_cell
+from consoles import ask, browser, client_of, console, running_cell, to_registered_head
 
 AIM_HZ = 30.0
 SETTINGS = ("cell.rate=1", "procedure.max_pose_age=3", "robot.deadman=1.0", "sim.arm.physics=kinematic")
@@ -44,30 +43,20 @@ COUNT = """() => {
 
 
 def measure(motions: int) -> list[dict[str, float]]:
-    with tempfile.TemporaryDirectory(prefix="pcmrs-") as name, running_cell(Path(name), *SETTINGS) as address:
-        options = dict(zip(address[::2], address[1::2], strict=True))
-        where = options["--endpoint"], options["--site"], options["--cell"]
-        with console(*address) as (_, url), browser(url) as page, PlainClient.connect(*where) as cell:
-            page.locator("canvas").first.wait_for()
-            for operation, arguments in (
-                ("registration.plan_landmarks", landmarks()),
-                ("digitization.digitize_all", {}),
-                ("registration.register", {}),
-                ("toolplan.plan", tool_pose()),
-                ("robot.connect", {}),
-            ):
-                ask(cell, operation, arguments)
-            return [
-                during(page, cell, operation)
-                for _ in range(motions)
-                for operation in ("placement.approach", "placement.home")
-            ]
-
-
-def ask(cell: PlainClient, operation: str, arguments: dict[str, Any] | None = None) -> None:
-    verdict = cell.call(operation, arguments)
-    assert verdict.decision == "accepted", verdict
-    cell.until(lambda state: not state.running)
+    with (
+        tempfile.TemporaryDirectory(prefix="pcmrs-") as name,
+        running_cell(Path(name), *SETTINGS) as address,
+        console(*address) as (_, url),
+        browser(url) as page,
+        client_of(address) as cell,
+    ):
+        page.locator("canvas").first.wait_for()
+        to_registered_head(cell)
+        return [
+            during(page, cell, operation)
+            for _ in range(motions)
+            for operation in ("placement.approach", "placement.home")
+        ]
 
 
 def during(page: Any, cell: PlainClient, operation: str) -> dict[str, float]:

@@ -10,8 +10,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from pcmrs.campaign.driving import landmarks, tool_pose
+from pcmrs.client import PlainClient
 from pcmrs.experiment.process import own_settings, serve_command
 
 if TYPE_CHECKING:
@@ -55,6 +57,33 @@ def running_cell(folder: Path, *settings: str) -> Iterator[list[str]]:
         yield ["--endpoint", ready["endpoint"], "--site", site, "--cell", cell]
         daemon.terminate()
         daemon.wait(30.0)
+
+
+@contextmanager
+def client_of(address: list[str]) -> Iterator[PlainClient]:
+    """A client at the options of `running_cell`."""
+    options = dict(zip(address[::2], address[1::2], strict=True))
+    with PlainClient.connect(options["--endpoint"], options["--site"], options["--cell"]) as cell:
+        yield cell
+
+
+def to_registered_head(cell: PlainClient) -> None:
+    """All that comes before the first motion."""
+    for operation, arguments in (
+        ("registration.plan_landmarks", landmarks()),
+        ("digitization.digitize_all", {}),
+        ("registration.register", {}),
+        ("toolplan.plan", tool_pose()),
+        ("robot.connect", {}),
+    ):
+        ask(cell, operation, arguments)
+
+
+def ask(cell: PlainClient, operation: str, arguments: dict[str, Any] | None = None) -> None:
+    """An operation that has to be accepted, and the end of all that it sets going."""
+    verdict = cell.call(operation, arguments)
+    assert verdict.decision == "accepted", verdict
+    cell.until(lambda state: not state.running)
 
 
 @contextmanager

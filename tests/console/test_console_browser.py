@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from consoles import CHROMIUM, browser, console, running_cell
+from consoles import CHROMIUM, browser, client_of, console, running_cell, to_registered_head
 from remote_cell import CELL, SITE, Loopback, remote_cell
 
 pytest.importorskip("playwright")
@@ -186,7 +186,7 @@ class Typist(Operator):
         self.shows("state-registration", "100")
 
     def choose_tool(self) -> None:
-        self.at("mode").get_by_text("Tool pose").press("Enter")
+        self.at("mode").get_by_role("button", name="Tool pose").press("Enter")
 
 
 def test_a_procedure_by_keyboard(address: list[str]) -> None:
@@ -207,9 +207,10 @@ def test_a_procedure_by_keyboard(address: list[str]) -> None:
 
 
 def test_a_console_that_is_killed_in_motion_changes_nothing(address: list[str]) -> None:
+    with client_of(address) as cell:
+        to_registered_head(cell)
     with console(*address) as (process, url), browser(url) as page:
         operator = Operator(page)
-        operator.to_standoff()
         operator.press("placement.approach")
         operator.shows("running", "placement.approach")
         process.kill()

@@ -19,7 +19,7 @@ NEVER_LATER = 20.0
 """Everything has an answer within this, s."""
 
 
-@pytest.fixture(params=list(BENCHES))
+@pytest.fixture(params=[pytest.param(name, marks=() if name == "sim" else pytest.mark.nightly) for name in BENCHES])
 async def lab(request: pytest.FixtureRequest) -> AsyncIterator[Bench]:
     async with asyncio.timeout(3 * NEVER_LATER), bench(request.param) as lab:
         await lab.robot.connect()

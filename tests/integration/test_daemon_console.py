@@ -9,6 +9,7 @@ from pathlib import Path
 from urllib.error import HTTPError, URLError
 from urllib.request import HTTPCookieProcessor, build_opener
 
+import pytest
 from daemon_process import own_settings, running_daemon, wait_until
 
 from pcmrs.campaign.driving import accept
@@ -49,6 +50,7 @@ def test_the_page_opens_with_its_token_and_comes_back_when_it_is_killed(tmp_path
     assert status(page) == 0
 
 
+@pytest.mark.nightly
 async def test_a_taken_port_costs_the_page_and_nothing_else(tmp_path: Path) -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))

@@ -41,8 +41,8 @@ def pressed(gap: float, request: PressRequest = REQUEST, stiffness: float = 1000
     return arm, press, forces
 
 
-@pytest.mark.parametrize("stiffness", [600.0, 1000.0, 5000.0])
-@pytest.mark.parametrize("force", [1.0, 3.0, 5.0])
+@pytest.mark.parametrize("stiffness", [600.0, pytest.param(1000.0, marks=pytest.mark.nightly), 5000.0])
+@pytest.mark.parametrize("force", [1.0, pytest.param(3.0, marks=pytest.mark.nightly), 5.0])
 def test_the_force_is_reached_without_overshoot_and_kept(force: float, stiffness: float) -> None:
     arm, press, forces = pressed(0.0, msgspec.structs.replace(REQUEST, force=force), stiffness)
     assert arm.stopped is None

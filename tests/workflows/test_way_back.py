@@ -75,7 +75,9 @@ async def clear_and_hide(bench: WorkflowBench) -> None:
     await bench.clock.sleep(1.0)
 
 
-@pytest.mark.parametrize("forget", [clear_registration, clear_landmarks, clear_and_hide])
+@pytest.mark.parametrize(
+    "forget", [clear_registration, pytest.param(clear_landmarks, marks=pytest.mark.nightly), clear_and_hide]
+)
 @pytest.mark.parametrize(("name", "pose"), PLACES)
 async def test_a_registration_given_up_leaves_the_way_back_open(name: str, pose: int, forget: Forget) -> None:
     async with open_placed(name, pose) as bench:
