@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 from pathlib import Path
@@ -10,9 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from nicegui.elements.upload_files import SmallFileUpload
 
 from pcmrs.console.planning import files
 from pcmrs.console.planning.files import read_points, read_surface
+from pcmrs.console.planning.upload_form import stored
 from pcmrs.errors import FileFormatError
 
 BALL = trimesh.creation.icosphere(subdivisions=4, radius=90.0)
@@ -73,3 +76,13 @@ async def test_what_takes_too_long_is_given_up(tmp_path: Path, monkeypatch: pyte
 
 
 DIGITIZED = "DIGITIZED:\n  p0: {x: 0.1, y: 0.2, z: 0.3}\n"
+
+
+@pytest.mark.parametrize("name", ["../evil.stl", "/tmp/evil.stl", "a/../../evil.nii.gz", "..", ".", ""])
+def test_a_file_stays_in_the_folder_it_is_put_into(name: str, tmp_path: Path) -> None:
+    folder = tmp_path / "upload"
+    folder.mkdir()
+    path = asyncio.run(stored([SmallFileUpload(name, "", b"evil")], folder))
+    assert path.read_bytes() == b"evil"
+    assert {*tmp_path.rglob("*")} == {folder, path}
+    assert path.parent == folder

@@ -88,7 +88,7 @@ class UploadForm:
     async def _use_in(self, folder: Path, files: Sequence[FileUpload]) -> None:
         """Takes files by way of a folder; what is refused is told without that."""
         try:
-            await self._use(await _stored(files, folder))
+            await self._use(await stored(files, folder))
         except (PcmrsError, OSError) as error:
             text = error.text if isinstance(error, PcmrsError) else str(error)
             self._say(text.replace(f"{folder}/", "").replace(str(folder), self._editing.texts("files")), good=False)
@@ -142,10 +142,10 @@ class UploadForm:
         self._result.classes(replace="text-grey-9" if good else "text-red-9")
 
 
-async def _stored(files: Sequence[FileUpload], folder: Path) -> Path:
+async def stored(files: Sequence[FileUpload], folder: Path) -> Path:
     """Where the files of one upload are: one file by its name, several as a folder, as those of a DICOM series."""
     if len(files) == 1:
-        name = files[0].name
+        name = Path(files[0].name).name  # what a browser calls it may be a path
         path = folder / (name if name.strip(".") else "file")
         await files[0].save(path)
         return path
