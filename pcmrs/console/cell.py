@@ -36,7 +36,8 @@ class CellPanel:
         self._told, self._setup = told, setup
         self._sight = Sight(setup)
         with ui.element("div").classes("relative w-full h-full"):
-            with ui.scene(width=10, height=10, grid=False, fps=int(RATE), background_color=BACKGROUND) as scene:
+            # The browser waits for its next frame and then for 1/fps: only so it draws RATE of them.
+            with ui.scene(width=10, height=10, grid=False, fps=int(2 * RATE), background_color=BACKGROUND) as scene:
                 self.scene = scene.classes("w-full h-full").props('aria-label="Scene"')
                 self._links = [self._link(span) for span in self._sight.arm.spans]
                 self._boxes = [self._box(name, size, pose) for name, size, pose in _boxes(setup)]
