@@ -73,7 +73,7 @@ def test_the_workflow_runs_from_behind_another_nat(tmp_path: Path) -> None:
 
 def test_the_workflow_runs_through_a_router_on_loopback(tmp_path: Path) -> None:
     network = Loopback()
-    with remote_cell(network, tmp_path, *PATIENT, "procedure.max_pose_age=3", "cell.rate=5") as cell:
+    with remote_cell(network, tmp_path, *PATIENT, "procedure.max_pose_age=3") as cell:
         check_that_devices_are_heard(network, tmp_path)
         with holding(cell):
             perform(cell)
