@@ -14,7 +14,7 @@ import msgpack
 import msgspec
 
 from pcmrs.errors import PayloadError
-from pcmrs.messages import Message
+from pcmrs.messages import DeviceEvent, Message, Verdict
 
 T = TypeVar("T")
 
@@ -89,6 +89,11 @@ def convert(value: Any, kind: type[T]) -> T:
         return msgspec.convert(value, kind)
     except (msgspec.ValidationError, RecursionError) as error:
         raise PayloadError(f"Not a {kind.__name__}: {error}.", kind=kind.__name__) from error
+
+
+def convert_event(fields: dict[str, Any]) -> Verdict | DeviceEvent:
+    """What was told on ``state/event``, from its decoded fields. Raises `PayloadError`."""
+    return convert(fields, Verdict) if "decision" in fields else convert(fields, DeviceEvent)
 
 
 def _decode(payload: bytes) -> Any:

@@ -14,7 +14,7 @@ from contextlib import aclosing, asynccontextmanager, suppress
 from typing import Any, TypeVar
 
 from pcmrs.bus import DEFAULT_ENDPOINT, Bus, BusSettings, Credentials, Empty
-from pcmrs.bus.codec import convert
+from pcmrs.bus.codec import convert_event
 from pcmrs.bus.envelope import Envelope
 from pcmrs.bus.keys import KeyTable, command_key
 from pcmrs.bus.settings import SECURED
@@ -293,7 +293,7 @@ class Client:
 
         ends = (
             self._bus.subscribe("state/fsm", Snapshot, lambda _, snapshot: take(snapshot)),
-            self._bus.subscribe("state/event", dict, lambda _, fields: take(_event(fields))),
+            self._bus.subscribe("state/event", dict, lambda _, fields: take(convert_event(fields))),
         )
         try:
             while True:
@@ -354,7 +354,3 @@ async def _cancelled_with(beside: Coroutine[Any, Any, None]) -> AsyncIterator[No
             task.cancel()
     except BaseExceptionGroup as errors:
         raise errors.exceptions[0] from None
-
-
-def _event(fields: dict[str, Any]) -> Verdict | DeviceEvent:
-    return convert(fields, Verdict) if "decision" in fields else convert(fields, DeviceEvent)

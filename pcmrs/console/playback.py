@@ -7,9 +7,8 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-from pcmrs.bus.codec import convert, unpack
+from pcmrs.bus.codec import convert_event, unpack
 from pcmrs.console.told import EVENTS, Told
 from pcmrs.errors import FileFormatError, PcmrsError
 from pcmrs.fsm import Blueprint
@@ -160,7 +159,9 @@ class Playback(Told):
 
     def _events(self) -> list[tuple[float, Verdict | DeviceEvent]]:
         track = self.recorded.tracks.get("state/event", Track())
-        return [(at, _event(unpack(payload, dict))) for at, payload in zip(track.times, track.payloads, strict=True)]
+        return [
+            (at, convert_event(unpack(payload, dict))) for at, payload in zip(track.times, track.payloads, strict=True)
+        ]
 
     def _check(self, setup: Setup, blueprint: Blueprint) -> None:
         """Refuses what this cell's page cannot show truly."""
@@ -191,7 +192,3 @@ def _keep(tracks: dict[str, Track], key: str, at: float, payload: bytes) -> None
 
 def _has(blueprint: Blueprint, branch: str, state: str) -> bool:
     return branch in blueprint.branches and state in blueprint.branches[branch].states
-
-
-def _event(fields: dict[str, Any]) -> Verdict | DeviceEvent:
-    return convert(fields, Verdict) if "decision" in fields else convert(fields, DeviceEvent)

@@ -7,10 +7,10 @@ from typing import Any, TypeVar
 
 from foxglove.messages import LogLevel
 
-from pcmrs.bus.codec import convert, unpack
+from pcmrs.bus.codec import convert_event, unpack
 from pcmrs.errors import PcmrsError
 from pcmrs.kinematics.arms import ArmFacts
-from pcmrs.messages import BodyPose, DeviceEvent, DeviceHealth, JointState, PoseMessage, Snapshot, Target, Verdict
+from pcmrs.messages import BodyPose, DeviceHealth, JointState, PoseMessage, Snapshot, Target, Verdict
 from pcmrs.recording import shapes
 from pcmrs.recording.chain import Chain, Link, Mounting
 from pcmrs.recording.shapes import View
@@ -117,13 +117,11 @@ class Views:
             yield self._kept("target", TARGET, lambda at: shapes.pose_in(Frame.IMAGE, image_from_coil, at), at_ns)
 
     def _event(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
-        fields = unpack(heard.payload, dict)
-        if "decision" in fields:
-            verdict = convert(fields, Verdict)
-            level = _LEVELS.get(verdict.decision, LogLevel.Error)
-            yield LOG, shapes.line(level, f"{verdict.branch}.{verdict.operation}", _said(verdict), at_ns)
+        event = convert_event(unpack(heard.payload, dict))
+        if isinstance(event, Verdict):
+            level = _LEVELS.get(event.decision, LogLevel.Error)
+            yield LOG, shapes.line(level, f"{event.branch}.{event.operation}", _said(event), at_ns)
         else:
-            event = convert(fields, DeviceEvent)
             level = LogLevel.Error if event.danger else LogLevel.Warning
             yield LOG, shapes.line(level, event.device, f"{event.code}: {event.text}", at_ns)
 

@@ -25,8 +25,6 @@ pytestmark = [
 ]
 PATIENT = (
     "procedure.max_pose_age=3", "robot.deadman=1.0", "sim.arm.physics=kinematic",
-    "recording.enabled=false",
-    "console.enabled=false",
 )  # fmt: skip
 """A browser that renders without a graphics card takes most of this machine."""
 FACE = ((0.5, 0.45), (0.45, 0.35), (0.55, 0.35), (0.5, 0.65), (0.44, 0.55), (0.56, 0.55))
