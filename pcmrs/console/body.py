@@ -6,8 +6,8 @@ from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
 from pcmrs.console.geometry import residuals
-from pcmrs.console.scene import BOX, GOOD, OPEN, POOR, SKIN, SURFACE, show
-from pcmrs.console.surfaces import ZONE, Surfaces
+from pcmrs.console.scene import BOX, GOOD, OPEN, POOR, SKIN, show
+from pcmrs.console.surfaces import LIGHTER, ZONE, Surfaces
 from pcmrs.console.told import Told
 from pcmrs.messages import PoseMessage
 from pcmrs.messages.setup import LandmarkShown, Setup
@@ -37,8 +37,8 @@ class BodyShown:
         self._coloured: tuple[str, Object3D] | None = None
         with scene, scene.group() as self._image:
             if setup.surface is not None:
-                self._plain = scene.stl(SURFACE).material(SKIN, 0.9).with_name("surface")
-                self._zone = scene.stl(ZONE).material(BOX, 0.15).with_name("zone of the body")
+                self._plain = scene.stl(LIGHTER).material(SKIN, 0.9).with_name("surface")
+                self._zone = scene.stl(ZONE).material(BOX, 0.3, "back").with_name("zone of the body")
         self._image.with_name("body").visible(False)
         with scene, scene.group() as self._reference:
             pass
@@ -82,7 +82,7 @@ class BodyShown:
         for landmark, residual in zip(self._told.data.landmarks, residuals(self._told.data), strict=True):
             colour = OPEN if residual is None else GOOD if residual <= self._setup.residual_limit else POOR
             with self._scene, self._image:
-                ball = self._scene.sphere(BALL).material(colour).with_name(f"landmark {landmark.name}")
+                ball = self._scene.sphere(BALL, 8, 5).material(colour).with_name(f"landmark {landmark.name}")
                 self._landmarks.append(ball.move(*landmark.planned))
             if landmark.digitized is not None:
                 with self._scene, self._reference:

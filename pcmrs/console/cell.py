@@ -67,10 +67,10 @@ class CellPanel:
         """A group with a ball at a joint and a bar to the next."""
         radius = self._sight.arm.radius
         with self.scene.group() as group:
-            self.scene.sphere(radius).material(ARM)
+            self.scene.sphere(radius, 12, 8).material(ARM)
             length = float(np.linalg.norm(span))
             if length > 1e-3:
-                bar = self.scene.cylinder(0.8 * radius, 0.8 * radius, length, 24).material(ARM)
+                bar = self.scene.cylinder(0.8 * radius, 0.8 * radius, length, 16).material(ARM)
                 put(bar, Transform(along(span / length), span / 2.0))
         return group.with_name("link")
 
@@ -83,7 +83,7 @@ class CellPanel:
         """A disc or rod about its z axis, with its handle along -y."""
         radius, half = self._setup.tool_radius, self._setup.tool_half_length
         with self.scene.group() as group:
-            disc = self.scene.cylinder(radius, radius, 2.0 * half, 48).material(colour, opacity)
+            disc = self.scene.cylinder(radius, radius, 2.0 * half, 24).material(colour, opacity)
             put(disc, Transform(AXES, np.array((0.0, 0.0, half))))
             handle = self.scene.box(0.02, 0.16, 0.02).material(colour, opacity)
             handle.move(0.0, -radius - 0.07, half)

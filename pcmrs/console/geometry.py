@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,9 @@ SHIFTED, TURNED = 0.02, 0.01
 """Farther than noise would have it, m and rad: the tracker was moved."""
 SHARE = 0.05
 """Of a new sight of the tracker's stand in what is believed of it."""
+
+FACES = 2500
+"""Of a surface that is looked at, not measured on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +42,20 @@ def vertices_of(surface: SurfaceShown) -> tuple[Floats, npt.NDArray[np.int64]]:
     return vertices, np.frombuffer(surface.faces, "<u4").reshape(-1, 3).astype(np.int64)
 
 
+@lru_cache(maxsize=1)
+def lighter(surface: SurfaceShown) -> SurfaceShown:
+    """A surface of at most `FACES`, to be looked at: a browser without a graphics card draws no more in time."""
+    vertices, faces = vertices_of(surface)
+    if len(faces) <= FACES:
+        return surface
+    from trimesh import Trimesh
+
+    mesh = Trimesh(vertices, faces, process=False).simplify_quadric_decimation(face_count=FACES)
+    return SurfaceShown(
+        vertices=np.asarray(mesh.vertices, "<f4").tobytes(), faces=np.asarray(mesh.faces, "<u4").tobytes()
+    )
+
+
 def as_stl(vertices: Floats, faces: npt.NDArray[np.int64]) -> bytes:
     """A mesh as binary STL, for the browser: corners (V, 3), m, and faces (F, 3)."""
     from trimesh import Trimesh  # takes longer than all else here, and is needed once for a page
@@ -52,9 +70,9 @@ def as_zone(vertices: Floats, margin: float) -> bytes:
     from trimesh.creation import icosphere
     from trimesh.exchange.stl import export_stl
 
-    around = np.asarray(icosphere(subdivisions=1, radius=margin).vertices) if margin > 0.0 else np.zeros((1, 3))
-    corners = np.asarray(convex_hull(vertices).vertices)
-    return export_stl(convex_hull((corners[:, None] + around).reshape(-1, 3)))
+    outward = np.asarray(icosphere(subdivisions=2).vertices)
+    farthest = vertices[np.argmax(vertices @ outward.T, axis=0)]
+    return export_stl(convex_hull(farthest + margin * outward))
 
 
 def along(axis: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""The body's surface as browsers load it: plain, and coloured by the predicted error."""
+"""The body's surface as browsers load it: whole, lighter to be looked at, and that coloured by the predicted error."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ import msgspec
 from fastapi import FastAPI, Response
 
 from pcmrs.console.feed import Feed
-from pcmrs.console.geometry import as_stl, as_zone, vertices_of
+from pcmrs.console.geometry import as_stl, as_zone, lighter, vertices_of
 from pcmrs.console.scene import SURFACE
 from pcmrs.console.tre import coloured
 from pcmrs.messages.setup import Gathered, Setup, SurfaceShown
 
 KEPT = 4
 """Coloured surfaces: pages of one cell ask for the same one."""
+LIGHTER = "/lighter.stl"
 ZONE = "/zone.stl"
 COLOURED = "/error/{key}.glb"
 
@@ -40,6 +41,10 @@ class Surfaces:
         def surface() -> Response:
             return _stl(self._feed.setup, lambda _, shown: as_stl(*vertices_of(shown)))
 
+        @app.get(LIGHTER)
+        def light() -> Response:
+            return _stl(self._feed.setup, lambda _, shown: as_stl(*vertices_of(lighter(shown))))
+
         @app.get(ZONE)
         def zone() -> Response:
             return _stl(self._feed.setup, lambda setup, shown: as_zone(vertices_of(shown)[0], setup.body_margin))
@@ -57,13 +62,17 @@ class Surfaces:
         rests_on = (data.body_ref_from_image, [each.planned for each in data.landmarks], data.sigma, data.covariance)
         key = hashlib.sha256(setup.surface.vertices + msgspec.msgpack.encode(rests_on)).hexdigest()[:16]
         if key not in self._coloured:
-            made = await asyncio.to_thread(coloured, setup.surface, data, setup.tre_limit)
+            made = await asyncio.to_thread(_coloured, setup.surface, data, setup.tre_limit)
             if made is None:
                 return None
             self._coloured[key] = made
             while len(self._coloured) > KEPT:
                 self._coloured.popitem(last=False)
         return COLOURED.format(key=key)
+
+
+def _coloured(surface: SurfaceShown, data: Gathered, limit: float) -> bytes | None:
+    return coloured(lighter(surface), data, limit)
 
 
 def _stl(setup: Setup | None, made: Callable[[Setup, SurfaceShown], bytes]) -> Response:

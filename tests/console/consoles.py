@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 CHROMIUM = shutil.which("chromium") or ""
 FLAGS = [
     "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
-    "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-compositing",
 ]  # fmt: skip
 
 
@@ -54,9 +54,11 @@ def running_cell(folder: Path, *settings: str) -> Iterator[list[str]]:
         assert line, (folder / "log").read_text()
         ready = json.loads(line)
         _, site, cell = ready["prefix"].split("/")
-        yield ["--endpoint", ready["endpoint"], "--site", site, "--cell", cell]
-        daemon.terminate()
-        daemon.wait(30.0)
+        try:
+            yield ["--endpoint", ready["endpoint"], "--site", site, "--cell", cell]
+        finally:
+            daemon.terminate()
+            daemon.wait(30.0)
 
 
 @contextmanager
