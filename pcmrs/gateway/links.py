@@ -15,6 +15,7 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.actions import Services
 from pcmrs.gateway.admission import NOT_KEPT, Admission
 from pcmrs.gateway.authentication import SignedPeer
+from pcmrs.gateway.beats import kernel_beats
 from pcmrs.gateway.core import Core
 from pcmrs.gateway.counters import CounterFile, check_room
 from pcmrs.gateway.intake import Counters, Intake
@@ -66,7 +67,7 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         tasks, jobs = Tasks(), Tasks()
         stack.push_async_callback(tasks.close)
         stack.push_async_callback(jobs.close)
-        streams = Streams(core, clock, config, await _open_sender(stack), tasks)
+        streams = Streams(core, kernel_beats, config, await _open_sender(stack), tasks)
         records = Records(core, clock, folder / RECORDS, tasks)
         refusals = Refusals(core, clock, tasks)
         admission = _open_admission(stack, config, clock, folder / COUNTERS, refusals, tasks) if config.peers else None

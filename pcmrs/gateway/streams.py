@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
-from pcmrs.clock import Clock
+from pcmrs.gateway.beats import Beats
 from pcmrs.gateway.core import Core
 from pcmrs.gateway.grammar import TOOL_POINTS_PREFIX
 from pcmrs.gateway.settings import GatewayConfig
@@ -25,18 +25,18 @@ class Streams:
 
     Args:
         core: Where the poses come from.
-        clock: The machine's clock; streams run in real time.
+        beats: Pace the streams, in real time.
         config: Hosts, ports and rate.
         send: Sends one datagram.
         tasks: Owns the running streams.
     """
 
-    def __init__(self, core: Core, clock: Clock, config: GatewayConfig, send: Send, tasks: Tasks) -> None:
+    def __init__(self, core: Core, beats: Beats, config: GatewayConfig, send: Send, tasks: Tasks) -> None:
         self._core = core
         self._config = config
         self._send = send
-        self._poses = Repetition(clock, config.stream_rate_hz, self._send_poses, tasks)
-        self._tip = Repetition(clock, config.stream_rate_hz, self._send_tip, tasks)
+        self._poses = Repetition(beats, config.stream_rate_hz, self._send_poses, tasks)
+        self._tip = Repetition(beats, config.stream_rate_hz, self._send_tip, tasks)
         self._sent_to_unity: dict[str, str] = {}
 
     def start_poses(self) -> None:

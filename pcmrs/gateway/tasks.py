@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import structlog
 
 from pcmrs.clock import Clock
+from pcmrs.gateway.beats import Beats
 
 T = TypeVar("T")
 _log = structlog.get_logger(__name__)
@@ -52,14 +53,14 @@ class Repetition:
     """Something done at a steady rate between `start` and `stop`, whatever the network says to it.
 
     Args:
-        clock: Paces it.
+        beats: Pace it.
         rate_hz: Times per second.
         tick: What is done.
         tasks: Owns it while it runs.
     """
 
-    def __init__(self, clock: Clock, rate_hz: float, tick: Callable[[], None], tasks: Tasks) -> None:
-        self._clock = clock
+    def __init__(self, beats: Beats, rate_hz: float, tick: Callable[[], None], tasks: Tasks) -> None:
+        self._beats = beats
         self._period = 1.0 / rate_hz
         self._tick = tick
         self._tasks = tasks
@@ -78,12 +79,8 @@ class Repetition:
             self._task = None
 
     async def _repeat(self) -> None:
-        due = self._clock.monotonic()
-        while True:
+        async for _ in self._beats(self._period):
             self._try()
-            now = self._clock.monotonic()
-            due = max(due + self._period, now)  # ticks missed in a stall are not made up for
-            await self._clock.sleep(due - now)
 
     def _try(self) -> None:
         """One tick; only the first of several that fail in a row is logged."""

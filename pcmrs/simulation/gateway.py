@@ -8,6 +8,7 @@ from uuid import uuid4
 
 from pcmrs.clock import Clock
 from pcmrs.gateway.actions import Services
+from pcmrs.gateway.beats import beats_of
 from pcmrs.gateway.intake import Intake
 from pcmrs.gateway.records import Records
 from pcmrs.gateway.refusals import Refusals
@@ -33,7 +34,7 @@ class SimulatedGateway:
 
     def __init__(self, core: GatewayCore, config: GatewayConfig, clock: Clock, folder: Path) -> None:
         self._tasks, self._jobs = Tasks(), Tasks()
-        streams = Streams(core, clock, config, _to_nobody, self._tasks)
+        streams = Streams(core, beats_of(clock), config, _to_nobody, self._tasks)
         records = Records(core, clock, folder, self._tasks)
         refusals = Refusals(core, clock, self._tasks)
         self._intake = Intake(Services(uuid4().hex, core, clock, streams, records, refusals), self._jobs, (HOST,))

@@ -3,6 +3,8 @@ from __future__ import annotations
 import asyncio
 import csv
 import os
+import time
+from contextlib import aclosing
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from structlog.testing import capture_logs
 
 from pcmrs.errors import RefusalError
+from pcmrs.gateway.beats import beats_of, kernel_beats
 from pcmrs.gateway.records import Records, placement_text
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.gateway.streams import Streams, point_message, pose_message, unity_message
@@ -64,7 +67,7 @@ class Sent:
 async def test_the_pose_stream_keeps_its_rate_and_sends_unity_plans_once() -> None:
     core, clock, sent, tasks = FakeCore(), ManualClock(), Sent(), Tasks()
     config = GatewayConfig(stream_rate_hz=100.0)
-    streams = Streams(core, clock, config, sent, tasks)
+    streams = Streams(core, beats_of(clock), config, sent, tasks)
     began = clock.now
     streams.start_poses()
     streams.start_poses()
@@ -97,7 +100,7 @@ async def test_a_stream_outlives_a_network_that_is_down() -> None:
             raise OSError(101, "Network is unreachable")
         sent(text, host, port)
 
-    streams = Streams(FakeCore(), ManualClock(), GatewayConfig(), send, tasks)
+    streams = Streams(FakeCore(), beats_of(ManualClock()), GatewayConfig(), send, tasks)
     with capture_logs() as logged:
         streams.start_tip()
         await sent.wait(2)
@@ -108,7 +111,7 @@ async def test_a_stream_outlives_a_network_that_is_down() -> None:
 async def test_an_unknown_pose_is_left_out() -> None:
     core, sent, tasks = FakeCore(), Sent(), Tasks()
     core.pose = None
-    streams = Streams(core, ManualClock(), GatewayConfig(), sent, tasks)
+    streams = Streams(core, beats_of(ManualClock()), GatewayConfig(), sent, tasks)
     streams.start_poses()
     await sent.wait(1)
     assert sent.to(8079) == []
@@ -175,10 +178,39 @@ async def test_ticks_missed_in_a_stall_are_not_made_up_for() -> None:
         if len(times) == 8:
             enough.set()
 
-    repetition = Repetition(clock, 10.0, tick, tasks)
+    repetition = Repetition(beats_of(clock), 10.0, tick, tasks)
     repetition.start()
     await enough.wait()
     repetition.stop()
     await tasks.close()
     assert times[2] == pytest.approx(times[1] + 1.0), "the stall is over"
     assert np.diff(times[2:8]) == pytest.approx(0.1)
+
+
+async def test_beats_in_real_time_come_at_their_rate_and_one_for_those_missed() -> None:
+    period, missed = 0.01, 20
+    began, count = time.monotonic(), 0
+    async with aclosing(kernel_beats(period)) as beats:
+        async for _ in beats:
+            count += 1
+            if count == 5:
+                time.sleep((missed + 1) * period)  # noqa: ASYNC251 (a loop that is busy elsewhere)
+            if count == 10:
+                break
+    assert time.monotonic() - began > (count - 2 + missed) * period
+
+
+def open_files() -> list[str]:
+    return sorted(each.name for each in Path("/proc/self/fd").iterdir())
+
+
+async def test_beats_that_end_leave_no_timer_behind() -> None:
+    before = open_files()
+    tasks = Tasks()
+    repetition = Repetition(kernel_beats, 1000.0, lambda: None, tasks)
+    for _ in range(3):
+        repetition.start()
+        await asyncio.sleep(0.01)
+        repetition.stop()
+        await tasks.close()
+    assert open_files() == before

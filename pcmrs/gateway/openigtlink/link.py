@@ -12,6 +12,7 @@ import structlog
 from pcmrs.clock import Clock
 from pcmrs.devices.plus.framing import MessageReader
 from pcmrs.errors import PayloadError
+from pcmrs.gateway.beats import kernel_beats
 from pcmrs.gateway.core import Core
 from pcmrs.gateway.intake import Intake, source_of
 from pcmrs.gateway.openigtlink.feed import Feed
@@ -57,7 +58,7 @@ class OpenIgtLink:
         self._server: asyncio.Server | None = None
         self._exposed = False
         self._feed = Feed(core, clock, together=self._config.poses == "TDATA")
-        self._ticks = Repetition(clock, self._config.rate_hz, self._tick, tasks)
+        self._ticks = Repetition(kernel_beats, self._config.rate_hz, self._tick, tasks)
         core.on_stop(self._halt)
 
     @property
