@@ -10,7 +10,7 @@ WORKFLOW := ratms
 INSTALLED := $(VENV)/installed.stamp
 EXTRAS := sim hardware console imaging ros2 docs dev
 
-.PHONY: help install demo test mutants tools browser screenshots docs lint lock clean
+.PHONY: help install demo test mutants tools browser mono screenshots docs lint lock clean
 
 help: ## List these targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  make \1\t\2/p' Makefile
@@ -32,6 +32,10 @@ tools: ## Install what faults are injected with (Debian packages, as root); with
 browser: ## Install the browser that the console is tested in (Debian packages, as root); without it those tests are skipped
 	apt-get update -qq
 	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends chromium >/dev/null
+
+mono: ## Install the C# compiler that the Unity client is tested with (Debian packages, as root); without it those tests are skipped
+	apt-get update -qq
+	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends mono-mcs >/dev/null
 
 docs: install ## Build the documentation into site/, strictly: a broken link fails
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet

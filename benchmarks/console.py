@@ -1,9 +1,9 @@
 """Frames that the console's scene shows per second while the arm moves, in headless Chromium.
 
-A cell in real time with a kinematic arm, the console and the browser are processes of one machine. Chromium draws with
-the processor, for want of a graphics card, and takes only the time that the others leave (`chrt -i 0`). Counted, while
-the tool goes to its standoff and home: frames that the browser has drawn, and those of them in which the arm stood
-elsewhere than in the one before. The aim is 30 of the latter per second. All is simulated.
+A cell in real time with a kinematic arm, the console and the browser are processes of one machine. Chromium draws and
+composes with the processor, for want of a graphics card, and takes only the time that the others leave (`chrt -i 0`).
+Counted, while the tool goes to its standoff and home: frames that the browser has drawn, and those of them in which the
+arm stood elsewhere than in the one before. The aim is 30 of the latter per second. All is simulated.
 
     .venv/bin/python benchmarks/console.py [--motions 4] [--json]
 """

@@ -41,7 +41,7 @@ from pcmrs.spatial import Transform
 
 pytest.importorskip("mujoco")
 
-pytestmark = [NEEDS_MONO, pytest.mark.nightly, pytest.mark.timeout(300)]
+pytestmark = [NEEDS_MONO, pytest.mark.timeout(300)]
 
 LANDMARKS = [number for landmark in plan().landmarks for number in SWAP @ landmark.position]
 """As an object in a Unity scene would have them."""
