@@ -236,15 +236,8 @@ async def test_files_follow_each_other_the_oldest_go_and_each_can_be_understood_
     kept = [path for path in files_of(first) if path != path_of(first, 1)]
     assert sum(path.stat().st_size for path in kept[:-1]) <= 300_000
     for path in kept:
-        topics = {topic for topic, _, _, _ in decoded(path)}
-        assert {
-            "/tf/calibration",
-            "/tf/image",
-            "/target",
-            "/state",
-            "/data",
-            "/daemon",
-        } <= topics  # said before this file
+        topics = {topic for topic, _, _, _ in decoded(path)}  # said before this file
+        assert {"/tf/calibration", "/tf/image", "/target", "/state", "/data", "/daemon"} <= topics
     log = [content.message for path in kept for topic, _, _, content in decoded(path) if topic == "/log"]
     assert any(text.startswith("run.0001.mcap") and "was removed" in text for text in log)
 
