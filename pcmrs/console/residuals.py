@@ -22,9 +22,10 @@ class ResidualsShown:
     def __init__(self, told: Told, setup: Setup, texts: Texts) -> None:
         self._told, self._limit, self._texts = told, setup.residual_limit, texts
         self._drawn = NOTHING
-        self._mean = ui.label().props('data-testid="residual"')
-        self._each = ui.row().classes("gap-1").props('data-testid="landmark-residuals"')
-        self._mean.set_visibility(False)
+        with ui.column().classes("gap-1") as self._whole:
+            self._mean = ui.label().props('data-testid="residual"')
+            self._each = ui.row().classes("gap-1").props('data-testid="landmark-residuals"')
+        self._whole.set_visibility(False)
 
     def refresh(self) -> None:
         """Shows what is now."""
@@ -32,7 +33,7 @@ class ResidualsShown:
         if data == self._drawn:
             return
         self._drawn = data
-        self._mean.set_visibility(data.residual is not None)
+        self._whole.set_visibility(data.residual is not None)
         self._mean.set_text(mean_in_words(data, self._limit, self._texts))
         self._each.clear()
         with self._each:
