@@ -32,6 +32,9 @@ class DataClass:
 COMMANDS: Final = DataClass(Priority.REAL_TIME, newest=0, express=True)
 SNAPSHOTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest=1, kept=1, history=1)
 EVENTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest=0, kept=256, urgent=True)
+# So many signals lie over each other on a display.
+EPOCHS: Final = DataClass(Priority.DATA, newest=5, kept=5, history=5)
+REPORTS: Final = DataClass(Priority.DATA_LOW, newest=1, kept=1, history=1)
 BEATS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest=1, express=True)
 SETPOINTS: Final = DataClass(Priority.REAL_TIME, newest=1, express=True)
 # A guard that sees every second pose of a body sees nothing of a reflection that moves the others.
@@ -55,6 +58,9 @@ _TABLE: Final = [
         ("state/robot", JOINTS),
         ("state/pose/*", POSES),
         ("state/target", SNAPSHOTS),
+        ("state/data", SNAPSHOTS),
+        ("state/epoch", EPOCHS),
+        ("state/health", REPORTS),
         ("dev/*/state", SNAPSHOTS),
         ("dev/*/beat", BEATS),
         ("dev/*/setpoint", SETPOINTS),

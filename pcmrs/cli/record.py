@@ -67,8 +67,9 @@ def record(
     """Record what a running cell says on its bus, until Ctrl-C.
 
     --config and --set are those of its daemon: from them come the cell's address, the arm and its calibration. The
-    file holds transforms, joints, log, states and the plan as Foxglove and Rerun show them, and every message as it
-    was, for pcmrs play. With --max-size or --max-duration the files are numbered: run.0001.mcap, run.0002.mcap, …
+    file holds transforms, joints, log, states, what was gathered and the plan as Foxglove and Rerun show them, and
+    every message as it was, for pcmrs play. With --max-size or --max-duration the files are numbered: run.0001.mcap,
+    run.0002.mcap, …
 
     Exit status: 0 ended as told, 2 the disk is full or a file cannot be written, 3 no daemon, 4 bad configuration.
 

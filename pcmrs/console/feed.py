@@ -11,8 +11,7 @@ from pcmrs.clock import SystemClock
 from pcmrs.console.history import HISTORIANS, History
 from pcmrs.console.told import Told
 from pcmrs.errors import CommandRefusedError, PcmrsError, UnknownOutcomeError
-from pcmrs.messages import BodyPose, JointState, Snapshot
-from pcmrs.messages.health import Health
+from pcmrs.messages import BodyPose, Epoch, JointState, Snapshot
 from pcmrs.messages.setup import Setup
 
 DIALLED_AGAIN = 1.0
@@ -34,7 +33,6 @@ class Feed(Told):
         client: None while the daemon is not there.
         trouble: Why not.
         setup: Of the cell, from the last time it was reached.
-        health: What the daemon found of itself when it was asked last; None while it does not answer.
         history: The journal, as far as it was read.
     """
 
@@ -47,7 +45,6 @@ class Feed(Told):
         self.client: Client | None = None
         self.trouble = "The daemon has not been reached yet."
         self.setup: Setup | None = None
-        self.health: Health | None = None
         self.history = History()
 
     @property
@@ -80,10 +77,12 @@ class Feed(Told):
 
     async def _keep_up(self, client: Client) -> None:
         self.setup = await client.setup()
+        self.epochs.clear()  # those that count are told again
         async with AsyncExitStack() as stack, asyncio.TaskGroup() as group:
             for end in (
                 client.listen("state/joints", JointState, self._take_joints),
                 client.listen("state/pose/*", BodyPose, self._take_pose),
+                client.listen("state/epoch", Epoch, self._take_epoch),
             ):
                 stack.push_async_callback(end)
             self.client, self.trouble = client, ""
@@ -137,6 +136,10 @@ class Feed(Told):
     def _take_joints(self, joints: JointState) -> None:
         self.joints = joints
         self.heard["joints"] = self.now
+
+    def _take_epoch(self, epoch: Epoch) -> None:
+        self.epochs.append(epoch)
+        self.version += 1
 
     def _take_pose(self, pose: BodyPose) -> None:
         self.poses[pose.body] = pose

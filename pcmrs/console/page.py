@@ -141,7 +141,7 @@ class Page:
                 with ui.tab_panel("planning").classes("p-1"):
                     self._planning = PlanningPanel(feed, setup, self._blueprint, texts, self._asking)
             with ui.tab_panel("signals").classes("p-1"):
-                SignalsPanel(feed, self._told, setup, texts, lambda: tabs.value == "signals")
+                SignalsPanel(self._told, setup, texts, lambda: tabs.value == "signals")
             with ui.tab_panel("session").classes("p-1"):
                 choose_recording(recordings, texts)
                 self._timeline = TimelinePanel(feed, self._told, setup, texts)

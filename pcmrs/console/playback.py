@@ -7,20 +7,23 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 from pcmrs.bus.codec import convert_event, unpack
-from pcmrs.console.told import EVENTS, Told
+from pcmrs.console.told import EPOCHS, EVENTS, NOTHING, Told
 from pcmrs.errors import FileFormatError, PcmrsError
 from pcmrs.fsm import Blueprint
-from pcmrs.messages import BodyPose, DeviceEvent, JointState, Snapshot, Target, Verdict
+from pcmrs.messages import BodyPose, DeviceEvent, Epoch, JointState, Snapshot, Target, Verdict
+from pcmrs.messages.health import Health
 from pcmrs.messages.setup import Gathered, Setup
 from pcmrs.recording.reading import Reading
 
 RATE_HZ = 10.0
 """Of joints and poses so many are kept: more than an eye follows, and an hour of them fits into memory."""
 THINNED = ("state/joints", "state/pose/")
-WHOLE = ("state/fsm", "state/event", "state/target")
+WHOLE = ("state/fsm", "state/event", "state/target", "state/data", "state/epoch", "state/health")
 _SECOND = 1e9
+T = TypeVar("T")
 
 
 @dataclass
@@ -125,37 +128,45 @@ class Playback(Told):
                 self._take(key, track, count)
 
     def _take(self, key: str, track: Track, count: int) -> None:
-        """Shows the newest of what there was; nothing where there was nothing yet."""
+        """Shows the newest of the first `count` messages; nothing where there was none yet."""
         try:
-            self._show(key, track.payloads[count - 1] if count else None, track.times[count - 1] if count else 0.0)
+            self._show(key, track, count)
         except PcmrsError as error:
             self.trouble = f"{key}: {error.text}"
-        if key == "state/event":
-            self.events.clear()
-            self.events.extend(self._all_events[max(0, count - EVENTS) : count])
         if key in WHOLE:
             self.version += 1
 
-    def _show(self, key: str, payload: bytes | None, at: float) -> None:
+    def _show(self, key: str, track: Track, count: int) -> None:
+        payload = track.payloads[count - 1] if count else None
         if key == "state/fsm":
-            self.snapshot = None if payload is None else unpack(payload, Snapshot)
-        elif key == "state/target":
-            target = Target() if payload is None else unpack(payload, Target)
+            self.snapshot = _read(payload, Snapshot)
+        elif key == "state/data":
+            self.data = _read(payload, Gathered) or NOTHING
+        elif key == "state/target" and "state/data" not in self.recorded.tracks:  # older than that
+            target = _read(payload, Target) or Target()
             self.data = Gathered(landmarks=[], plan=target.pose, body_ref_from_image=target.body_ref_from_image)
+        elif key == "state/event":
+            self.events.clear()
+            self.events.extend(self._all_events[max(0, count - EVENTS) : count])
+        elif key == "state/epoch":
+            self.epochs.clear()
+            self.epochs.extend(unpack(each, Epoch) for each in track.payloads[max(0, count - EPOCHS) : count])
+        elif key == "state/health":
+            self.health = _read(payload, Health)
         elif key == "state/joints":
-            self.joints = None if payload is None else unpack(payload, JointState)
-            self._hear("joints", payload, at)
+            self.joints = _read(payload, JointState)
+            self._hear("joints", track, count)
         elif key.startswith("state/pose/"):
             body = key.rpartition("/")[2]
             self.poses.pop(body, None)
             if payload is not None:
                 self.poses[body] = unpack(payload, BodyPose)
-            self._hear(body, payload, at)
+            self._hear(body, track, count)
 
-    def _hear(self, what: str, payload: bytes | None, at: float) -> None:
+    def _hear(self, what: str, track: Track, count: int) -> None:
         self.heard.pop(what, None)
-        if payload is not None:
-            self.heard[what] = at
+        if count:
+            self.heard[what] = track.times[count - 1]
 
     def _events(self) -> list[tuple[float, Verdict | DeviceEvent]]:
         track = self.recorded.tracks.get("state/event", Track())
@@ -188,6 +199,10 @@ def _keep(tracks: dict[str, Track], key: str, at: float, payload: bytes) -> None
         track = tracks[key]
         if not track.times or at - track.times[-1] >= 1.0 / RATE_HZ:
             track.add(at, payload)
+
+
+def _read(payload: bytes | None, kind: type[T]) -> T | None:
+    return None if payload is None else unpack(payload, kind)
 
 
 def _has(blueprint: Blueprint, branch: str, state: str) -> bool:

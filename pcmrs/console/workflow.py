@@ -12,6 +12,7 @@ from nicegui import ui
 from pcmrs.console.asking import Asking
 from pcmrs.console.choices import Choice
 from pcmrs.console.history import heading, why
+from pcmrs.console.residuals import ResidualsShown
 from pcmrs.console.texts import Texts
 from pcmrs.console.told import Told
 from pcmrs.fsm import Blueprint
@@ -34,7 +35,7 @@ class WorkflowPanel:
     """
 
     def __init__(self, told: Told, setup: Setup, blueprint: Blueprint, texts: Texts, asking: Asking) -> None:
-        self._told, self._setup, self._blueprint, self._texts, self._asking = told, setup, blueprint, texts, asking
+        self._told, self._blueprint, self._texts, self._asking = told, blueprint, texts, asking
         self._choices: Mapping[str, Choice] = {}
         self._buttons: dict[str, tuple[ui.button, ui.tooltip]] = {}
         self._states: dict[str, ui.label] = {}
@@ -42,7 +43,7 @@ class WorkflowPanel:
             self._spinner = ui.spinner(size="sm")
             self._running = ui.label().classes("text-weight-medium").props('data-testid="running"')
         self._progress = ui.linear_progress(show_value=False).props("instant-feedback")
-        self._residual = ui.label().props('data-testid="residual"')
+        self._residuals = ResidualsShown(told, setup, texts)
         self._unknown = ui.column().classes("w-full gap-0")
         for name, branch in blueprint.branches.items():
             with ui.card().classes("w-full q-pa-sm gap-1").props("flat bordered"):
@@ -76,11 +77,7 @@ class WorkflowPanel:
             button, tooltip = self._buttons[name]
             button.set_enabled(not choice.why_not)
             tooltip.set_text(choice.why_not or name)
-        residual = self._told.data.residual
-        if residual is not None:
-            limit = self._texts("within", limit=1000.0 * self._setup.residual_limit)
-            self._residual.set_text(f"{self._texts('residual')}: {1000.0 * residual:.2f} mm ({limit})")
-        self._residual.set_visibility(residual is not None)
+        self._residuals.refresh()
         running = shown.running[0] if shown.running else None
         self._spinner.set_visibility(running is not None)
         self._progress.set_visibility(running is not None)

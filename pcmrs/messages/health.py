@@ -166,7 +166,7 @@ class HealthFacts(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class Health(HealthFacts, frozen=True, kw_only=True, omit_defaults=False):
-    """The answer to ``svc/health``: the facts and the verdict on them."""
+    """The facts and the verdict on them: the answer to ``svc/health``, and told on ``state/health`` now and then."""
 
     status: HealthStatus
     reasons: list[HealthReason]

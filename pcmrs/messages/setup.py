@@ -7,7 +7,6 @@ from typing import Any
 from pcmrs.messages.base import Message
 from pcmrs.messages.poses import PoseMessage
 from pcmrs.messages.roles import Role
-from pcmrs.messages.stimulation import Epoch
 
 Point = tuple[float, float, float]
 
@@ -111,19 +110,17 @@ class StimulationShown(Message, frozen=True, kw_only=True, omit_defaults=False):
         ceiling: That no pulse goes above; None until it has been set.
         intensity: Of the next pulse; None until it has been set.
         response: To the last pulse: intensity, what was measured, and why it does not count where it does not.
-        epoch: The signal that it was judged by.
         hunt: For the threshold: its settings and pulses, as the journal has them.
     """
 
     ceiling: float | None = None
     intensity: float | None = None
     response: dict[str, Any] | None = None
-    epoch: Epoch | None = None
     hunt: dict[str, Any] | None = None
 
 
 class Gathered(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """The answer to ``svc/data``: what the procedure has gathered so far.
+    """What the procedure has gathered so far: told on ``state/data`` when it changes, and asked for by ``svc/data``.
 
     Attributes:
         body_ref_from_image: The registration in force.

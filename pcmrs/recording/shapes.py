@@ -69,10 +69,14 @@ def line(level: LogLevel, name: str, text: str, at_ns: int) -> Log:
 
 
 def json_schema(kind: type[Message]) -> dict[str, Any]:
-    """JSON schema of a type of messages, without references: not every reader follows them."""
+    """JSON schema of a type of messages in the words that Foxglove's reader knows.
+
+    It follows no references and has none for choices, tuples, maps, and lists of lists, and does not show a topic whose
+    schema has one: so an optional field is described as what it is where it is not null, a tuple as a list, a map as an
+    object without fields, and of a list of lists nothing is said.
+    """
     whole = msgspec.json.schema(kind)
-    parts = whole.pop("$defs")
-    schema: dict[str, Any] = _inlined(whole, parts)
+    schema: dict[str, Any] = _plain(whole, whole["$defs"])
     return {**schema, "title": f"pcmrs.{kind.__name__}"}
 
 
@@ -81,14 +85,22 @@ def json_bytes(message: Message) -> bytes:
     return msgspec.json.encode(message)
 
 
-def _inlined(schema: Any, parts: dict[str, Any]) -> Any:
-    if isinstance(schema, list):
-        return [_inlined(each, parts) for each in schema]
-    if not isinstance(schema, dict):
-        return schema
+def _plain(schema: dict[str, Any], parts: dict[str, Any]) -> Any:
+    """See `json_schema`; None for what cannot be said."""
     if "$ref" in schema:
-        return _inlined(parts[schema["$ref"].rpartition("/")[2]], parts)
-    return {key: _inlined(value, parts) for key, value in schema.items()}
+        return _plain(parts[schema["$ref"].rpartition("/")[2]], parts)
+    if "anyOf" in schema:
+        return _plain(next(each for each in schema["anyOf"] if each.get("type") != "null"), parts)
+    said: dict[str, Any] = {key: schema[key] for key in ("title", "description") if key in schema}
+    if "enum" in schema:
+        return {**said, "type": "string", "enum": schema["enum"]}
+    if schema.get("type") == "object":
+        fields = {name: _plain(each, parts) for name, each in schema.get("properties", {}).items()}
+        return {**said, "type": "object", "properties": {name: each for name, each in fields.items() if each}}
+    if schema.get("type") == "array":
+        item = _plain((schema.get("prefixItems") or [schema.get("items", {})])[0], parts)
+        return None if item is None or item["type"] == "array" else {**said, "type": "array", "items": item}
+    return {**said, "type": schema["type"]} if "type" in schema else None
 
 
 def _vector(transform: Transform) -> Vector3:

@@ -10,7 +10,9 @@ from foxglove.messages import LogLevel
 from pcmrs.bus.codec import convert_event, unpack
 from pcmrs.errors import PcmrsError
 from pcmrs.kinematics.arms import ArmFacts
-from pcmrs.messages import BodyPose, DeviceHealth, JointState, PoseMessage, Snapshot, Target, Verdict
+from pcmrs.messages import BodyPose, DeviceHealth, Epoch, JointState, Message, PoseMessage, Snapshot, Target, Verdict
+from pcmrs.messages.health import Health
+from pcmrs.messages.setup import Gathered
 from pcmrs.recording import shapes
 from pcmrs.recording.chain import Chain, Link, Mounting
 from pcmrs.recording.shapes import View
@@ -22,6 +24,7 @@ Shown = tuple[str, View]
 """Topic and message."""
 
 LOG, STATE, HEALTH, JOINTS, TARGET = "/log", "/state", "/health", "/joints", "/target"
+DATA, EPOCH, DAEMON = "/data", "/epoch", "/daemon"
 TF_CALIBRATION, TF_ARM, TF_BASE = "/tf/calibration", "/tf/arm", "/tf/robot_base"
 TF_BODIES, TF_IMAGE = "/tf/bodies", "/tf/image"
 
@@ -47,10 +50,13 @@ class Views:
         self._translators: list[tuple[str, Callable[[Heard, int], Iterator[Shown]]]] = [
             ("state/pose/", self._pose),
             ("state/joints", self._joints),
-            ("state/fsm", self._snapshot),
+            ("state/fsm", self._last(STATE, Snapshot)),
+            ("state/data", self._last(DATA, Gathered)),
+            ("state/epoch", self._epoch),
+            ("state/health", self._last(DAEMON, Health)),
             ("state/target", self._target),
             ("state/event", self._event),
-            ("dev/", self._health),
+            ("dev/", self._device),
         ]
 
     def of(self, heard: Heard, at_ns: int) -> list[Shown]:
@@ -95,14 +101,21 @@ class Views:
             yield JOINTS, shapes.joints(self._names, state.positions, state.velocities, captured_ns)
         yield TF_ARM, self._linked(flange, captured_ns)
 
-    def _snapshot(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
-        snapshot = unpack(heard.payload, Snapshot)
-        yield self._kept("state", STATE, lambda _: snapshot, at_ns)
+    def _last(self, topic: str, kind: type[Message]) -> Callable[[Heard, int], Iterator[Shown]]:
+        """Shows messages of which the last one holds until the next."""
 
-    def _health(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
+        def translate(heard: Heard, at_ns: int) -> Iterator[Shown]:
+            message = unpack(heard.payload, kind)
+            yield self._kept(heard.key, topic, lambda _: message, at_ns)
+
+        return translate
+
+    def _device(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
         if heard.key.endswith("/state"):
-            health = unpack(heard.payload, DeviceHealth)
-            yield self._kept(heard.key, HEALTH, lambda _: health, at_ns)
+            yield from self._last(HEALTH, DeviceHealth)(heard, at_ns)
+
+    def _epoch(self, heard: Heard, _: int) -> Iterator[Shown]:
+        yield EPOCH, unpack(heard.payload, Epoch)
 
     def _target(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
         target = unpack(heard.payload, Target)

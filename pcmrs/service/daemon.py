@@ -31,11 +31,11 @@ from pcmrs.service.metrics import MetricsServer
 from pcmrs.service.nodes import NodeProcesses
 from pcmrs.service.notify import ServiceManager, keep_informed
 from pcmrs.service.procedure import Clocks, RunningProcedure
-from pcmrs.service.publishing import answer_queries
+from pcmrs.service.publishing import answer_queries, tell_health
 from pcmrs.service.recorder import JournalRecorder
 from pcmrs.service.recording import open_recorder
 from pcmrs.service.recovery import conclude, keep_journal, recover
-from pcmrs.service.showing import gathered, setup_of
+from pcmrs.service.showing import setup_of
 from pcmrs.service.stall import StallWatch
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.settings import Settings
@@ -153,8 +153,7 @@ class Daemon:
                 metrics_trouble=lambda: metrics.trouble,
             )
             shown = partial(setup_of, procedure.cell, settings, blueprint)
-            so_far = partial(gathered, procedure.cell, dispatcher.procedure)
-            answer_queries(bus, dispatcher, journal.reader, inspection.health, shown, so_far)
+            answer_queries(bus, dispatcher, journal.reader, inspection.health, shown, procedure.gathered)
             stack.push_async_callback(metrics.close)
             metrics.start(inspection.health)
             bus.alive("daemon")
@@ -163,6 +162,7 @@ class Daemon:
                 recording.start(supervisor)
             if is_served(settings):
                 console.start(supervisor)
+            supervisor.start("health", lambda: tell_health(bus, inspection.health, machine))
             if earlier:
                 supervisor.spawn("audit", audit(journal.reader.path, dispatcher.report_later))
             if manager:

@@ -17,6 +17,7 @@ from pcmrs.errors import DeviceError
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import Beat, BodyPose, DeviceEvent, DeviceHealth, JointState, Snapshot, Verdict
+from pcmrs.messages.setup import Gathered
 from pcmrs.service.abandoned import AbandonedWatch
 from pcmrs.service.core import GatewayCore
 from pcmrs.service.health import HealthWatch
@@ -24,6 +25,7 @@ from pcmrs.service.hearing import Hearing, awaited
 from pcmrs.service.lease import LeaseWatch
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.reference import ReferenceWatch
+from pcmrs.service.showing import gathered
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.service.tally import Tally
 from pcmrs.service.teleoperation import connect_teleoperators
@@ -132,6 +134,10 @@ class RunningProcedure:
         """Whether the workflow holds the robot for connected."""
         return self.dispatcher.procedure.joint().get("robot") == "1"
 
+    def gathered(self) -> Gathered:
+        """What the procedure has gathered so far."""
+        return gathered(self.cell, self.dispatcher.procedure.data)
+
     def moving(self) -> bool:
         """Whether the robot was moving when it was last heard."""
         return self.cell.joints is not None and self.cell.joints.moving
@@ -178,7 +184,7 @@ class RunningProcedure:
     def _publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
         self.tally.take(message)
         self._publishing.publish(message)
-        self._publishing.publish_target(self.dispatcher.procedure.data)
+        self._publishing.publish_data(self.cell, self.dispatcher.procedure.data)
 
 
 QUIET = 10.0

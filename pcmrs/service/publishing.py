@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 
 from pcmrs.bus import KEYS, Bus, Empty, KeyTable
+from pcmrs.clock import Clock
 from pcmrs.devices.link import Link
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.failpoints import failpoint
@@ -20,6 +21,7 @@ from pcmrs.messages import (
     Flags,
     JournalPage,
     JournalQuery,
+    Message,
     Prospect,
     Question,
     Snapshot,
@@ -28,18 +30,23 @@ from pcmrs.messages import (
 )
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import Gathered, Setup
+from pcmrs.service import showing
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.tms.data import Data
 
 LARGEST_PAGE = 500
+HEALTH_PERIOD = 5.0
+"""Between two words on the daemon's health, s of the machine."""
 
 
 class Publishing:
-    """Puts snapshots, flags, the target and events on the bus as the dispatcher makes them."""
+    """Puts snapshots, flags, events and what the procedure has gathered on the bus as the dispatcher makes them."""
 
     def __init__(self, bus: Link) -> None:
         self._bus = bus
-        self._target: Target | None = None
+        self._data: PlacementData | None = None
+        self._shown: dict[str, Message] = {}
 
     def publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
         """Called by the dispatcher with everything that is new."""
@@ -50,13 +57,21 @@ class Publishing:
         else:
             self._bus.publish("state/event", message)
 
-    def publish_target(self, data: PlacementData) -> None:
-        """Shows the planned pose and the registration when one of them has changed."""
+    def publish_data(self, cell: Cell, data: PlacementData) -> None:
+        """Shows what has changed of what the procedure has gathered."""
+        if data is self._data:
+            return
+        self._data = data
         registration = data.registered.body_ref_from_image if data.registered is not None else None
-        target = Target(plan=data.plan_id, pose=data.plan, body_ref_from_image=registration)
-        if target != self._target:
-            self._target = target
-            self._bus.publish("state/target", target)
+        self._publish_new("state/target", Target(plan=data.plan_id, pose=data.plan, body_ref_from_image=registration))
+        self._publish_new("state/data", showing.gathered(cell, data))
+        if isinstance(data, Data) and data.epoch is not None:
+            self._publish_new("state/epoch", data.epoch)
+
+    def _publish_new(self, key: str, message: Message) -> None:
+        if self._shown.get(key) != message:
+            self._shown[key] = message
+            self._bus.publish(key, message)
 
 
 def answer_queries(
@@ -109,6 +124,13 @@ def answer_queries(
     bus.serve("svc/keys", Empty, keys)
     bus.serve("svc/health", Empty, well)
     bus.serve("svc/journal", JournalQuery, page)
+
+
+async def tell_health(bus: Link, health: Callable[[], Health], clock: Clock) -> None:
+    """Says how the daemon is now and then, for whoever looks at the session later; until cancelled."""
+    while True:
+        bus.publish("state/health", health())
+        await clock.sleep(HEALTH_PERIOD)
 
 
 def journal_page(path: Path, query: JournalQuery) -> JournalPage:

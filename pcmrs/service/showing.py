@@ -6,7 +6,6 @@ from itertools import zip_longest
 
 import msgspec
 
-from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.files.dump import blueprint_toml
 from pcmrs.messages.setup import (
@@ -69,9 +68,8 @@ def setup_of(cell: Cell, settings: Settings, blueprint: Blueprint) -> Setup:
     )
 
 
-def gathered(cell: Cell, procedure: Procedure[Cell, PlacementData]) -> Gathered:
-    """What the procedure has gathered so far."""
-    data = procedure.data
+def gathered(cell: Cell, data: PlacementData) -> Gathered:
+    """What the procedure has gathered so far, for people."""
     registered = data.registered
     return Gathered(
         landmarks=[
@@ -92,6 +90,5 @@ def _stimulation(data: Data) -> StimulationShown:
         ceiling=None if data.ceiling is None else data.ceiling.percent,
         intensity=data.intensity,
         response=None if data.response is None else msgspec.to_builtins(data.response),
-        epoch=data.epoch,
         hunt=None if data.hunt is None else msgspec.to_builtins(data.hunt),
     )

@@ -12,7 +12,7 @@ import pytest
 from pcmrs.simulation.loop import SimulatedLoop
 
 TESTS = Path(__file__).parents[1]
-sys.path += [str(TESTS / "workflows"), str(TESTS / "network")]
+sys.path += [str(TESTS / "workflows"), str(TESTS / "network"), str(TESTS / "recording")]
 
 
 def pytest_asyncio_loop_factories(

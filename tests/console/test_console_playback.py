@@ -8,18 +8,24 @@ from typing import Any
 
 import msgspec
 import pytest
+from health_facts import WELL
 from hypothesis import HealthCheck, given
 from hypothesis import settings as checking
 from hypothesis import strategies as st
+from recorded import recording
 from test_console_geometry import body, setup, some_pose
 
 from pcmrs.bus.codec import pack
 from pcmrs.console.playback import RATE_HZ, Playback, Recorded, read_recorded
+from pcmrs.console.told import EPOCHS, NOTHING
 from pcmrs.errors import FileFormatError
 from pcmrs.fsm import Blueprint
-from pcmrs.messages import BlueprintTag, DeviceEvent, JointState, Snapshot, Target, Verdict
+from pcmrs.messages import BlueprintTag, DeviceEvent, Epoch, JointState, Snapshot, Target, Verdict
+from pcmrs.messages.health import Health
+from pcmrs.messages.setup import Gathered, LandmarkShown, StimulationShown
 from pcmrs.recording.file import RecordingFile, Topics
 from pcmrs.recording.series import recordings_in
+from pcmrs.service.health_report import report
 from pcmrs.workflows import read_workflow
 from pcmrs.workflows.data import as_message
 
@@ -44,6 +50,27 @@ def verdict(number: int) -> Verdict:
     return Verdict(id=str(number), branch="robot", operation="connect", decision="accepted", state="1", sequence=number)
 
 
+def landmarks(digitized: int) -> Gathered:
+    """Three that are planned, so many of them digitized; with all, they are registered."""
+    points = [(0.1 * n, 0.0, 0.0) for n in range(3)]
+    return Gathered(
+        landmarks=[
+            LandmarkShown(name=f"l{n}", planned=point, digitized=point if n < digitized else None)
+            for n, point in enumerate(points)
+        ],
+        body_ref_from_image=as_message(some_pose(4)) if digitized == len(points) else None,
+        stimulation=StimulationShown(intensity=10.0 + digitized, hunt={"pulses": digitized}),
+    )
+
+
+def epoch(pulse: int) -> Epoch:
+    return Epoch(pulse=pulse, muscle="fdi", rate_hz=5000.0, start=-0.1, samples=[1e-6 * pulse] * 100)
+
+
+def health(uptime: float) -> Health:
+    return report(msgspec.structs.replace(WELL, uptime=uptime))
+
+
 def said() -> list[tuple[float, str, Any]]:
     """When, where and what, in order: 100 joints per second, a state every second, events in between."""
     messages: list[tuple[float, str, Any]] = [(n / 100.0, "state/joints", joints(n / 100.0)) for n in range(2001)]
@@ -54,6 +81,9 @@ def said() -> list[tuple[float, str, Any]]:
         (9.0, "state/pose/coil", body("coil", some_pose(2))),
     ]
     messages += [(4.0, "state/target", Target(plan="p", pose=as_message(some_pose(3))))]
+    messages += [(5.0 + n, "state/data", landmarks(n)) for n in range(4)]
+    messages += [(10.2 + n, "state/epoch", epoch(n)) for n in range(EPOCHS + 3)]
+    messages += [(1.3 + 5.0 * n, "state/health", health(5.0 * n)) for n in range(3)]
     messages += [(7.77, "state/event", DeviceEvent(device="robot", code="late", text="Late."))]
     messages += [(1.0, "dev/robot/state", {"device": "robot"}), (2.0, "cmd/anna/robot/connect", {"arguments": {}})]
     return sorted(messages, key=lambda each: each[0])
@@ -83,7 +113,7 @@ def played(recorded: Recorded) -> Callable[[], Playback]:
 
 def shown(playback: Playback) -> tuple[Any, ...]:
     told = playback.snapshot, playback.data, playback.joints, dict(playback.poses), dict(playback.heard)
-    return *told, list(playback.events)
+    return *told, list(playback.events), list(playback.epochs), playback.health
 
 
 @checking(suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -105,7 +135,9 @@ def test_it_is_what_had_come_until_then(played: Callable[[], Playback], moment: 
     states = [message for key, message in before if key == "state/fsm"]
     assert playback.snapshot == (states[-1] if states else None)
     assert [event for _, event in playback.events] == [message for key, message in before if key == "state/event"]
-    assert (playback.data.plan is not None) == (moment >= 4.0)
+    for key, seen, nothing in (("data", playback.data, NOTHING), ("health", playback.health, None)):
+        assert seen == next((message for on, message in reversed(before) if on == f"state/{key}"), nothing)
+    assert list(playback.epochs) == [message for key, message in before if key == "state/epoch"][-EPOCHS:]
     assert ("coil" in playback.poses) == (moment >= 3.0)
     assert playback.joints is not None
     assert 0.0 <= moment - playback.joints.positions[0] <= 1.0 / RATE_HZ + 0.011, "thinned, not late"
@@ -119,6 +151,35 @@ def test_times_are_those_of_the_session(recorded: Recorded, played: Callable[[],
     playback = played()
     playback.seek(1.0)
     assert [at for at, _ in playback.events] == [1_700_000_000.6]
+
+
+def test_an_older_recording_shows_plan_and_registration_by_its_targets(tmp_path: Path) -> None:
+    newer = ("state/data", "state/epoch", "state/health")
+    path = write(tmp_path / "older.mcap", [each for each in said() if each[1] not in newer])
+    playback = Playback(read_recorded([path], lambda _: None), setup(), BLUEPRINT)
+    playback.seek(LENGTH)
+    assert playback.data == Gathered(landmarks=[], plan=as_message(some_pose(3)))
+    assert (list(playback.epochs), playback.health, playback.trouble) == ([], None, "")
+
+
+async def test_what_a_cell_says_to_its_recorder_is_what_is_shown(tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    told = [
+        ("state/data", landmarks(3)),
+        ("state/epoch", epoch(1)),
+        ("state/epoch", epoch(2)),
+        ("state/health", health(5.0)),
+    ]
+    async with recording(file) as work:
+        before = await work.hears()
+        for count, (key, message) in enumerate(told, before + 1):
+            work.bus.publish(key, message)
+            await work.written(count)
+    playback = Playback(read_recorded([file], lambda _: None), setup(), BLUEPRINT)
+    playback.seek(0.0)
+    assert (playback.data, list(playback.epochs), playback.health) == (NOTHING, [], None)
+    playback.seek(playback.recorded.duration)
+    assert (playback.data, list(playback.epochs), playback.health) == (landmarks(3), [epoch(1), epoch(2)], health(5.0))
 
 
 def test_what_this_cell_cannot_show_truly_is_refused(tmp_path: Path) -> None:

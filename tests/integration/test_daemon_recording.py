@@ -28,11 +28,14 @@ from daemon_process import (
 )
 
 from pcmrs.bus import Bus, BusSettings
-from pcmrs.campaign.driving import accept
+from pcmrs.bus.codec import unpack
+from pcmrs.campaign.driving import accept, landmarks
 from pcmrs.cli import main
 from pcmrs.client import Client
 from pcmrs.journal import JournalReader
 from pcmrs.messages import DeviceEvent, JointState, Snapshot
+from pcmrs.messages.health import Health
+from pcmrs.messages.setup import Gathered
 from pcmrs.recording.playing import Played
 from pcmrs.recording.reading import Reading
 from pcmrs.recording.recorder import Report
@@ -77,6 +80,8 @@ async def test_what_was_recorded_is_heard_again_byte_for_byte_and_never_at_a_liv
     file = tmp_path / "run.mcap"
     with recorder(daemon, file) as process:
         async with daemon.client() as client:
+            await accept(client, "registration.plan_landmarks", **landmarks())
+            gathered = await client.gathered()
             await accept(client, "registration.reinit")
         report = ended(process)
     assert report.dropped == 0
@@ -85,6 +90,9 @@ async def test_what_was_recorded_is_heard_again_byte_for_byte_and_never_at_a_liv
     assert reading.complete
     assert len(recorded) == report.messages
     assert {"state/fsm", "state/flags", "state/event", "state/joints", "state/pose/coil"} <= {m.key for m in recorded}
+
+    assert gathered in [unpack(m.payload, Gathered) for m in recorded if m.key == "state/data"]
+    assert unpack(next(m.payload for m in recorded if m.key == "state/health"), Health).status == "ok"
 
     snapshots: list[Snapshot] = []
     heard_again: list[JointState] = []

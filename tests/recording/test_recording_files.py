@@ -10,8 +10,10 @@ import shutil
 from collections import namedtuple
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
+from health_facts import WELL
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -24,17 +26,23 @@ from pcmrs.messages import (
     BlueprintTag,
     DeviceEvent,
     DeviceHealth,
+    Epoch,
+    Message,
     PoseMessage,
     Reason,
     Snapshot,
     Target,
     Verdict,
 )
+from pcmrs.messages.health import Health
+from pcmrs.messages.setup import Gathered, LandmarkShown, StimulationShown
 from pcmrs.recording import raw
 from pcmrs.recording.series import Limits, check_new, files_of, path_of
+from pcmrs.recording.shapes import json_schema
 from pcmrs.recording.sink import CountingFile
 from pcmrs.recording.topics import TOPICS, check_topics
 from pcmrs.recording.views import Views
+from pcmrs.service.health_report import report
 from pcmrs.spatial import Transform
 
 SNAPSHOT = Snapshot(
@@ -62,6 +70,18 @@ VERDICT = Verdict(
 )
 EVENT = DeviceEvent(device="robot", code="force_limit", text="Too much force.", danger=True)
 
+GATHERED = Gathered(
+    landmarks=[
+        LandmarkShown(name="nasion", planned=(0.0, 0.1, 0.0), digitized=(0.0, 0.1, 0.001)),
+        LandmarkShown(name="inion", planned=(0.0, -0.1, 0.0)),
+    ],
+    body_ref_from_image=REGISTRATION,
+    residual=0.001,
+    stimulation=StimulationShown(ceiling=90.0, hunt={"pulses": [{"intensity": 50.0, "responded": True}]}),
+)
+EPOCH = Epoch(pulse=7, muscle="fdi", rate_hz=5000.0, start=-0.1, samples=[1e-6, -2e-6])
+HEALTH = report(WELL)
+
 
 async def test_everything_said_is_in_the_file_as_foxglove_shows_it_and_byte_for_byte(tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
@@ -72,6 +92,9 @@ async def test_everything_said_is_in_the_file_as_foxglove_shows_it_and_byte_for_
         ("state/pose/pointer", pose("pointer", valid=False, reason="hidden")),
         ("state/fsm", SNAPSHOT),
         ("state/target", TARGET),
+        ("state/data", GATHERED),
+        ("state/epoch", EPOCH),
+        ("state/health", HEALTH),
         ("state/event", VERDICT),
         ("state/event", EVENT),
         ("dev/robot/state", DeviceHealth(device="robot", connected=True)),
@@ -97,6 +120,9 @@ async def test_everything_said_is_in_the_file_as_foxglove_shows_it_and_byte_for_
         "/tf/image": "foxglove.FrameTransforms",
         "/joints": "foxglove.JointStates",
         "/state": "pcmrs.Snapshot",
+        "/data": "pcmrs.Gathered",
+        "/epoch": "pcmrs.Epoch",
+        "/daemon": "pcmrs.Health",
         "/health": "pcmrs.DeviceHealth",
         "/target": "foxglove.PoseInFrame",
         "/log": "foxglove.Log",
@@ -105,6 +131,8 @@ async def test_everything_said_is_in_the_file_as_foxglove_shows_it_and_byte_for_
     assert [joint.name for joint in shown["/joints"].joints] == [joint.name for joint in ARM.joints]
     assert [joint.velocity for joint in shown["/joints"].joints] == [0.1] * 7
     assert shown["/state"]["branches"] == {"robot": "1"}
+    for topic, message in (("/data", GATHERED), ("/epoch", EPOCH), ("/daemon", HEALTH)):
+        assert msgspec.convert(shown[topic], type(message)) == message
     assert shown["/target"].frame_id == "image"
     (joined,) = shown["/tf/image"].transforms
     assert (joined.parent_frame_id, joined.child_frame_id) == ("body_ref", "image")
@@ -113,6 +141,20 @@ async def test_everything_said_is_in_the_file_as_foxglove_shows_it_and_byte_for_
         (3, "rejected, robot is in 0: latched: Stop is latched."),
         (4, "force_limit: Too much force."),
     ]
+
+
+@pytest.mark.parametrize("kind", [Snapshot, Gathered, Epoch, Health, DeviceHealth])
+def test_the_schema_of_a_message_has_no_word_that_foxglove_refuses(kind: type[Message]) -> None:
+    """As its reader of JSON schemas does, packages/mcap-support/src/parseJsonSchema.ts of Foxglove Studio 1."""
+    schemas = [json_schema(kind)]
+    assert schemas[0]["properties"].keys() == set(kind.__struct_fields__)
+    while schemas:
+        schema = schemas.pop()
+        assert schema["type"] == "object"
+        for field in schema["properties"].values():
+            shape = field["items"] if field["type"] == "array" else field
+            assert shape["type"] in ("boolean", "string", "number", "integer", "object"), field
+            schemas += [shape] if shape["type"] == "object" else []
 
 
 async def test_times_are_those_of_the_measurement_and_lead_back_to_the_monotonic_clock(tmp_path: Path) -> None:
@@ -166,7 +208,8 @@ def test_what_cannot_be_read_is_said_in_the_log_and_kept_as_it_was(payload: byte
     from pcmrs.recording.tap import Heard
 
     views = Views(ARM, MOUNTING, 1.0)
-    for key in ("state/joints", "state/pose/coil", "state/fsm", "state/target", "state/event", "dev/robot/state"):
+    read = ("joints", "pose/coil", "fsm", "target", "data", "epoch", "health", "event")
+    for key in (*(f"state/{each}" for each in read), "dev/robot/state"):
         shown = views.of(Heard(key, payload, 1.0), 10**18)
         assert [topic for topic, _ in shown] in (["/log"], []), key
     assert views.of(Heard("state/unheard", payload, 1.0), 10**18) == []
@@ -180,6 +223,8 @@ async def test_files_follow_each_other_the_oldest_go_and_each_can_be_understood_
         await work.hears()
         work.bus.publish("state/fsm", SNAPSHOT)
         work.bus.publish("state/target", TARGET)
+        work.bus.publish("state/data", GATHERED)
+        work.bus.publish("state/health", HEALTH)
         while len(files_of(first)) < 3 or path_of(first, 1).exists():
             text = noise.randbytes(2000).hex()  # does not compress well
             work.bus.publish("state/event", DeviceEvent(device="x", code="filler", text=text))
@@ -191,8 +236,8 @@ async def test_files_follow_each_other_the_oldest_go_and_each_can_be_understood_
     kept = [path for path in files_of(first) if path != path_of(first, 1)]
     assert sum(path.stat().st_size for path in kept[:-1]) <= 300_000
     for path in kept:
-        topics = {topic for topic, _, _, _ in decoded(path)}
-        assert {"/tf/calibration", "/tf/image", "/target", "/state"} <= topics  # said before this file
+        topics = {topic for topic, _, _, _ in decoded(path)}  # said before this file
+        assert {"/tf/calibration", "/tf/image", "/target", "/state", "/data", "/daemon"} <= topics
     log = [content.message for path in kept for topic, _, _, content in decoded(path) if topic == "/log"]
     assert any(text.startswith("run.0001.mcap") and "was removed" in text for text in log)
 

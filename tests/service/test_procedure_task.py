@@ -11,6 +11,7 @@ import msgspec
 import pytest
 from clock import ManualClock, settle
 
+from pcmrs.campaign.driving import landmarks
 from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.errors import DeviceError, SupervisionError
 from pcmrs.messages import (
@@ -21,14 +22,17 @@ from pcmrs.messages import (
     DeviceHealth,
     DeviceReply,
     DeviceRequest,
+    Epoch,
     JointState,
     StimulatorState,
     Verdict,
 )
 from pcmrs.service.procedure import Clocks, RunningProcedure
+from pcmrs.service.publishing import Publishing
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import read_settings
 from pcmrs.workflows import open_workflow
+from pcmrs.workflows.tms.data import Data
 
 DISARMED = StimulatorState(armed=False, ready=True, intensity=50.0, coil_temperature=None, pulse=0)
 RESTING = JointState(captured=1.0, sent=1.0, positions=[0.1] * 7, velocities=[0.0] * 7, torques=[0.0] * 7)
@@ -87,6 +91,7 @@ class Bench:
     def __init__(self) -> None:
         self.clock, self.link, self.recorder = ManualClock(), FakeLink(), FakeRecorder()
         self.supervisor = Supervisor(self.clock)
+        self.asked = 0
         settings = read_settings()
         clocks = Clocks(self.clock, self.clock)
         workflow = open_workflow(settings.workflow)
@@ -103,7 +108,13 @@ class Bench:
         return [event.code for event in self.recorder.events]
 
     async def connect(self) -> None:
-        command = Command(id="c", branch="robot", operation="connect", source="test:user")
+        await self.accept("robot", "connect")
+
+    async def accept(self, branch: str, operation: str, arguments: dict[str, Any] | None = None) -> None:
+        self.asked += 1
+        command = Command(
+            id=str(self.asked), branch=branch, operation=operation, source="test:user", arguments=arguments or {}
+        )
         verdict = await self.procedure.dispatcher.submit(command)
         assert verdict.decision == "accepted", verdict.reason
 
@@ -173,3 +184,28 @@ async def test_a_node_that_ends_while_the_daemon_starts_ends_the_start() -> None
         assert not bench.procedure.lose(["robot"])
         with pytest.raises(DeviceError, match="ended while it started"):
             await bench.procedure.hearing.wait()
+
+
+async def test_what_was_gathered_is_told_whenever_it_has_changed() -> None:
+    bench = Bench()
+    told = bench.link.published["state/data"]
+    async with bench.supervisor:
+        bench.procedure.start()
+        bench.hear_all()
+        await bench.accept("registration", "plan_landmarks", landmarks())
+        names = [[each.name for each in data.landmarks] for data in told]
+        assert names[-1] == [each["name"] for each in landmarks()["landmarks"]]
+        assert told[-1] == bench.procedure.gathered()
+        await bench.connect()
+        assert len(told) == len(names), "nothing new was gathered"
+        await bench.procedure.dispatcher.close()
+
+
+async def test_each_signal_of_a_muscle_is_told_once() -> None:
+    bench = Bench()
+    publishing = Publishing(bench.link)
+    signals = [Epoch(pulse=n, muscle="fdi", rate_hz=5000.0, start=-0.1, samples=[n * 1e-6]) for n in (1, 2)]
+    for data in (Data(), Data(epoch=signals[0]), Data(epoch=signals[0], intensity=50.0), Data(epoch=signals[1])):
+        publishing.publish_data(bench.procedure.cell, data)
+    assert bench.link.published["state/epoch"] == signals
+    assert [each.stimulation.intensity for each in bench.link.published["state/data"]] == [None, 50.0, None]

@@ -1,21 +1,27 @@
-"""Queries below ``svc/``: the journal a page at a time, read beside the event loop."""
+"""Queries below ``svc/``: the journal a page at a time, read beside the event loop; and health, told by itself."""
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any, cast
 
+import msgspec
 import pytest
+from clock import ManualClock, settle
+from health_facts import WELL
 
 from pcmrs.bus import Bus
+from pcmrs.devices.link import Link
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.journal import Journal, JournalReader, JournalRow
 from pcmrs.messages import BlueprintTag, JournalPage, JournalQuery
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import Gathered, Setup
-from pcmrs.service.publishing import LARGEST_PAGE, answer_queries
+from pcmrs.service.health_report import report
+from pcmrs.service.publishing import HEALTH_PERIOD, LARGEST_PAGE, answer_queries, tell_health
 
 ROW = JournalRow(
     kind="event",
@@ -28,10 +34,14 @@ ROW = JournalRow(
 
 
 class Served:
-    """A bus that remembers what is served."""
+    """A bus that remembers what is served and published."""
 
     def __init__(self) -> None:
         self.handlers: dict[str, Callable[[str, Any], Awaitable[Any]]] = {}
+        self.published: list[tuple[str, Any]] = []
+
+    def publish(self, key: str, message: Any) -> None:
+        self.published.append((key, message))
 
     def serve(self, key: str, _kind: type, handler: Callable[[str, Any], Awaitable[Any]]) -> None:
         self.handlers[key] = handler
@@ -76,3 +86,15 @@ async def test_the_journal_is_paged_from_its_beginning(tmp_path: Path, monkeypat
     assert await served.page(before=4, after=1, limit=5) == [2, 3]
     assert threading.get_ident() not in readers
     await journal.close()
+
+
+async def test_health_is_told_at_once_and_again_and_again() -> None:
+    bus, clock = Served(), ManualClock()
+    told = (report(msgspec.structs.replace(WELL, uptime=float(n))) for n in range(9))
+    task = asyncio.create_task(tell_health(cast(Link, bus), lambda: next(told), clock))
+    await settle()
+    assert [health.uptime for _, health in bus.published] == [0.0]
+    await clock.advance(HEALTH_PERIOD)
+    assert [(key, health.uptime) for key, health in bus.published] == [("state/health", 0.0), ("state/health", 1.0)]
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Any
 
 import msgspec
@@ -12,12 +11,9 @@ from pcmrs.console.colours import BLUE, GREY, ORANGE, VERMILION
 from pcmrs.console.signals.responses import hunted, responses, waves
 from pcmrs.console.texts import Texts
 from pcmrs.console.told import Told
-from pcmrs.messages import Epoch
 from pcmrs.messages.setup import Setup, StimulationShown
 from pcmrs.tms import MepSettings
 
-LAYERS = 5
-"""So many of the last signals lie over each other."""
 ARTEFACT = 4.0
 """ms after a pulse that set no scale."""
 
@@ -34,7 +30,6 @@ class MusclePanel:
     def __init__(self, told: Told, setup: Setup, texts: Texts) -> None:
         self._told, self._texts = told, texts
         self._settings = msgspec.convert(setup.mep, MepSettings)
-        self._epochs: deque[Epoch] = deque(maxlen=LAYERS)
         self._version = -1
         with ui.column().classes("w-full gap-0") as self._whole:
             self._standing = ui.label().props('data-testid="stimulation"')
@@ -43,12 +38,6 @@ class MusclePanel:
             self._amplitudes = self._chart("amplitudes", texts("pulse"), "µV", 160)
             self._hunt = self._chart("hunt", texts("pulse"), "%", 220)
             self._found = ui.label().props('data-testid="threshold"')
-
-    def look(self) -> None:
-        """Keeps the signal of the newest pulse."""
-        shown = self._told.data.stimulation
-        if shown is not None and shown.epoch is not None and (not self._epochs or self._epochs[-1] != shown.epoch):
-            self._epochs.append(shown.epoch)
 
     def draw(self) -> None:
         """Shows what is new."""
@@ -63,7 +52,7 @@ class MusclePanel:
             self._draw_standing(shown)
             self._draw_emg()
             self._draw_hunt(shown)
-        self._emg.set_visibility(bool(self._epochs))
+        self._emg.set_visibility(bool(self._told.epochs))
         self._hunt.set_visibility(shown is not None and shown.hunt is not None)
 
     def _draw_standing(self, shown: StimulationShown) -> None:
@@ -73,7 +62,7 @@ class MusclePanel:
 
     def _draw_emg(self) -> None:
         """The newest signal above those before it; its window, and the pulse."""
-        settings, drawn = self._settings, [waves(each, self._settings) for each in self._epochs]
+        settings, drawn = self._settings, [waves(each, self._settings) for each in self._told.epochs]
         window = [{"xAxis": 1000.0 * settings.window_start}, {"xAxis": 1000.0 * settings.window_end}]
         marks = {"markArea": {"silent": True, "itemStyle": {"color": "#e69f0022"}, "data": [window]}}
         self._emg.options["series"] = [
@@ -97,11 +86,13 @@ class MusclePanel:
         self._amplitudes.options["series"] = [{"type": "bar", "data": bars, "markLine": limit, "barMaxWidth": 12}]
         self._amplitudes.options["xAxis"] |= {"minInterval": 1, "scale": True}
         self._amplitudes.update()
+        text, texts = "", self._texts
         if given:
-            last, texts = given[-1], self._texts
+            last = given[-1]
             text = texts("response", pulse=last.pulse, uv=last.microvolts)
             text += "" if last.latency is None else texts("latency_of", ms=1000.0 * last.latency)
-            self._response.set_text(f"{text} {last.problem}")
+            text += f" {last.problem}"
+        self._response.set_text(text)
 
     def _draw_hunt(self, shown: StimulationShown) -> None:
         found = hunted(shown.hunt)
