@@ -142,6 +142,7 @@ def test_a_tablet_lying_and_upright(tmp_path: Path) -> None:
 
         finger.press("stop")
         finger.expect(finger.at("latched")).to_be_visible()
+        finger.expect(page.locator(".q-notification")).to_have_count(0)
         assert page.evaluate(FLAWS) == []
         finger.open("workflow")
         finger.press("robot.acknowledge")
