@@ -8,7 +8,7 @@ from nicegui.elements.scene.scene_object3d import Object3D
 
 from pcmrs.console.body import BodyShown
 from pcmrs.console.geometry import Sight, along
-from pcmrs.console.scene import ARM, AXES, BACKGROUND, BOX, MEASURED, PLANNED, put, show
+from pcmrs.console.scene import ARM, AXES, BACKGROUND, BOX, MEASURED, PLANNED, fit, put, show
 from pcmrs.console.surfaces import Surfaces
 from pcmrs.console.texts import Texts
 from pcmrs.console.told import Told
@@ -51,6 +51,7 @@ class CellPanel:
                 self._wanted = {name: ui.checkbox(texts(name), value=True) for name in ("zones", "tracker")}
                 self._error = ui.checkbox(texts("predicted_error")).props('data-testid="predicted-error"')
                 self._legend(texts)
+        fit(scene)
         scene.move_camera(1.3, 1.0, 0.85, 0.4, 0.0, 0.3, duration=0.0)
         ui.timer(1.0 / RATE, self._follow)
         ui.timer(0.5, self._colour)

@@ -31,12 +31,27 @@ REFRESHED = 0.1
 STYLE = """
 .state-chart svg { max-width: 100%; height: auto; }
 .replay { background: repeating-linear-gradient(135deg, #ede7f6 0 18px, #d1c4e9 18px 36px); min-height: 52px; }
-.nicegui-content { height: calc(100vh - 64px); flex-wrap: nowrap; overflow: hidden; }
+body { --head: 64px; touch-action: pan-x pan-y; }
+.head { height: var(--head); overflow: hidden; align-content: center; }
+.head > * { flex-shrink: 0; white-space: nowrap; }
+.head .caption { font-size: 12px; line-height: 1.1; }
+.head .figure { font-size: 34px; line-height: 40px; }
+.nicegui-content { height: calc(100dvh - var(--head)); flex-wrap: nowrap; overflow: hidden; }
 .halves { flex: 1 1 0; min-height: 0; }
+.asking .q-btn[disabled] { pointer-events: none; }
 .left-panels { flex: 1 1 0; min-height: 0; }
 .left-panels .q-tab-panel { height: 100%; overflow: auto; }
-@media (pointer: coarse) { .q-btn, .q-tab, .q-checkbox { min-height: 44px; min-width: 44px; } }
+@media (max-width: 1199.98px) { .head .figure { font-size: 24px; line-height: 32px; } }
+@media (max-width: 1023.98px) { body { --head: 112px; } .head { flex-wrap: wrap; } }
+@media (pointer: coarse) {
+  .q-btn, .q-tab, .q-checkbox, .q-field .q-field__control, .q-item { min-height: 44px; min-width: 44px; }
+  .halves > .q-splitter__separator { min-width: 12px; min-height: 12px; }
+  .halves > .q-splitter__separator > div { inset: 0; }
+}
 """
+"""Two fingers do not enlarge the page: that would move Stop out of sight. Where it is narrow, its head has two rows."""
+IS_NARROW = "Quasar.Screen.lt.md"
+"""The browser tells: it has less than 1024 pixels across. A tablet upright has its halves one above the other."""
 
 
 class Page:
@@ -75,7 +90,7 @@ class Page:
         if playback is not None:
             name, shown = playback
             ReplayBar(shown, name, texts)
-        with ui.splitter(value=56).classes("w-full halves") as halves:
+        with ui.splitter(value=50).classes("w-full halves").props(f':horizontal="{IS_NARROW}"') as halves:
             with halves.before, ui.column().classes("w-full h-full gap-0 no-wrap"):
                 self._left(surfaces)
             with halves.after, ui.column().classes("w-full gap-0 q-pa-xs"):
@@ -88,28 +103,27 @@ class Page:
 
     def _header(self) -> None:
         texts = self._texts
-        with ui.header().classes("items-center no-wrap q-py-none gap-2 bg-blue-grey-10").style("height: 64px"):
+        with ui.header().classes("items-center no-wrap q-py-none gap-x-2 gap-y-0 bg-blue-grey-10 head"):
             stop = ui.button(f"{texts('stop')} ({texts('stop_key')})", on_click=self._asking.stop, color="red-9")
-            stop.props("size=md no-caps unelevated").classes("text-weight-bold whitespace-nowrap").style(
-                "min-height: 48px"
-            )
+            stop.props("size=md no-caps unelevated").classes("text-weight-bold").style("min-height: 48px")
             stop.props('data-testid="stop"')
             self._latched = ui.badge(texts("latched"), color="red-9").props('data-testid="latched"')
-            with ui.column().classes("gap-0").style("min-width: 0"):
+            with ui.column().classes("gap-0").style("min-width: 0; flex-shrink: 1"):
                 ui.label(self._blueprint.title or self._blueprint.id).classes("text-weight-bold ellipsis w-full")
                 signed = texts("signed_in", user=self._setup.user, role=self._setup.role)
                 simulated = f", {texts('simulated')}" if "sim" in self._setup.drivers.values() else ""
-                ui.label(f"{signed}{simulated}").classes("text-caption").props('data-testid="signed-in"')
+                user = ui.label(f"{signed}{simulated}").classes("text-caption ellipsis w-full")
+                user.props('data-testid="signed-in"')
             with ui.column().classes("gap-0 items-start"):
-                self._lease = ui.label().classes("text-caption").props('data-testid="lease"')
+                self._lease = ui.label().classes("caption").props('data-testid="lease"')
                 self._holding = ui.button(on_click=self._hold).props("flat dense no-caps color=white")
                 self._holding.props('data-testid="hold"')
             ui.space()
             with ui.column().classes("gap-0 items-end"):
-                ui.label(texts("error_now")).classes("text-caption").style("line-height: 1")
-                self._error = ui.label().classes("text-h4 whitespace-nowrap").props('data-testid="error"')
+                ui.label(texts("error_now")).classes("caption")
+                self._error = ui.label().classes("figure").props('data-testid="error"')
             ui.space()
-            ui.label(texts("research")).classes("text-caption").style("max-width: 130px; line-height: 1.1")
+            ui.label(texts("research")).classes("caption").style("max-width: 130px; white-space: normal")
             ui.toggle(list(languages()), value=texts.language, on_change=_in_language).props("dense size=sm").props(
                 'data-testid="language"'
             )

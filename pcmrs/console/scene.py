@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
 from pcmrs.console.colours import GREEN, GREY, SKY, VERMILION
@@ -15,6 +16,16 @@ PLANNED, MEASURED = GREEN, VERMILION
 ARM, SKIN, BOX, OPEN, GOOD, POOR = GREY, "#e8c9a8", "#b8c4d6", SKY, GREEN, VERMILION
 AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]).T
 """The tool's axes from those of a cylinder of the scene, whose axis is y."""
+
+
+FITTED = """() => {{
+    new ResizeObserver(() => getElement({id}).resize()).observe(getHtmlElement({id}));
+}}"""
+
+
+def fit(scene: ui.scene) -> None:
+    """Draws a scene as large as its place, not at all in a hidden tab: by itself it looks at the window only."""
+    scene.on("init", js_handler=FITTED.format(id=scene.id))
 
 
 STILL, STRAIGHT = 2e-4, 1e-3

@@ -60,9 +60,9 @@ class WorkflowPanel:
             if spec.iio or spec.event:
                 continue
             name = f"{branch}.{operation}"
-            with ui.element("div"):
+            with ui.element("div").classes("asking").on("click", partial(self._press, name), args=[]):
                 button = ui.button(spec.title or operation.replace("_", " ")).props("dense no-caps size=sm")
-                button.props(f'data-testid="{name}"').on_click(partial(self._press, name))
+                button.props(f'data-testid="{name}"')
                 button.props(f"color={'primary' if spec.moves else 'blue-grey-7'}")
                 tooltip = ui.tooltip()
             self._buttons[name] = (button, tooltip)
@@ -112,7 +112,10 @@ class WorkflowPanel:
 
     async def _press(self, name: str) -> None:
         choice = self._choices.get(name)
-        if choice is None or choice.why_not:
+        if choice is None:
+            return
+        if choice.why_not:
+            ui.notify(choice.why_not, type="warning", multi_line=True, position="bottom-left")
             return
         if choice.payload == "none":
             await self._asking.ask(name, {})

@@ -89,14 +89,19 @@ def ask(cell: PlainClient, operation: str, arguments: dict[str, Any] | None = No
 
 
 @contextmanager
-def browser(url: str) -> Iterator[Page]:
-    """A page of headless Chromium; what it asks of other hosts, or its scripts stumble over, fails the test."""
+def browser(url: str, **device: Any) -> Iterator[Page]:
+    """A page of headless Chromium; what it asks of other hosts, or its scripts stumble over, fails the test.
+
+    Args:
+        url: Of the page.
+        device: On which it is opened, as Playwright describes one; a screen of 1280 x 720 otherwise.
+    """
     from playwright.sync_api import sync_playwright
 
     trouble: list[str] = []
     with sync_playwright() as playwright, TemporaryDirectory() as folder:
         chromium = playwright.chromium.launch(executable_path=_behind_others(Path(folder)), args=FLAGS)
-        page = chromium.new_page(viewport={"width": 1280, "height": 720})
+        page = chromium.new_page(**{"viewport": {"width": 1280, "height": 720}, **device})
         page.set_default_timeout(60_000)
         page.on("pageerror", lambda error: trouble.append(str(error)))
         here = url.partition("?")[0]

@@ -20,7 +20,7 @@ class LandmarkForm:
         self._editing = editing
         ui.label(editing.texts("click_landmark")).classes("text-grey-8")
         self._list = ui.column().classes("w-full gap-0").props('data-testid="landmarks"')
-        with ui.row().classes("items-center no-wrap"):
+        with ui.row().classes("items-center gap-1"):
             self._name = editing.field("landmark_name", "landmark-name")
             self._point = editing.field("point", "landmark-point")
             editing.button("add", "add-landmark", lambda: self.pick(typed_point(self._point.value)))
