@@ -109,7 +109,7 @@ class AlignmentWatch:
             act.show(error_mm=_rounded(error_mm), error_deg=_rounded(error_deg), **values)
 
     def _may_repeat(self, now: float) -> bool:
-        """While a motion holds the branch, an event waits for it: repeats would only be refused after it, one by one."""
+        """While a motion holds the branch, an event waits for it: repeats would only be refused after it."""
         return now - self._asked >= ASK_EVERY and (self._answer is None or self._answer.done())
 
 
