@@ -8,7 +8,12 @@ from pcmrs.client import Client
 async def main() -> None:
     async with Client.connect() as cell:
         moving = asyncio.create_task(cell.call("placement.approach"))
-        await cell.until(lambda state: bool(state.running))
+        running = asyncio.create_task(cell.until(lambda state: bool(state.running)))
+        await asyncio.wait((moving, running), return_when=asyncio.FIRST_COMPLETED)
+        if moving.done():
+            running.cancel()
+            reason = moving.result().reason
+            raise SystemExit(f"It does not move: {reason.text if reason else moving.result().decision}")
         await cell.stop()
         print(f"approach: {(await moving).decision}")
         print(f"meanwhile: {(await cell.call('placement.approach')).decision}, Stop is latched")

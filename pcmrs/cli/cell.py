@@ -100,14 +100,19 @@ async def _state(address: Address) -> Snapshot:
 
 
 async def _watch(address: Address, *, as_json: bool) -> None:
-    missed = 0
+    missed, shown = 0, ""
     async with address.connect() as client:
         async for event in client.watch():
             if client.missed > missed:
                 text = f"{client.missed - missed} events are left out: they came faster than they were read."
                 click.echo(text, err=True)
                 missed = client.missed
-            click.echo(_json(event) if as_json else event_line(event))
+            line = _json(event) if as_json else event_line(event)
+            if isinstance(event, Snapshot):
+                if line == shown:
+                    continue  # what has changed, such as the values of an activity, is not on the line
+                shown = line
+            click.echo(line)
 
 
 async def _keys(address: Address) -> KeyTable:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -9,7 +10,7 @@ from typing import Any, Generic
 
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.run import C, D
-from pcmrs.messages import Command
+from pcmrs.messages import Command, Verdict
 
 
 @dataclass(eq=False)
@@ -37,7 +38,7 @@ class Activity(Generic[C, D]):
     clock: Clock
     _data: Callable[[], D]
     _states: Callable[[], dict[str, str]]
-    _submit: Callable[[Command], object]
+    _submit: Callable[[Command], asyncio.Future[Verdict]]
     _show: Callable[[], None]
     values: dict[str, Any] = field(default_factory=dict)
 
@@ -56,9 +57,13 @@ class Activity(Generic[C, D]):
         """The joint state now."""
         return self._states()
 
-    def post(self, branch: str, operation: str, **arguments: Any) -> None:
-        """Submits a command at once, without waiting for its verdict; it may ask for events, too."""
-        self._submit(self.command_to(branch, operation, arguments))
+    def post(self, branch: str, operation: str, **arguments: Any) -> asyncio.Future[Verdict]:
+        """Submits a command at once; it may ask for events, too.
+
+        Returns:
+            The verdict to come: to look at, never to await.
+        """
+        return self._submit(self.command_to(branch, operation, arguments))
 
     def show(self, **values: Any) -> None:
         """Shows values in the snapshot, beside those shown before; each change is published: a few per second."""

@@ -131,9 +131,11 @@ def _send(pid: int, number: int) -> None:
 async def _ready(process: asyncio.subprocess.Process, log: Path) -> Ready:
     line = b""
     if process.stdout is not None:
-        with suppress(TimeoutError):
+        try:
             async with asyncio.timeout(START_TIME):
                 line = await process.stdout.readline()
+        except TimeoutError:
+            raise DeviceError(f"The daemon was not ready within {START_TIME:g} s: {last_words(log)}") from None
     try:
         return msgspec.json.decode(line, type=Ready)
     except msgspec.MsgspecError:

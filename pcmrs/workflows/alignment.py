@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from typing import Any
 
@@ -10,6 +11,7 @@ from pcmrs.dispatcher import Activity as AnyActivity
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
+from pcmrs.messages import Verdict
 from pcmrs.spatial import Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.correction import size_of
@@ -32,7 +34,7 @@ LEAST_PAUSE = 0.02
 SHOW_EVERY = 0.5
 """Each showing publishes a snapshot, s."""
 ASK_EVERY = 0.25
-"""An event that was not taken is posted again after this, s."""
+"""An event that was refused is posted again this long after it was posted, s; one that still waits is not."""
 
 
 class AlignmentGate:
@@ -84,6 +86,7 @@ class AlignmentWatch:
         self._gate = AlignmentGate(act.cell.settings.alignment)
         self._error: tuple[float, float] | None = None
         self._asked_for: bool | None = None
+        self._answer: asyncio.Future[Verdict] | None = None
         self._seen = self._asked = self._shown = -math.inf
 
     def take(self, frame: Exposure, measured_from_desired: Transform) -> None:
@@ -97,13 +100,17 @@ class AlignmentWatch:
             self._error = None
         aligned = self._gate.update(now, self._error)
         anew = aligned != self._asked_for  # only repeats wait: the gate closes at once after it has opened
-        if aligned != (act.states["alignment"] == "1") and (anew or now - self._asked >= ASK_EVERY):
+        if aligned != (act.states["alignment"] == "1") and (anew or self._may_repeat(now)):
             self._asked, self._asked_for = now, aligned
-            act.post("alignment", "within" if aligned else "outside")
+            self._answer = act.post("alignment", "within" if aligned else "outside")
         if now - self._shown >= SHOW_EVERY:
             self._shown = now
             error_mm, error_deg = self._error or (None, None)
             act.show(error_mm=_rounded(error_mm), error_deg=_rounded(error_deg), **values)
+
+    def _may_repeat(self, now: float) -> bool:
+        """While a motion holds the branch, an event waits for it: repeats would only be refused after it."""
+        return now - self._asked >= ASK_EVERY and (self._answer is None or self._answer.done())
 
 
 def _rounded(value: float | None) -> float | None:

@@ -91,6 +91,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
         "gateway.peers.slicer.role=operator",
         'gateway.peers.slicer.allow=["read","stream","plan","digitize","register","robot","motion"]',
         "cell.rate=2",  # what is quicker fails on a machine that does much else
+        "robot.deadman=1.0",  # likewise: such a machine leaves a daemon alone for so long, and the arm would be held
         "procedure.motion.linear_velocity=0.25",  # slow enough to be stopped on the way
     )
     with running_cell(folder, *settings) as cell:
@@ -121,7 +122,8 @@ def test_the_workflow_from_planned_landmarks_to_the_placement_and_home(cell: Cel
 
         # What is seen now, by both ways, is the tool at its target, in mm and RAS.
         slicer.link.seen.clear()
-        slicer.program.until(lambda: "tool" in slicer.link.seen and "ReferenceToImage" in slicer.feed.seen)
+        slicer.feed.seen.clear()
+        slicer.program.until(lambda: "tool" in slicer.link.seen and "CoilToImage" in slicer.feed.seen)
         for shown in (slicer.link.seen["tool"].value, slicer.feed.seen["CoilToImage"].value):
             assert np.allclose(shown.position, target.position, rtol=0.0, atol=2.0)
             assert np.allclose(shown.matrix, target.matrix, rtol=0.0, atol=2.0)
@@ -129,6 +131,8 @@ def test_the_workflow_from_planned_landmarks_to_the_placement_and_home(cell: Cel
         slicer.program.until(lambda: slicer.seen_now() >= {"PcmrsTool", "PcmrsBody", "PcmrsTarget"})
         assert link.panel.results(slicer.planner)[0].startswith("Residual ")
 
+        # A motion is refused as busy while it is being decided that the tool is aligned.
+        slicer.program.until(lambda: (slicer.feed.state.branches["alignment"], slicer.feed.state.running) == ("1", []))
         slicer.act("Back off", "Home", "Hide tool")
         slicer.program.until(lambda: slicer.feed.state.branches["placement"] == "retracted")
         shown, truth = slicer.feed.state, cell.ask(cell.cell.client.state())
@@ -168,10 +172,13 @@ def test_what_waits_after_a_pause_is_taken_in_one_tick_and_the_newest_is_shown(c
         slicer.register()
         slicer.act("Show tool")
         slicer.program.until(lambda: "tool" in slicer.link.seen)
-        before = slicer.link.counts.received
-        time.sleep(1.0)  # the program loads a volume, say: no tick, while the daemon sends on
-        slicer.link.tick()
-        backlog = slicer.link.counts.received - before
+        backlog = 0
+        for _ in range(10):  # a busy machine may leave the daemon alone, too, and then little has come
+            if backlog <= 20:
+                before = slicer.link.counts.received
+                time.sleep(1.0)  # the program loads a volume, say: no tick, while the daemon sends on
+                slicer.link.tick()
+                backlog = slicer.link.counts.received - before
         slicer.link.tick()
         assert backlog > 20
         assert slicer.link.counts.received - before - backlog < backlog / 4
@@ -197,7 +204,7 @@ def test_a_lost_reply_is_asked_for_again_and_nothing_runs_twice(cell: Cell) -> N
         heard[way + number] += 1
         return heard[way + number] == 1 and (way == "from" or int(number) % 2 == 0)
 
-    with lossy_way(cell.port, lost) as port, desk(cell, port, clock=_quick(3.0)) as slicer:
+    with lossy_way(cell.port, lost) as port, desk(cell, port) as slicer:
         slicer.register()
         slicer.plan_tool()
         slicer.act("Approach")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from types import SimpleNamespace
 from typing import Any
 
@@ -91,14 +92,23 @@ def test_settings_that_would_flicker_are_refused() -> None:
         msgspec.convert({"on_mm": 2.0}, AlignmentSettings)
 
 
-def test_what_has_just_opened_closes_without_delay_and_only_repeats_wait() -> None:
+@pytest.mark.parametrize("decided", [True, False], ids=["refused", "waiting"])
+async def test_what_has_just_opened_closes_without_delay_and_only_repeats_wait(decided: bool) -> None:
     now = 0.0
     posted: list[tuple[float, str]] = []
+
+    def post(_branch: str, operation: str) -> asyncio.Future[None]:
+        posted.append((now, operation))
+        answer = asyncio.get_running_loop().create_future()
+        if decided:
+            answer.set_result(None)
+        return answer
+
     act: Any = SimpleNamespace(
         cell=SimpleNamespace(settings=ProcedureSettings()),
         clock=SimpleNamespace(monotonic=lambda: now),
         states={"alignment": "0"},
-        post=lambda _branch, operation: posted.append((now, operation)),
+        post=post,
         show=lambda **_: None,
     )
     watch = AlignmentWatch(act)
@@ -116,5 +126,6 @@ def test_what_has_just_opened_closes_without_delay_and_only_repeats_wait() -> No
     for number in range(33, 60):
         now = number / 64
         look(5.0)
-    # At the first frame after 0.1 s; not taken, it is asked again after a quarter of a second.
-    assert posted[1:] == [(40 / 64, "outside"), (56 / 64, "outside")]
+    # At the first frame after 0.1 s; refused, it is asked again after a quarter of a second; not while it still waits.
+    repeated = [(56 / 64, "outside")] if decided else []
+    assert posted[1:] == [(40 / 64, "outside"), *repeated]
