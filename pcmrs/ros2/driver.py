@@ -17,7 +17,7 @@ import msgspec
 from pcmrs.bus import Bus, BusSettings
 from pcmrs.bus.settings import SECURED
 from pcmrs.clock import Clock
-from pcmrs.devices.tables import check_devices, read_table
+from pcmrs.devices.tables import check_devices, check_names, read_table
 from pcmrs.errors import ConfigurationError
 
 Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$")]
@@ -43,10 +43,7 @@ class Ros2Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     latency: Annotated[float, msgspec.Meta(ge=0.0, le=0.5)] = 0.02
 
     def __post_init__(self) -> None:
-        if not self.names or len(set(self.names.values())) != len(self.names):
-            raise ConfigurationError(
-                f"ros2.names is {self.names}; give every body a topic of its own.", names=self.names
-            )
+        check_names("ros2.names", self.names, "topic")
 
 
 @asynccontextmanager

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import msgspec
 
 from pcmrs.clock import Clock
-from pcmrs.devices.tables import check_devices, read_table
+from pcmrs.devices.tables import check_devices, check_names, read_table
 from pcmrs.errors import ConfigurationError
 
 NAMES = {"coil": "CoilToTracker", "body_ref": "ReferenceToTracker", "pointer": "StylusToTracker"}
@@ -38,10 +38,7 @@ class PlusSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     latency: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.02
 
     def __post_init__(self) -> None:
-        if not self.names or len(set(self.names.values())) != len(self.names):
-            raise ConfigurationError(
-                f"plus.names is {self.names}; give every body a transform of its own.", names=self.names
-            )
+        check_names("plus.names", self.names, "transform")
 
 
 @asynccontextmanager
