@@ -6,14 +6,14 @@ the extra ``ros2`` (`pycdr2`).
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator, Collection, Mapping
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager, closing
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 
+from pcmrs.background import meanwhile
 from pcmrs.bus import Bus, BusSettings
 from pcmrs.bus.settings import SECURED
 from pcmrs.clock import Clock
@@ -65,15 +65,12 @@ async def open_devices(
         raise ConfigurationError(text, module=error.name) from None
     tracker = Ros2Tracker(Accepted(own.names, own.frame, own.max_age, own.latency), clock)
     bus = await Bus.open(_bus(settings, clock))
-    making = asyncio.create_task(tracker.run(), name="frames of ROS 2")
     try:
-        tracker.listen(bus)
-        yield {"tracker": tracker}
+        async with meanwhile(tracker.run(), "frames of ROS 2"):
+            with closing(tracker):
+                tracker.listen(bus)
+                yield {"tracker": tracker}
     finally:
-        tracker.close()
-        making.cancel()
-        with suppress(asyncio.CancelledError):
-            await making
         await bus.close()
 
 

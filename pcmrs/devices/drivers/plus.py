@@ -7,13 +7,13 @@ and 2). Not tested on hardware, nor with a PLUS server. The server sends TRANSFO
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator, Collection, Mapping
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager, closing
 from typing import Annotated, Any
 
 import msgspec
 
+from pcmrs.background import meanwhile
 from pcmrs.clock import Clock
 from pcmrs.devices.tables import check_devices, check_names, read_table
 from pcmrs.errors import ConfigurationError
@@ -58,11 +58,6 @@ async def open_devices(
         text = f"The driver plus needs {error.name}, which is not installed; install the extra: pcmrs[hardware]."
         raise ConfigurationError(text, module=error.name) from None
     tracker = PlusTracker(own.host, own.port, own.names, own.latency, clock)
-    reading = asyncio.create_task(tracker.run(), name="PLUS client")
-    try:
-        yield {"tracker": tracker}
-    finally:
-        tracker.close()
-        reading.cancel()
-        with suppress(asyncio.CancelledError):
-            await reading
+    async with meanwhile(tracker.run(), "PLUS client"):
+        with closing(tracker):
+            yield {"tracker": tracker}
