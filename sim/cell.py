@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 from collections.abc import AsyncIterator, Callable, Collection, Iterator, Mapping
-from contextlib import asynccontextmanager, contextmanager, suppress
+from contextlib import asynccontextmanager, contextmanager
 from functools import partial
 from typing import Any
 
 import structlog
 
+from pcmrs.background import meanwhile
 from pcmrs.clock import Clock
 from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.devices.protocols import Device
@@ -177,13 +177,8 @@ async def running_cell(settings: Mapping[str, Any], clock: Clock) -> AsyncIterat
     """
     own = read_settings(settings)
     cell = Cell(own, _arm(settings, own), _force_settings(settings), clock)
-    stepping = asyncio.create_task(cell.run(), name="simulated cell")
-    try:
+    async with meanwhile(cell.run(), "simulated cell"):
         yield cell
-    finally:
-        stepping.cancel()
-        with suppress(asyncio.CancelledError):
-            await stepping
 
 
 def _force_settings(settings: Mapping[str, Any]) -> ForceSettings:

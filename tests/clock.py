@@ -1,4 +1,4 @@
-"""A clock for tests: time stands still until the test moves it, and nothing waits for real."""
+"""Clocks for tests: of one the time stands still until the test moves it, the other's wall clock can be set."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import heapq
 import itertools
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+
+from pcmrs.clock import SystemClock
 
 EPOCH = 1_700_000_000.0
 SPINS = 50
@@ -67,3 +69,12 @@ class ManualClock:
         entry = (self._now + seconds, next(self._numbers), wake)
         heapq.heappush(self._due, entry)
         return entry
+
+
+class SetClock(SystemClock):
+    """A machine whose wall clock is set while it runs: it is `ahead` s of what it was."""
+
+    ahead = 0.0
+
+    def wall(self) -> float:
+        return super().wall() + self.ahead

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Sequence
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+
+from pcmrs.background import meanwhile
 
 PERIOD = 0.01
 
@@ -21,13 +23,8 @@ class Lateness:
 async def timer_lateness() -> AsyncIterator[Lateness]:
     """Measures for the length of the context."""
     found = Lateness()
-    measuring = asyncio.create_task(_measure(found))
-    try:
+    async with meanwhile(_measure(found)):
         yield found
-    finally:
-        measuring.cancel()
-        with suppress(asyncio.CancelledError):
-            await measuring
 
 
 async def _measure(found: Lateness) -> None:

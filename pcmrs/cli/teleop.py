@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import sys
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, nullcontext, suppress
+from contextlib import asynccontextmanager, nullcontext
 from pathlib import Path
 
 import click
@@ -13,6 +12,7 @@ import msgspec
 from rich.console import Console
 from rich.live import Live
 
+from pcmrs.background import meanwhile
 from pcmrs.cli.options import Address, address_options, json_option
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
 from pcmrs.cli.teleop_line import line_of, told_line
@@ -79,7 +79,8 @@ async def _teleoperate(
     async with address.connect() as client, _held(client):
         with open_device(device, mapping, script) as hands:
             session = TeleopSession(client, hands, SystemClock(), rate, tell)
-            async with _shown(session, keys=device == "keyboard", as_json=as_json):
+            showing = _as_json(session) if as_json else _on_a_line(session, keys=device == "keyboard")
+            async with meanwhile(showing):
                 return await session.run()
 
 
@@ -89,18 +90,6 @@ async def _held(client: Client) -> AsyncIterator[None]:
     lease = (await client.state()).lease
     async with nullcontext() if lease is not None and lease.holder == client.user else client.holding():
         yield
-
-
-@asynccontextmanager
-async def _shown(session: TeleopSession, *, keys: bool, as_json: bool) -> AsyncIterator[None]:
-    """Shows the status for as long as the context lasts."""
-    task = asyncio.create_task(_as_json(session) if as_json else _on_a_line(session, keys=keys))
-    try:
-        yield
-    finally:
-        task.cancel()
-        with suppress(asyncio.CancelledError):
-            await task
 
 
 async def _as_json(session: TeleopSession) -> None:

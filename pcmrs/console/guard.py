@@ -5,10 +5,8 @@ from __future__ import annotations
 import hmac
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from http.cookies import CookieError, SimpleCookie
-from typing import Any, Final
+from typing import Any
 from urllib.parse import parse_qs
-
-COOKIE: Final = "pcmrs_console"
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -56,11 +54,12 @@ class Guard:
             return 421, "This console does not go by that name.", {}
         if (origin is not None or scope["type"] == "websocket") and origin not in (f"http://{host}", f"https://{host}"):
             return 403, "Pages of others may not talk to this console.", {}
-        if self._is_token(_cookie(headers.get("cookie", ""))):
+        name = cookie_name(host)
+        if self._is_token(_cookie(headers.get("cookie", ""), name)):
             return None
         given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
         if scope["type"] == "http" and scope["method"] == "GET" and self._is_token(given):
-            cookie = f"{COOKIE}={given}; Path=/; HttpOnly; SameSite=Strict"
+            cookie = f"{name}={given}; Path=/; HttpOnly; SameSite=Strict"
             return 303, "", {"location": scope["path"], "set-cookie": cookie}
         return 401, "Open the address with its token: the console has printed it, or the cell's folder has it.", {}
 
@@ -68,9 +67,15 @@ class Guard:
         return hmac.compare_digest(given.encode(), self._token)
 
 
-def _cookie(header: str) -> str:
+def cookie_name(host: str) -> str:
+    """Of the cookie at ``host:port``: browsers send a host's cookies to all its ports, so the name has the port."""
+    port = host.rpartition(":")[2]
+    return f"pcmrs_console_{port}" if port.isdecimal() else "pcmrs_console"
+
+
+def _cookie(header: str, name: str) -> str:
     try:
-        found = SimpleCookie(header).get(COOKIE)
+        found = SimpleCookie(header).get(name)
     except CookieError:
         return ""
     return "" if found is None else found.value

@@ -34,3 +34,18 @@ def check_devices(driver: str, asked: Collection[str], served: str) -> None:
     if unknown:
         text = f"The driver {driver} serves {served} only, not {', '.join(unknown)}; configure another driver for it."
         raise ConfigurationError(text, unknown=unknown)
+
+
+def check_names(key: str, names: Mapping[str, str], what: str) -> None:
+    """Checks a table of the names that bodies have elsewhere: each body needs one that no other has.
+
+    Args:
+        key: Of the table in the configuration.
+        names: Body to name.
+        what: Is named, such as ``topic``.
+
+    Raises:
+        ConfigurationError: There are no names, or two bodies share one.
+    """
+    if not names or len(set(names.values())) != len(names):
+        raise ConfigurationError(f"{key} is {names}; give every body a {what} of its own.", names=names)

@@ -6,18 +6,18 @@ the extra ``ros2`` (`pycdr2`).
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator, Collection, Mapping
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager, closing
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 
+from pcmrs.background import meanwhile
 from pcmrs.bus import Bus, BusSettings
 from pcmrs.bus.settings import SECURED
 from pcmrs.clock import Clock
-from pcmrs.devices.tables import check_devices, read_table
+from pcmrs.devices.tables import check_devices, check_names, read_table
 from pcmrs.errors import ConfigurationError
 
 Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$")]
@@ -43,10 +43,7 @@ class Ros2Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     latency: Annotated[float, msgspec.Meta(ge=0.0, le=0.5)] = 0.02
 
     def __post_init__(self) -> None:
-        if not self.names or len(set(self.names.values())) != len(self.names):
-            raise ConfigurationError(
-                f"ros2.names is {self.names}; give every body a topic of its own.", names=self.names
-            )
+        check_names("ros2.names", self.names, "topic")
 
 
 @asynccontextmanager
@@ -68,15 +65,12 @@ async def open_devices(
         raise ConfigurationError(text, module=error.name) from None
     tracker = Ros2Tracker(Accepted(own.names, own.frame, own.max_age, own.latency), clock)
     bus = await Bus.open(_bus(settings, clock))
-    making = asyncio.create_task(tracker.run(), name="frames of ROS 2")
     try:
-        tracker.listen(bus)
-        yield {"tracker": tracker}
+        async with meanwhile(tracker.run(), "frames of ROS 2"):
+            with closing(tracker):
+                tracker.listen(bus)
+                yield {"tracker": tracker}
     finally:
-        tracker.close()
-        making.cancel()
-        with suppress(asyncio.CancelledError):
-            await making
         await bus.close()
 
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from pcmrs.devices.plus.frames import APART
 from pcmrs.errors import GeometryError, RefusalError
 from pcmrs.ros2.cdr import PoseStamped
 from pcmrs.spatial import Transform
-
-AHEAD = 0.01
-"""By so much the sensor's clock may be ahead of ours, s: what NTP leaves between two machines."""
 
 
 def stamp_of(message: PoseStamped) -> float:
@@ -35,9 +33,9 @@ def tracker_from_body(message: PoseStamped, frame: str, wall: float, max_age: fl
         text = f"The pose is in {message.header.frame_id!r}, not in {frame!r}: set ros2.frame, or transform it in ROS."
         raise RefusalError("wrong_frame", text, frame=message.header.frame_id, wanted=frame)
     age = wall - stamp_of(message)
-    if age < -AHEAD:
-        text = f"The pose is stamped {-age:.3f} s ahead of this machine's clock, the limit is {AHEAD:g} s: {_CLOCKS}"
-        raise RefusalError("stamp_ahead", text, age=age, limit=-AHEAD)
+    if age < -APART:
+        text = f"The pose is stamped {-age:.3f} s ahead of this machine's clock, the limit is {APART:g} s: {_CLOCKS}"
+        raise RefusalError("stamp_ahead", text, age=age, limit=-APART)
     if age > max_age:
         text = f"The pose was {age:.3f} s old when it came, the limit is {max_age:g} s: {_CLOCKS}"
         raise RefusalError("stamp_old", text, age=age, limit=max_age)

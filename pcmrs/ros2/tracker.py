@@ -67,7 +67,6 @@ class Ros2Tracker:
         self._stream: Stream[Sequence[BodyPose]] = Stream()
         self._came: asyncio.Queue[tuple[str, PoseStamped]] = asyncio.Queue()
         self._next_log = clock.monotonic()
-        self._wall_ahead = clock.wall() - clock.monotonic()
         topics = ", ".join(f"/tracker/{name}" for name in accepted.names.values())
         self._nothing = f"No poses come from ROS 2 on {topics}. Start zenoh-bridge-ros2dds and what publishes them."
         self.trouble = self._nothing
@@ -112,7 +111,6 @@ class Ros2Tracker:
         except RefusalError as refusal:
             self._complain(refusal)
             return
-        self._mind_set_clock(now, wall)
         self._publish(self._frames.take({name: reading}, stamp_of(message), now, wall))
 
     def _reading(self, message: PoseStamped, wall: float) -> Reading:
@@ -125,12 +123,6 @@ class Ros2Tracker:
                 raise
             self._complain(refusal)
             return refusal.refusal_code
-
-    def _mind_set_clock(self, now: float, wall: float) -> None:
-        """Frames know our clocks' difference from their first stamp; when the wall's is set, that is another one."""
-        if abs(wall - now - self._wall_ahead) > self._accepted.max_age:
-            self._wall_ahead = wall - now
-            self._frames.restart()
 
     def _publish(self, frames: Sequence[Sequence[BodyPose]]) -> None:
         for frame in frames:

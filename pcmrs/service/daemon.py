@@ -14,10 +14,11 @@ import msgspec
 import structlog
 
 from pcmrs.bus import Bus, CommandEdge
-from pcmrs.clock import SystemClock
+from pcmrs.clock import Clock, SystemClock
 from pcmrs.console.settings import HOST
 from pcmrs.errors import ConfigurationError
-from pcmrs.gateway.links import open_gateway
+from pcmrs.fsm import Blueprint
+from pcmrs.gateway.links import Gateway, open_gateway
 from pcmrs.gateway.refusals import Refusals
 from pcmrs.gateway.tasks import Tasks
 from pcmrs.journal import Journal
@@ -94,9 +95,9 @@ class Daemon:
         workflow = open_workflow(settings.workflow)
         clock, machine = SystemClock(settings.cell.rate), SystemClock()
         manager, metrics = ServiceManager(), MetricsServer(settings.metrics.port)
-        folder, session = settings.cell.path(), uuid.uuid4().hex
+        session = uuid.uuid4().hex
         async with AsyncExitStack() as stack:
-            stack.enter_context(_only_daemon_of(folder))
+            stack.enter_context(_only_daemon_of(settings.cell.path()))
             bus = await Bus.open(settings.bus("router"))
             stack.push_async_callback(bus.close)
             blueprint = workflow.blueprint
@@ -113,13 +114,8 @@ class Daemon:
             dispatcher = procedure.dispatcher
             recovered.give_to(dispatcher, journal)
             recorder.attach(dispatcher.procedure)
-            begin_recording = partial(open_recorder, settings, session, machine)
-            recording = Companion("recording", begin_recording, dispatcher.report_later, machine)
-            console = Companion("console", partial(open_console, settings), dispatcher.report_later, machine)
-            stack.push_async_callback(console.stop)
-            stack.push_async_callback(recording.stop)  # after the nodes: it writes what they have said last
-            nodes = NodeProcesses(settings, procedure.lose, dispatcher.report_later, machine)
-            stack.push_async_callback(nodes.stop)
+            children = _child_processes(settings, session, procedure, machine)
+            nodes, recording, console = await stack.enter_async_context(children)
             asyncio.get_running_loop().set_exception_handler(supervisor.take_stray)
             await stack.enter_async_context(supervisor)
             supervisor.start("journal", lambda: keep_journal(journal, recorder, dispatcher, machine))
@@ -129,12 +125,7 @@ class Daemon:
             stalls = StallWatch(dispatcher.report_later, procedure.moving, machine)
             stack.push_async_callback(stalls.close)
             stalls.start()
-            reporting = Tasks()
-            stack.push_async_callback(reporting.close)
-            refusals = Refusals(procedure.core, machine, reporting, edge="bus")
-            edge = await CommandEdge.open(bus, procedure.tally.submit, refusals.add, procedure.stop)
-            stack.push_async_callback(edge.close)
-            gateway = await stack.enter_async_context(open_gateway(procedure.core, settings.gateway, machine, folder))
+            gateway = await stack.enter_async_context(_edges(bus, procedure, settings, machine))
             sources = (bus.counters, supervisor.counters, stalls.counters, procedure.counters, gateway.counters.table)
             stack.callback(_tell_counters, sources)
             inspection = Inspection(
@@ -171,19 +162,54 @@ class Daemon:
             stack.push_async_callback(dispatcher.close)
             manager.tell("READY=1")
             stack.callback(manager.tell, "STOPPING=1")
-            yield Ready(
-                prefix=bus.prefix,
-                endpoint=settings.cell.endpoint,
-                links=gateway.addresses,
-                folder=str(folder),
-                journal=str(journal.reader.path),
-                workflow=f"{blueprint.id} {blueprint.version}",
-                rate=settings.cell.rate,
-                metrics=metrics.address,
-                console=f"http://{HOST}:{settings.console.port}" if is_served(settings) else "",
-                listen=settings.access.listen,
-                routers=settings.access.routers,
-            )
+            yield _ready(settings, blueprint, bus, journal, gateway, metrics)
+
+
+@asynccontextmanager
+async def _child_processes(
+    settings: Settings, session: str, procedure: RunningProcedure, machine: Clock
+) -> AsyncIterator[tuple[NodeProcesses, Companion, Companion]]:
+    """Device nodes, recorder and console, not yet started; on leaving they are stopped in this order."""
+    report = procedure.dispatcher.report_later
+    nodes = NodeProcesses(settings, procedure.lose, report, machine)
+    recording = Companion("recording", partial(open_recorder, settings, session, machine), report, machine)
+    console = Companion("console", partial(open_console, settings), report, machine)
+    async with AsyncExitStack() as stack:
+        stack.push_async_callback(console.stop)
+        stack.push_async_callback(recording.stop)  # after the nodes: it writes what they have said last
+        stack.push_async_callback(nodes.stop)
+        yield nodes, recording, console
+
+
+@asynccontextmanager
+async def _edges(bus: Bus, procedure: RunningProcedure, settings: Settings, machine: Clock) -> AsyncIterator[Gateway]:
+    """Takes commands from the bus and, closed first, by the links of the gateway."""
+    async with AsyncExitStack() as stack:
+        reporting = Tasks()
+        stack.push_async_callback(reporting.close)
+        refusals = Refusals(procedure.core, machine, reporting, edge="bus")
+        edge = await CommandEdge.open(bus, procedure.tally.submit, refusals.add, procedure.stop)
+        stack.push_async_callback(edge.close)
+        links = open_gateway(procedure.core, settings.gateway, machine, settings.cell.path())
+        yield await stack.enter_async_context(links)
+
+
+def _ready(
+    settings: Settings, blueprint: Blueprint, bus: Bus, journal: Journal, gateway: Gateway, metrics: MetricsServer
+) -> Ready:
+    return Ready(
+        prefix=bus.prefix,
+        endpoint=settings.cell.endpoint,
+        links=gateway.addresses,
+        folder=str(settings.cell.path()),
+        journal=str(journal.reader.path),
+        workflow=f"{blueprint.id} {blueprint.version}",
+        rate=settings.cell.rate,
+        metrics=metrics.address,
+        console=f"http://{HOST}:{settings.console.port}" if is_served(settings) else "",
+        listen=settings.access.listen,
+        routers=settings.access.routers,
+    )
 
 
 def _tell_counters(sources: Iterable[Source]) -> None:

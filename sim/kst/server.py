@@ -11,6 +11,7 @@ from contextlib import asynccontextmanager, suppress
 import numpy as np
 import structlog
 
+from pcmrs.background import meanwhile
 from sim.cell import Cell
 from sim.kst.cabinet import Cabinet, check_arm
 from sim.kst.replies import Replies
@@ -49,13 +50,8 @@ async def serve_kst(
     check_arm(cell.facts)
     listening = _listen(host, port)
     bound: tuple[str, int] = listening.getsockname()[:2]
-    serving = asyncio.create_task(_Server(cell, listening, accept_timeout).run(), name="virtual cabinet")
-    try:
+    async with meanwhile(_Server(cell, listening, accept_timeout).run(), "virtual cabinet"):
         yield bound
-    finally:
-        serving.cancel()
-        with suppress(asyncio.CancelledError):
-            await serving
 
 
 class _Server:

@@ -12,6 +12,7 @@ from contextlib import suppress
 
 import click
 
+from pcmrs.background import meanwhile
 from pcmrs.devices.lsl.library import EMG
 from pcmrs.devices.lsl.markers import PULSES
 from pcmrs.errors import DeviceError, PcmrsError
@@ -54,12 +55,8 @@ async def _serve(seed: int, hum: float, preactivation: float, stream: str, marke
         asyncio.get_running_loop().add_signal_handler(number, ended.set)
     _read_lines(bench.tell)
     _say({"stream": stream, "rate_hz": settings.rate_hz, "markers": markers, "seed": seed}, as_json)
-    tasks = [asyncio.create_task(work) for work in (outlet.run(), inlet.run())]
-    await ended.wait()
-    for task in tasks:
-        task.cancel()
-        with suppress(asyncio.CancelledError):
-            await task
+    async with meanwhile(outlet.run()), meanwhile(inlet.run()):
+        await ended.wait()
 
 
 def _say(what: dict[str, object], as_json: bool) -> None:

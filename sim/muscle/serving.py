@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
 import structlog
 
+from pcmrs.background import meanwhile
 from pcmrs.devices.lsl.library import EMG
 from pcmrs.devices.lsl.markers import PULSES, MarkerOutlet, PulseMarker
 from sim.muscle.streams import EmgOutlet, PulseInlet, lsl_minus
@@ -46,15 +46,10 @@ async def serve_muscle(cell: Cell, settings: Mapping[str, Any]) -> AsyncIterator
         log.info("virtual_muscle_streamed", stream=stream)
         if stimulator == "sim":
             world.pulse_listeners.append(_marking(lsl.get("markers", PULSES), cell))
-    tasks = [asyncio.create_task(work) for work in works]
-    try:
+    async with AsyncExitStack() as stack:
+        for work in works:
+            await stack.enter_async_context(meanwhile(work))
         yield
-    finally:
-        for task in tasks:
-            task.cancel()
-        for task in tasks:
-            with suppress(asyncio.CancelledError):
-                await task
 
 
 def _marking(name: str, cell: Cell) -> Any:

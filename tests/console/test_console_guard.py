@@ -6,11 +6,12 @@ import http.client
 import re
 from collections.abc import Iterator
 from urllib.parse import urlsplit
+from urllib.request import HTTPCookieProcessor, build_opener
 
 import pytest
 from consoles import console
 
-from pcmrs.console.guard import COOKIE
+from pcmrs.console.guard import cookie_name
 from pcmrs.experiment.process import free_port
 
 HANDSHAKE = {
@@ -43,8 +44,9 @@ def ask(netloc: str, path: str, method: str = "GET", **headers: str) -> http.cli
 @pytest.mark.parametrize(
     "path", ["/", "/?token=", "/?token=wrong", "/body.stl", "/_nicegui/3.18.0/components/x", SOCKET]
 )
-@pytest.mark.parametrize("cookie", ["", f"{COOKIE}=wrong", f"{COOKIE}=", "other=1"])
+@pytest.mark.parametrize("cookie", ["", "{name}=wrong", "{name}=", "other=1"])
 def test_without_the_token_there_is_nothing(address: tuple[str, str], path: str, cookie: str) -> None:
+    cookie = cookie.format(name=cookie_name(address[0]))
     response = ask(address[0], path, **({"Cookie": cookie} if cookie else {}))
     assert response.status == 401
     assert b"nicegui" not in response.body  # type: ignore[attr-defined]
@@ -66,18 +68,27 @@ def test_the_token_becomes_a_cookie_that_scripts_cannot_read(address: tuple[str,
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:8080", "127.0.0.1", "127.0.0.1:1", ""])
 def test_by_another_name_there_is_nothing(address: tuple[str, str], host: str) -> None:
     netloc, token = address
-    assert ask(netloc, "/", Host=host, Cookie=f"{COOKIE}={token}").status in (400, 421)
+    assert ask(netloc, "/", Host=host, Cookie=f"{cookie_name(netloc)}={token}").status in (400, 421)
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1", "file://"])
 def test_pages_of_others_get_nothing(address: tuple[str, str], origin: str) -> None:
     netloc, token = address
-    assert ask(netloc, "/", Origin=origin, Cookie=f"{COOKIE}={token}").status == 403
-    assert ask(netloc, SOCKET, Origin=origin, Cookie=f"{COOKIE}={token}", **HANDSHAKE).status == 403
+    assert ask(netloc, "/", Origin=origin, Cookie=f"{cookie_name(netloc)}={token}").status == 403
+    assert ask(netloc, SOCKET, Origin=origin, Cookie=f"{cookie_name(netloc)}={token}", **HANDSHAKE).status == 403
 
 
 def test_a_websocket_needs_origin_and_token(address: tuple[str, str]) -> None:
     netloc, token = address
-    own = {"Origin": f"http://{netloc}", "Cookie": f"{COOKIE}={token}"}
+    own = {"Origin": f"http://{netloc}", "Cookie": f"{cookie_name(netloc)}={token}"}
     assert ask(netloc, SOCKET, Cookie=own["Cookie"], **HANDSHAKE).status == 403
     assert ask(netloc, SOCKET, Origin=own["Origin"], **HANDSHAKE).status == 403
+
+
+def test_a_browser_can_be_signed_in_to_two_consoles_of_one_host(address: tuple[str, str]) -> None:
+    netloc, token = address
+    browser = build_opener(HTTPCookieProcessor())  # keeps cookies by host, whatever the port, as browsers do
+    with console("--endpoint", f"tcp/127.0.0.1:{free_port()}") as (_, other):
+        for url in (f"http://{netloc}/?token={token}", other, f"http://{netloc}/", other.partition("?")[0]):
+            with browser.open(url, timeout=20.0) as page:
+                assert page.status == 200

@@ -9,6 +9,8 @@ import pytest
 
 from pcmrs.cli import main
 from pcmrs.cli.router import router
+from pcmrs.console.settings import HOST, TOKEN
+from pcmrs.settings import Settings
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 PAGES = sorted(DEPLOY.rglob("README.md"))
@@ -46,3 +48,12 @@ def test_commands_are_found_in_the_pages() -> None:
 def test_every_file_that_is_linked_exists(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
         assert (page.parent / target).exists(), target
+
+
+def test_the_page_is_where_it_is_said_to_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", "/var/lib")  # what the unit sets: %S
+    settings, said = Settings(), (DEPLOY / "README.md").read_text()
+
+    assert settings.console.enabled
+    assert f"-L {settings.console.port}:{HOST}:{settings.console.port} " in said
+    assert f"cat {settings.cell.path() / TOKEN}\n" in said

@@ -1,13 +1,17 @@
 """The units as systemd itself reads them: no line misspelt, little left open, and all three closed alike."""
 
+import json
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
+from urllib.request import HTTPCookieProcessor, build_opener
 
 import pytest
 
 from pcmrs.cli.running import EXIT_BAD_CONFIGURATION
+from pcmrs.experiment.process import free_port
 from pcmrs.settings import CellSettings
 
 UNITS = Path(__file__).parents[2] / "deploy" / "systemd"
@@ -23,6 +27,14 @@ CLOSED = (
     "MemoryDenyWriteExecute",
     "SystemCallArchitectures",
 )
+
+WITHOUT_WRITE_EXECUTE = """
+import ctypes, os, sys
+PR_SET_MDWE, REFUSE_EXEC_GAIN = 65, 1
+if ctypes.CDLL(None).prctl(PR_SET_MDWE, REFUSE_EXEC_GAIN, 0, 0, 0):
+    sys.exit("this kernel has no MDWE")
+os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
+"""
 
 needs_systemd = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
 
@@ -108,3 +120,18 @@ def test_the_daemon_keeps_what_it_was_seen_to_fail_without() -> None:
     assert not re.search("^ProcSubset=pid", unit, re.MULTILINE)  # the boot_id of every row of the journal
     assert "AF_NETLINK" in unit  # which interface is loopback, for access control
     assert "SystemCallFilter=setpriority" in unit  # the recorder is nicer than the daemon
+
+
+@pytest.mark.nightly
+def test_the_page_is_served_without_memory_to_write_and_execute() -> None:
+    console = ["-m", "pcmrs.cli", "console", "--port", "0", "--json", "--endpoint", f"tcp/127.0.0.1:{free_port()}"]
+    command = [sys.executable, "-c", WITHOUT_WRITE_EXECUTE, *console]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        line = process.stdout.readline()
+        if not line and "no MDWE" in (why := process.stderr.read()):
+            pytest.skip(why)
+        with build_opener(HTTPCookieProcessor()).open(json.loads(line)["url"], timeout=60.0) as page:
+            assert page.status == 200
+        process.terminate()

@@ -11,9 +11,10 @@ import numpy as np
 import openigtlink_bytes as wire
 import pyigtl
 import pytest
+from clock import SetClock
 from structlog.testing import capture_logs
 
-from pcmrs.clock import SystemClock
+from pcmrs.clock import Clock, SystemClock
 from pcmrs.devices.drivers.plus import PlusSettings, open_devices
 from pcmrs.devices.plus import tracker
 from pcmrs.devices.plus.rigid import matrix_mm
@@ -26,6 +27,7 @@ from pcmrs.spatial import Transform, distance
 DRIVER: OpenDriver = open_devices  # the type checker proves it
 
 Frame = Sequence[BodyPose]
+CLOCK = SystemClock()
 POSE = Transform.from_rotvec([0.1, -0.2, 1.3], [0.3, 0.2, -0.1])
 NAMES = ("CoilToTracker", "ReferenceToTracker", "StylusToTracker")
 
@@ -64,8 +66,8 @@ def frame(stamp: float, *names: str) -> bytes:
 
 
 @asynccontextmanager
-async def opened(port: int) -> AsyncIterator[AsyncIterator[Frame]]:
-    async with open_devices(["tracker"], {"plus": {"port": port}}, SystemClock()) as devices:
+async def opened(port: int, clock: Clock = CLOCK) -> AsyncIterator[AsyncIterator[Frame]]:
+    async with open_devices(["tracker"], {"plus": {"port": port}}, clock) as devices:
         device: TrackerDriver = devices["tracker"]
         yield device.frames()
 
@@ -227,6 +229,22 @@ async def test_the_library_s_own_server_is_understood(library_server: Callable[[
         while not all(pose.valid for pose in poses):
             poses = await anext(frames)
         np.testing.assert_allclose(poses[0].position, POSE.translation, atol=1e-6)
+
+
+async def test_poses_go_on_when_the_clock_of_both_sides_is_set(library_server: Callable[[], Any]) -> None:
+    server, clock = library_server(), SetClock()
+    feed = PoseFeed(clock, max_age=60.0)
+    async with opened(server.server_address[1], clock) as frames:
+        for step in (0.0, 3600.0, -3600.0, 0.1, -0.1):
+            clock.ahead += step
+            following, stamp = await beginning(frames), clock.wall()
+            for name in NAMES:
+                message = pyigtl.TransformMessage(matrix_mm(POSE), device_name=name, timestamp=stamp)
+                server.send_message(message, wait=False)
+            coil = (await following)[0]
+            assert 0.0 <= coil.sent - coil.captured < 1.0
+            feed.update(coil)
+    assert not feed.dropped
 
 
 async def test_it_serves_a_tracker_only_and_checks_its_table() -> None:

@@ -147,6 +147,28 @@ def test_a_step_of_the_wall_clock_does_not_move_the_frames() -> None:
     assert frame[0].captured == pytest.approx(NOW + 0.016 - 0.03, abs=1e-6)
 
 
+@pytest.mark.parametrize("step", [3600.0, -3600.0, 0.3, -0.3])
+def test_stamps_that_are_set_with_the_wall_clock_stay_in_time(step: float) -> None:
+    collected = frames()
+    collected.take(BOTH, wire.STAMP, NOW, WALL)
+    collected.take(COIL, wire.STAMP + 0.016, NOW + 0.016, WALL + 0.016)
+    on_the_way, after = collected.take(BOTH, wire.STAMP + 0.032 + step, NOW + 0.032, WALL + 0.032 + step)
+    for frame, captured in ((on_the_way, NOW + 0.016 - 0.03), (after, NOW + 0.032 - 0.03)):
+        assert by_body(frame)["coil"].valid
+        assert frame[0].captured == pytest.approx(captured, abs=1e-6)
+    (late,) = collected.take(BOTH, wire.STAMP + 0.048 + step, NOW + 2.0, WALL + 2.0 + step)
+    assert late[0].captured == pytest.approx(NOW + 0.048 - 0.03, abs=1e-6)
+
+
+def test_a_stamp_of_before_that_comes_after_the_wall_clock_was_set_decides_nothing() -> None:
+    collected = frames()
+    collected.take(BOTH, wire.STAMP, NOW, WALL)
+    (before,) = collected.take(BOTH, wire.STAMP + 0.016, NOW + 0.02, WALL + 3600.02)
+    (after,) = collected.take(BOTH, wire.STAMP + 3600.032, NOW + 0.04, WALL + 3600.04)
+    assert before[0].captured == pytest.approx(NOW + 0.016 - 0.03, abs=1e-6)
+    assert after[0].captured == pytest.approx(NOW + 0.032 - 0.03, abs=1e-6)
+
+
 def test_frame_numbers_go_on_over_another_connection() -> None:
     collected = frames()
     collected.take(BOTH, wire.STAMP, NOW, WALL)

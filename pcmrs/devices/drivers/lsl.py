@@ -15,6 +15,7 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
+from pcmrs.background import meanwhile
 from pcmrs.clock import Clock
 from pcmrs.devices.lsl.epochs import LONGEST, Recording, check_window
 from pcmrs.devices.lsl.inlet import Inlet
@@ -169,10 +170,5 @@ async def open_devices(
     """
     check_devices("lsl", devices, "emg")
     emg = LslEmg(read_table(settings, "lsl", LslSettings), clock)
-    reading = asyncio.create_task(emg.read(), name="lsl")
-    try:
+    async with meanwhile(emg.read(), "lsl"):
         yield {"emg": emg}
-    finally:
-        reading.cancel()
-        with suppress(asyncio.CancelledError):
-            await reading

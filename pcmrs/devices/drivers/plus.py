@@ -7,15 +7,15 @@ and 2). Not tested on hardware, nor with a PLUS server. The server sends TRANSFO
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator, Collection, Mapping
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager, closing
 from typing import Annotated, Any
 
 import msgspec
 
+from pcmrs.background import meanwhile
 from pcmrs.clock import Clock
-from pcmrs.devices.tables import check_devices, read_table
+from pcmrs.devices.tables import check_devices, check_names, read_table
 from pcmrs.errors import ConfigurationError
 
 NAMES = {"coil": "CoilToTracker", "body_ref": "ReferenceToTracker", "pointer": "StylusToTracker"}
@@ -38,10 +38,7 @@ class PlusSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     latency: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.02
 
     def __post_init__(self) -> None:
-        if not self.names or len(set(self.names.values())) != len(self.names):
-            raise ConfigurationError(
-                f"plus.names is {self.names}; give every body a transform of its own.", names=self.names
-            )
+        check_names("plus.names", self.names, "transform")
 
 
 @asynccontextmanager
@@ -61,11 +58,6 @@ async def open_devices(
         text = f"The driver plus needs {error.name}, which is not installed; install the extra: pcmrs[hardware]."
         raise ConfigurationError(text, module=error.name) from None
     tracker = PlusTracker(own.host, own.port, own.names, own.latency, clock)
-    reading = asyncio.create_task(tracker.run(), name="PLUS client")
-    try:
-        yield {"tracker": tracker}
-    finally:
-        tracker.close()
-        reading.cancel()
-        with suppress(asyncio.CancelledError):
-            await reading
+    async with meanwhile(tracker.run(), "PLUS client"):
+        with closing(tracker):
+            yield {"tracker": tracker}

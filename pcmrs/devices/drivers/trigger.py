@@ -7,14 +7,14 @@ hardware.
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator, Collection, Mapping
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager, closing
 from typing import Annotated, Any
 
 import msgspec
 import structlog
 
+from pcmrs.background import meanwhile
 from pcmrs.clock import Clock
 from pcmrs.devices.arming import Arming, check_intensity
 from pcmrs.devices.lsl.library import StreamName
@@ -152,12 +152,6 @@ async def open_devices(
         ConfigurationError: Another device is asked for, the table ``trigger`` is wrong, or a library is missing.
     """
     check_devices("trigger", devices, "stimulator")
-    stimulator = TriggerStimulator(read_table(settings, "trigger", TriggerSettings), clock)
-    watching = asyncio.create_task(stimulator.watch(), name="trigger")
-    try:
-        yield {"stimulator": stimulator}
-    finally:
-        watching.cancel()
-        with suppress(asyncio.CancelledError):
-            await watching
-        stimulator.close()
+    with closing(TriggerStimulator(read_table(settings, "trigger", TriggerSettings), clock)) as stimulator:
+        async with meanwhile(stimulator.watch(), "trigger"):
+            yield {"stimulator": stimulator}

@@ -10,14 +10,17 @@ from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform
 
 AGREEMENT = 0.5
-"""Clocks agree when the first stamp of a connection is no younger than now and no older than this, s."""
+"""Clocks agree when the first stamp is no younger than now and no older than this, s."""
+APART = 0.01
+"""By so much two clocks that are kept together may be apart, s: what NTP leaves."""
 
 
 class Frames:
     """Collects the readings of one stamp; a stamp that does not advance is the same frame.
 
     Stamps are Unix seconds of the server. Where its clock agrees with ours, a frame was captured at its stamp, however
-    late it comes; otherwise `latency` before it arrived.
+    late it comes; otherwise `latency` before it arrived. That is decided at the first stamp. After our wall clock was
+    set it is decided anew when a stamp is of the new time; stamps that go on as before keep their meaning.
 
     Args:
         bodies: Name of a transform to the body it is of.
@@ -36,11 +39,12 @@ class Frames:
         return bool(self._found)
 
     def restart(self) -> None:
-        """Another connection: stamps may begin anew, frame numbers go on."""
+        """Stamps may begin anew, as those of another connection do; frame numbers go on."""
         self._found: dict[str, Reading] = {}
         self._stamp = -math.inf
         self._arrived = 0.0
-        self._monotonic_from_unix: float | None = None
+        self._monotonic_from_unix = 0.0
+        self._agree = False
 
     def take(
         self, found: Mapping[str, Reading], stamp: float, now: float, wall: float, *, whole: bool = False
@@ -55,7 +59,10 @@ class Frames:
             whole: Nothing else will come with this stamp.
         """
         known = {self._bodies[name]: reading for name, reading in found.items() if name in self._bodies}
-        ready = [self.finish(now)] if self._found and stamp > self._stamp else []
+        set_anew = stamp != self._stamp and self._was_set(stamp, now, wall)
+        ready = [self.finish(now)] if self._found and (set_anew or stamp > self._stamp) else []
+        if set_anew:
+            self.restart()
         if not known or stamp < self._stamp or (stamp == self._stamp and not self._found):
             return ready  # older than what is out already, or that very frame again
         if stamp > self._stamp:
@@ -71,14 +78,19 @@ class Frames:
         found, self._found = self._found, {}
         return [self._pose(body, found.get(body, "not_sent"), now) for body in self._bodies.values()]
 
+    def _was_set(self, stamp: float, now: float, wall: float) -> bool:
+        """Whether our wall clock is another one than at the first stamp, and this stamp is of that one."""
+        moved = abs(now - wall - self._monotonic_from_unix)
+        return self._stamp > -math.inf and moved > APART and -APART <= wall - stamp <= AGREEMENT
+
     def _begin(self, stamp: float, now: float, wall: float) -> None:
-        if self._stamp == -math.inf and 0.0 <= wall - stamp <= AGREEMENT:
+        if self._stamp == -math.inf:
             self._monotonic_from_unix = now - wall
+            self._agree = 0.0 <= wall - stamp <= AGREEMENT
         self._stamp, self._arrived = stamp, now
 
     def _pose(self, body: str, reading: Reading, now: float) -> BodyPose:
-        offset = self._monotonic_from_unix
-        captured = self._arrived - self._latency if offset is None else self._stamp + offset
+        captured = self._stamp + self._monotonic_from_unix if self._agree else self._arrived - self._latency
         if not isinstance(reading, Transform):
             return BodyPose(
                 body=body, frame_number=self._number, captured=captured, sent=now, valid=False, reason=reading

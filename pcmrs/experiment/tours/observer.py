@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Callable, Container
 from contextlib import aclosing, asynccontextmanager, suppress
 from typing import TypeVar
 
+from pcmrs.background import meanwhile
 from pcmrs.client import Client
 from pcmrs.messages import Snapshot, Verdict
 
@@ -114,10 +115,5 @@ def _remember(kept: OrderedDict[K, T], key: K, value: T) -> None:
 async def observing(client: Client) -> AsyncIterator[Observer]:
     """Listens to a cell for the length of the context."""
     observer = Observer(client)
-    task = asyncio.create_task(observer.listen())
-    try:
+    async with meanwhile(observer.listen()):
         yield observer
-    finally:
-        task.cancel()
-        with suppress(asyncio.CancelledError):
-            await task
