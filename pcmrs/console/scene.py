@@ -22,10 +22,24 @@ FITTED = """() => {{
     new ResizeObserver(() => getElement({id}).resize()).observe(getHtmlElement({id}));
 }}"""
 
+UNDRAGGED = """() => {{
+    const place = getHtmlElement({id});
+    let from = null;
+    place.addEventListener("pointerdown", (event) => (from = event), true);
+    place.addEventListener("click", (event) => {{
+        if (Math.hypot(event.clientX - from.clientX, event.clientY - from.clientY) > 5) event.stopPropagation();
+    }}, true);
+}}"""
+
 
 def fit(scene: ui.scene) -> None:
     """Draws a scene as large as its place, not at all in a hidden tab: by itself it looks at the window only."""
     scene.on("init", js_handler=FITTED.format(id=scene.id))
+
+
+def ignore_drags(scene: ui.scene) -> None:
+    """A mouse that turns the scene has clicked nothing: browsers tell of a click at the end of a drag, too."""
+    scene.on("init", js_handler=UNDRAGGED.format(id=scene.id))
 
 
 STILL, STRAIGHT = 2e-4, 1e-3

@@ -16,7 +16,7 @@ from remote_cell import CELL, SITE, Loopback, remote_cell
 pytest.importorskip("playwright")
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Locator, Page
+    from playwright.sync_api import FloatRect, Locator, Page
 
 pytestmark = [
     pytest.mark.browser,
@@ -29,6 +29,8 @@ PATIENT = (
 """A browser that renders without a graphics card takes most of this machine; nobody waits for the pointer."""
 FACE = ((0.5, 0.45), (0.45, 0.35), (0.55, 0.35), (0.5, 0.65), (0.44, 0.55), (0.56, 0.55))
 """Where the head is clicked, parts of the picture's width and height."""
+PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "ratms_plan.json").read_text())
+CAMERA = "canvas => getElement(canvas.parentElement.id.slice(1)).camera.position.toArray()"
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +53,6 @@ def at_rest(address: list[str]) -> list[str]:
         for operation in ("toolplan.clear", "registration.clear_landmarks"):
             ask(cell, operation)
     return address
-
-
-PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "ratms_plan.json").read_text())
 
 
 def state(address: list[str]) -> dict[str, Any]:
@@ -92,9 +91,29 @@ class Operator:
         assert box is not None
         for number, (x, y) in enumerate(FACE, start=1):
             self.pick(canvas, {"x": x * box["width"], "y": y * box["height"]}, f"landmark_{number}:")
+        self.orbit(canvas)
         self.press("send-landmarks")
         self.open("workflow")
         self.shows("state-registration", "100")
+        self.open("planning")
+        self.expect(self.at("landmarks")).to_contain_text(f"landmark_{len(FACE)}:")
+        self.expect(self.at("landmarks")).not_to_contain_text(f"landmark_{len(FACE) + 1}:")
+        self.open("workflow")
+
+    def orbit(self, canvas: Locator) -> None:
+        """Turns a scene, and finds it turned."""
+        box, before = canvas.bounding_box(), canvas.evaluate(CAMERA)
+        assert box is not None
+        self.drag(box, 60.0, 20.0)
+        assert canvas.evaluate(CAMERA) != before
+
+    def drag(self, box: FloatRect, dx: float, dy: float) -> None:
+        """From the middle of a box."""
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        self.page.mouse.move(x, y)
+        self.page.mouse.down()
+        self.page.mouse.move(x + dx, y + dy, steps=4)
+        self.page.mouse.up()
 
     def plan_tool(self) -> None:
         self.open("planning")

@@ -10,7 +10,7 @@ from nicegui import events, ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
 from pcmrs.console.planning.draft import Draft
-from pcmrs.console.scene import AXES, PLANNED, SKIN, SURFACE, fit, put, show
+from pcmrs.console.scene import AXES, PLANNED, SKIN, SURFACE, fit, ignore_drags, put, show
 from pcmrs.messages.setup import Setup
 from pcmrs.spatial import Floats, Transform
 
@@ -40,6 +40,7 @@ class Canvas:
                 handle = scene.box(0.02, 0.16, 0.02).material(PLANNED, 0.6)
                 handle.move(0.0, -setup.tool_radius - 0.07, setup.tool_half_length)
         fit(scene)
+        ignore_drags(scene)
         scene.move_camera(0.06, 0.26, 0.12, 0.004, 0.0, 0.03, duration=0.0)
         if setup.surface is not None:
             self.show_surface(SURFACE)
