@@ -18,6 +18,7 @@ from pcmrs.cli import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 WORKING_NOTES = {"progress.md"}
+"""There while an issue is under way."""
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +70,7 @@ def test_every_page_is_in_the_navigation() -> None:
     named = set(re.findall(r": (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE))
     pages = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
 
-    assert pages - named == WORKING_NOTES
+    assert pages - named <= WORKING_NOTES
 
 
 def test_the_navigation_has_four_parts() -> None:

@@ -20,15 +20,7 @@ ELSEWHERE = {
 
 
 @pytest.mark.timeout(400)  # of a machine that does much else
-@pytest.mark.parametrize(
-    "name",
-    [
-        "docs/tutorial.md",
-        pytest.param("README.md", marks=pytest.mark.nightly),
-        pytest.param("docs/new-planner.md", marks=pytest.mark.nightly),
-        pytest.param("docs/new-device.md", marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md", "docs/new-planner.md", "docs/new-device.md"])
 def test_every_shell_block_does_what_it_shows(name: str, tmp_path: Path) -> None:
     home = tmp_path / "home"
     home.mkdir()
