@@ -62,7 +62,7 @@ async def kernel_beats(period: float) -> AsyncGenerator[None]:
 def _timer(period: float) -> int:
     """A file that becomes readable each `period`, s."""
     timer: int = _libc.timerfd_create(time.CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC)
-    every = _Timespec(int(period), int(period % 1.0 * 1e9))
+    every = _Timespec(*divmod(max(1, round(period * 1e9)), 10**9))  # 0 would mean that it never expires
     if timer < 0 or _libc.timerfd_settime(timer, 0, ctypes.byref(_Timer(every, every)), None) != 0:
         raise OSError(ctypes.get_errno(), "timerfd")
     return timer

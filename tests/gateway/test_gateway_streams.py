@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import csv
+import math
 import os
 import time
 from contextlib import aclosing
@@ -214,3 +215,9 @@ async def test_beats_that_end_leave_no_timer_behind() -> None:
         repetition.stop()
         await tasks.close()
     assert open_files() == before
+
+
+async def test_a_rate_beyond_what_a_timer_can_do_does_not_end_the_beats() -> None:
+    async with asyncio.timeout(30.0), aclosing(kernel_beats(1.0 / math.inf)) as beats:
+        for _ in range(3):
+            await anext(beats)
