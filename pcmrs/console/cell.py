@@ -8,7 +8,7 @@ from nicegui.elements.scene.scene_object3d import Object3D
 
 from pcmrs.console.body import BodyShown
 from pcmrs.console.geometry import Sight, along
-from pcmrs.console.scene import ARM, AXES, BACKGROUND, BOX, MEASURED, PLANNED, fit, put, show
+from pcmrs.console.scene import ARM, BACKGROUND, BOX, MEASURED, PLANNED, fit, put, show, tool
 from pcmrs.console.surfaces import Surfaces
 from pcmrs.console.texts import Texts
 from pcmrs.console.told import Told
@@ -41,8 +41,8 @@ class CellPanel:
                 self.scene = scene.classes("w-full h-full").props('aria-label="Scene"')
                 self._links = [self._link(span) for span in self._sight.arm.spans]
                 self._boxes = [self._box(name, size, pose) for name, size, pose in _boxes(setup)]
-                self._planned = self._tool(PLANNED, 0.55, "planned")
-                self._measured = self._tool(MEASURED, 0.85, "measured")
+                self._planned = tool(scene, setup, PLANNED, 0.55).with_name("planned").visible(False)
+                self._measured = tool(scene, setup, MEASURED, 0.85).with_name("measured").visible(False)
             self._tracking = TrackingShown(scene, setup)
             self._body = BodyShown(scene, told, setup, surfaces)
             with ui.column().classes("absolute top-2 left-2 gap-0"):
@@ -79,16 +79,6 @@ class CellPanel:
         shape = self.scene.box(*size).material(BOX, 0.35).with_name(f"box {name}")
         put(shape, pose)
         return shape
-
-    def _tool(self, colour: str, opacity: float, name: str) -> Object3D:
-        """A disc or rod about its z axis, with its handle along -y."""
-        radius, half = self._setup.tool_radius, self._setup.tool_half_length
-        with self.scene.group() as group:
-            disc = self.scene.cylinder(radius, radius, 2.0 * half, 24).material(colour, opacity)
-            put(disc, Transform(AXES, np.array((0.0, 0.0, half))))
-            handle = self.scene.box(0.02, 0.16, 0.02).material(colour, opacity)
-            handle.move(0.0, -radius - 0.07, half)
-        return group.with_name(name).visible(False)
 
     def _follow(self) -> None:
         told = self._told

@@ -7,6 +7,7 @@ from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
 from pcmrs.console.colours import GREEN, GREY, SKY, VERMILION
+from pcmrs.messages.setup import Setup
 from pcmrs.spatial import Transform
 
 SURFACE = "/body.stl"
@@ -53,6 +54,17 @@ def put(shape: Object3D, pose: Transform) -> None:
         shape.move(*np.round(pose.translation, 5).tolist())
     if np.abs(pose.rotation - np.array(shape.R)).max() > STRAIGHT:
         shape.rotate_R(np.round(pose.rotation, 5).tolist())
+
+
+def tool(scene: ui.scene, setup: Setup, colour: str, opacity: float) -> Object3D:
+    """A disc or rod about its z axis, with its handle along -y."""
+    radius, half = setup.tool_radius, setup.tool_half_length
+    with scene.group() as group:
+        disc = scene.cylinder(radius, radius, 2.0 * half, 24).material(colour, opacity)
+        put(disc, Transform(AXES, np.array((0.0, 0.0, half))))
+        handle = scene.box(0.02, 0.16, 0.02).material(colour, opacity)
+        handle.move(0.0, -radius - 0.07, half)
+    return group
 
 
 def show(shape: Object3D, pose: Transform | None) -> None:

@@ -62,17 +62,13 @@ class Surfaces:
         rests_on = (data.body_ref_from_image, [each.planned for each in data.landmarks], data.sigma, data.covariance)
         key = hashlib.sha256(setup.surface.vertices + msgspec.msgpack.encode(rests_on)).hexdigest()[:16]
         if key not in self._coloured:
-            made = await asyncio.to_thread(_coloured, setup.surface, data, setup.tre_limit)
+            made = await asyncio.to_thread(coloured, setup.surface, data, setup.tre_limit)
             if made is None:
                 return None
             self._coloured[key] = made
             while len(self._coloured) > KEPT:
                 self._coloured.popitem(last=False)
         return COLOURED.format(key=key)
-
-
-def _coloured(surface: SurfaceShown, data: Gathered, limit: float) -> bytes | None:
-    return coloured(lighter(surface), data, limit)
 
 
 def _stl(setup: Setup | None, made: Callable[[Setup, SurfaceShown], bytes]) -> Response:

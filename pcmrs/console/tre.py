@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pcmrs.console.geometry import vertices_of
+from pcmrs.console.geometry import lighter, vertices_of
 from pcmrs.errors import GeometryError
 from pcmrs.messages.setup import Gathered, SurfaceShown
 from pcmrs.spatial import Floats
@@ -36,8 +36,8 @@ def predicted(data: Gathered, points: Floats) -> Floats | None:
 
 
 def coloured(surface: SurfaceShown, data: Gathered, limit: float) -> bytes | None:
-    """The surface as GLB, its corners coloured from no error to `limit`, m, and beyond; None as `predicted`."""
-    vertices, faces = vertices_of(surface)
+    """The lighter surface as GLB, its corners coloured from no error to `limit`, m, and beyond; None as `predicted`."""
+    vertices, faces = vertices_of(lighter(surface))
     errors = predicted(data, vertices)
     if errors is None:
         return None

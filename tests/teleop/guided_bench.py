@@ -8,8 +8,9 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
-from workflow_bench import WorkflowBench, background
+from workflow_bench import WorkflowBench
 
+from pcmrs.background import meanwhile
 from pcmrs.messages import Command, DeviceEvent, TeleopSetpoint, TeleopStatus, Verdict
 from pcmrs.messages.teleop import AT_REST, Twist
 from pcmrs.spatial import Transform
@@ -96,7 +97,7 @@ class Teleoperator:
                     group.create_task(self.send_late(self.setpoint()))
                     await self.bench.clock.sleep(PERIOD)
 
-        async with background(run()):
+        async with meanwhile(run()):
             yield
 
     async def steer(self, twist: Twist, seconds: float) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import itertools
 import json
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
-from contextlib import asynccontextmanager, suppress
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from pcmrs.background import meanwhile
 from pcmrs.config import overlaid
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.protocols import RobotDriver, Scene, TrackerDriver
@@ -248,19 +249,7 @@ async def open_bench(
     clock = SimulatedClock(asyncio.get_running_loop())
     async with open_devices(DEVICES, {"sim": values["sim"]}, clock) as opened:
         bench = WorkflowBench(opened_workflow, opened, settings, clock, journal)
-        async with background(bench.pump()):
+        async with meanwhile(bench.pump()):
             await bench.until(lambda: bench.cell.poses.seen("coil") and bench.cell.joints is not None)
             yield bench
             await bench.dispatcher.close()
-
-
-@asynccontextmanager
-async def background(work: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
-    """Runs something beside the block, for as long as that lasts."""
-    task = asyncio.create_task(work)
-    try:
-        yield
-    finally:
-        task.cancel()
-        with suppress(asyncio.CancelledError):
-            await task

@@ -10,7 +10,7 @@ from nicegui import events, ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
 from pcmrs.console.planning.draft import Draft
-from pcmrs.console.scene import AXES, PLANNED, SKIN, SURFACE, fit, ignore_drags, put, show
+from pcmrs.console.scene import BACKGROUND, PLANNED, SKIN, SURFACE, fit, ignore_drags, show, tool
 from pcmrs.messages.setup import Setup
 from pcmrs.spatial import Floats, Transform
 
@@ -32,13 +32,9 @@ class Canvas:
         self._balls: list[Object3D] = []
         self._surface: Object3D | None = None
         self._cortex: Object3D | None = None
-        with ui.scene(width=10, height=10, grid=False, on_click=self._click, background_color="#f4f6f8") as scene:
+        with ui.scene(width=10, height=10, grid=False, on_click=self._click, background_color=BACKGROUND) as scene:
             self._scene = scene.classes("w-full").style("height: 300px").props('data-testid="planning"')
-            with scene.group() as self._tool:
-                disc = scene.cylinder(setup.tool_radius, setup.tool_radius, 2.0 * setup.tool_half_length, 48)
-                put(disc.material(PLANNED, 0.6), Transform(AXES, np.array((0.0, 0.0, setup.tool_half_length))))
-                handle = scene.box(0.02, 0.16, 0.02).material(PLANNED, 0.6)
-                handle.move(0.0, -setup.tool_radius - 0.07, setup.tool_half_length)
+            self._tool = tool(scene, setup, PLANNED, 0.6)
         fit(scene)
         ignore_drags(scene)
         scene.move_camera(0.06, 0.26, 0.12, 0.004, 0.0, 0.03, duration=0.0)
