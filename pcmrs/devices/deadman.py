@@ -27,17 +27,17 @@ def beat_period(deadman: float) -> float:
 
 
 class Deadman:
-    """A timer that every fresh heartbeat of the daemon arms anew.
+    """A timer that runs from the last sign of life of the daemon's loop, however late that became known.
 
     Args:
         limit: See `DEADMAN`.
         at_risk: Whether anything moves or could fire.
-        act: Makes that safe, told how long nothing fresh was heard, s.
+        act: Makes that safe; gets the silence, s.
         clock: The machine's.
 
     Attributes:
         limit: See `DEADMAN`.
-        late: Heartbeats that were more than `limit` late, and so not fresh.
+        late: Heartbeats whose sign of life was more than `limit` old when they came.
         lateness: Of what the daemon sends.
     """
 
@@ -52,27 +52,40 @@ class Deadman:
         self.late = 0
         self.lateness = Lateness()
         self._at_risk, self._act, self._clock = at_risk, act, clock
-        self._heard = clock.monotonic()
-        self._due = self._heard + limit
+        self._begun = clock.monotonic()
+        self._rests_until = self._begun
+        self._session = ""
+        self._ended: set[str] = set()
         self._number = 0
+        self._alive = 0.0
 
     @property
     def silence(self) -> float:
-        """Time since the last fresh heartbeat, s of the machine."""
-        return self._clock.monotonic() - self._heard
+        """Time since the last sign of life of the daemon's loop, s of the machine."""
+        return self._clock.monotonic() - self._last_alive()
 
     def hear(self, beat: Beat) -> None:
-        """Takes a heartbeat of the daemon; one that is late does not count."""
-        if beat.number == self._number:
-            return  # the same one again says nothing new
-        now = self._clock.monotonic()
-        if beat.number < self._number:
+        """Takes a heartbeat of the daemon; of an earlier session, or again, it says nothing."""
+        if beat.session in self._ended:
+            return
+        if beat.session != self._session:
+            self._ended.add(self._session)
+            self._session, self._number, self._alive = beat.session, 0, beat.alive
             self.lateness.forget()  # another daemon, perhaps of another start of its machine
+        if beat.number <= self._number:
+            return
         self._number = beat.number
-        if self.lateness.hear(beat.sent, now) > self.limit:
-            self.late += 1
-        else:
-            self._heard, self._due = now, now + self.limit
+        self.lateness.hear(beat.sent, self._clock.monotonic())
+        self._alive = max(self._alive, beat.alive)
+        self.late += self.lateness.of(beat.alive, self._clock.monotonic()) > self.limit
+
+    def _last_alive(self) -> float:
+        """By our clock; before the first beat, when this began."""
+        return max(self._begun, self.lateness.here(self._alive))
+
+    def _due(self) -> float:
+        """When to act unless another sign of life becomes known."""
+        return max(self._last_alive() + self.limit, self._rests_until)
 
     async def heard(self) -> bool:
         """Whether the daemon is there: at once, or within `limit` from now."""
@@ -87,17 +100,17 @@ class Deadman:
         """Watches until cancelled."""
         while True:
             await self._wait()
-            if self._clock.monotonic() < self._due:
+            if self._clock.monotonic() < self._due():
                 continue
+            rest = self.limit / 4  # soon: something may begin to move unasked
             if await self._at_risk():
                 await self._act(self.silence)
-                self._due = self._clock.monotonic() + self.limit
-            else:
-                self._due = self._clock.monotonic() + self.limit / 4  # soon: something may begin to move unasked
+                rest = self.limit
+            self._rests_until = self._clock.monotonic() + rest
 
     async def _wait(self) -> None:
         """Until the timer was due when this began; a little longer where this process was held up itself."""
-        due = self._due
+        due = self._due()
         await self._clock.sleep(due - self._clock.monotonic())
         if self._clock.monotonic() - due > HELD_UP:
             await self._clock.sleep(LISTENING)

@@ -38,3 +38,11 @@ class Lateness:
         """By how much a message is later than the quickest one of late, s; 0 while there is nothing to compare."""
         least = min(self._least, self._least_before)
         return max(0.0, now - sent - least) if least < inf else 0.0
+
+    def here(self, sent: float) -> float:
+        """Return the moment of our clock at which a moment of the sender's clock came, s; never too late.
+
+        The quickest message of late counts as one that took no time. Without any message, minus infinity.
+        """
+        least = min(self._least, self._least_before)
+        return sent + least if least < inf else -inf

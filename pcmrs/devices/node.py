@@ -34,6 +34,7 @@ from pcmrs.messages import (
     DeviceReply,
     DeviceRequest,
     JointSetpoint,
+    NodeBeat,
     Reason,
     StimulatorState,
 )
@@ -169,7 +170,7 @@ class DeviceNode:
         while True:
             number += 1
             for name in self._devices:
-                self._link.publish(f"dev/{name}/beat", Beat(number=number, sent=self._clock.monotonic()))
+                self._link.publish(f"dev/{name}/beat", NodeBeat(number=number, sent=self._clock.monotonic()))
                 if number % health_every == 1 and (health := self._health(name)) is not None:
                     self._link.publish(f"dev/{name}/state", health)
             await self._clock.sleep(period)

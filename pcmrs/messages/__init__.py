@@ -6,7 +6,7 @@ that an age is (sent - captured) at the sender plus (now - received) at the rece
 
 from pcmrs.messages.base import Message
 from pcmrs.messages.decisions import Command, Decision, Prospect, Question, Reason, Verdict
-from pcmrs.messages.device import Beat, DeviceEvent, DeviceHealth, DeviceReply, DeviceRequest
+from pcmrs.messages.device import Beat, DeviceEvent, DeviceHealth, DeviceReply, DeviceRequest, NodeBeat
 from pcmrs.messages.journal import JournalPage, JournalQuery
 from pcmrs.messages.pointer import LandmarkPrompt
 from pcmrs.messages.poses import BodyPose, PoseMessage, Target
@@ -50,6 +50,7 @@ __all__ = [
     "Message",
     "MotionOutcome",
     "MotionResult",
+    "NodeBeat",
     "Ongoing",
     "PoseMessage",
     "PressRequest",

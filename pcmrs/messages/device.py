@@ -40,7 +40,23 @@ class DeviceEvent(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class Beat(Message, frozen=True, kw_only=True):
-    """A heartbeat; `number` grows by one each time, `sent` is s of the sender's monotonic clock."""
+    """A heartbeat of the daemon for the device nodes.
+
+    Attributes:
+        number: Grows with each beat of a session.
+        session: Random, one per start of the daemon.
+        alive: Last sign of life of the daemon's loop, s of its machine's monotonic clock.
+        sent: When the beat was sent, on the same clock: a beat may be sent long after the sign of life that it carries.
+    """
+
+    number: int
+    session: str
+    alive: float
+    sent: float
+
+
+class NodeBeat(Message, frozen=True, kw_only=True):
+    """A heartbeat of a device node; `number` grows by one each time, `sent` is s of its machine's monotonic clock."""
 
     number: int
     sent: float

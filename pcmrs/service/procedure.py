@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from dataclasses import dataclass
 
 import structlog
@@ -16,12 +17,13 @@ from pcmrs.dispatcher import Dispatcher, Recorder, Workflow
 from pcmrs.errors import DeviceError
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
-from pcmrs.messages import Beat, BodyPose, DeviceEvent, DeviceHealth, JointState, Snapshot, Verdict
+from pcmrs.messages import BodyPose, DeviceEvent, DeviceHealth, JointState, NodeBeat, Snapshot, Verdict
 from pcmrs.messages.setup import Gathered
 from pcmrs.service.abandoned import AbandonedWatch
 from pcmrs.service.core import GatewayCore
 from pcmrs.service.health import HealthWatch
 from pcmrs.service.hearing import Hearing, awaited
+from pcmrs.service.heartbeat import Heartbeat
 from pcmrs.service.lease import LeaseWatch
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.reference import ReferenceWatch
@@ -63,6 +65,7 @@ class RunningProcedure:
         supervisor: Its tasks run there, and it reports to the dispatcher from now on.
 
     Attributes:
+        session: Of this start of the daemon, random; in its heartbeats.
         cell: Devices and poses.
         dispatcher: Takes commands.
         core: The same as the gateway sees it.
@@ -82,6 +85,7 @@ class RunningProcedure:
         clocks: Clocks,
         supervisor: Supervisor,
     ) -> None:
+        self.session = uuid.uuid4().hex
         self._link = link
         self._supervisor = supervisor
         self.cell = open_cell(settings, link, clocks)
@@ -100,7 +104,7 @@ class RunningProcedure:
         self.hearing = Hearing(awaited(settings, workflow.blueprint.branches), clocks.machine)
         dispatcher = self.dispatcher
         self.watch = RobotWatch(
-            link.publish,
+            Heartbeat(link.publish, self.session, clocks.machine).beat,
             self.connected,
             lambda: dispatcher.in_doubt,
             dispatcher.report,
@@ -122,7 +126,7 @@ class RunningProcedure:
         link.subscribe("state/pose/*", BodyPose, self._take_pose)
         link.subscribe("state/joints", JointState, self._take_joints)
         link.subscribe("dev/*/state", DeviceHealth, self.health.take)
-        link.subscribe("dev/*/beat", Beat, self._take_beat)
+        link.subscribe("dev/*/beat", NodeBeat, self._take_beat)
         link.subscribe("dev/*/event", DeviceEvent, lambda _, event: dispatcher.report_later(event))
         connect_teleoperators(link, self.cell.teleop, self._abandoned.see)
         self._supervisor.start("beats and robot watch", self.watch.run, quiet=QUIET)
@@ -175,7 +179,7 @@ class RunningProcedure:
         self.watch.hear()
         self.hearing.hear("robot")
 
-    def _take_beat(self, key: str, _beat: Beat) -> None:
+    def _take_beat(self, key: str, _beat: NodeBeat) -> None:
         device = key.split("/")[1]
         self.heard[device] = self._machine.monotonic()
         if device == "robot":

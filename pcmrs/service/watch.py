@@ -1,4 +1,4 @@
-"""The daemon's heartbeat for the robot's node, and what it means when the robot falls silent."""
+"""The signs of life of the daemon's loop, and what it means when the robot falls silent."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from collections.abc import Awaitable, Callable
 
 from pcmrs.clock import Clock
 from pcmrs.devices.deadman import DEADMAN, beat_period
-from pcmrs.devices.node import DAEMON_BEAT
-from pcmrs.messages import Beat, DeviceEvent
+from pcmrs.messages import DeviceEvent
 from pcmrs.service.supervisor import mark
 
 SILENCE = 1.0
@@ -21,10 +20,10 @@ HELD_UP = 0.1
 
 
 class RobotWatch:
-    """Beats for the device nodes and listens for the robot's joints and its node's heartbeats.
+    """Gives the loop's signs of life, and listens for the robot's joints and its node's heartbeats.
 
     Args:
-        publish: `Bus.publish`.
+        beat: Takes a sign of life, s of the machine, and has it sent to the device nodes.
         connected: Whether the workflow holds the robot for connected.
         in_doubt: Whether a stopped robot has not confirmed that it stands: it is then left without beats, so
             that its node holds it by itself, too.
@@ -35,14 +34,14 @@ class RobotWatch:
 
     def __init__(
         self,
-        publish: Callable[[str, Beat], None],
+        beat: Callable[[float], None],
         connected: Callable[[], bool],
         in_doubt: Callable[[], bool],
         report: Callable[[DeviceEvent], Awaitable[None]],
         clock: Clock,
         deadman: float = DEADMAN,
     ) -> None:
-        self._publish = publish
+        self._beat = beat
         self._connected = connected
         self._in_doubt = in_doubt
         self._report = report
@@ -55,13 +54,11 @@ class RobotWatch:
 
         While a loss is being dealt with it does not beat: the node then holds the robot by itself, too.
         """
-        number = 0
         while True:
             mark()
-            number += 1
             begun = self._clock.monotonic()
             if not self._in_doubt():
-                self._publish(DAEMON_BEAT, Beat(number=number, sent=begun))
+                self._beat(begun)
             await self._clock.sleep(self._period)
             held_up = self._clock.monotonic() - begun - self._period > HELD_UP
             if not held_up and self._connected() and (text := self._loss()):

@@ -362,16 +362,17 @@ async def test_the_node_beats_for_every_device(bench: Bench) -> None:
 MOVING = msgspec.structs.replace(STATE, moving=True)
 
 
-def beat(bench: Bench, number: int, delay: float = 0.0) -> None:
-    """The daemon's heartbeat arrives, `delay` s after it was sent."""
-    bench.link.hear(DAEMON_BEAT, Beat(number=number, sent=bench.clock.monotonic() - delay))
+def beat(bench: Bench, number: int, delay: float = 0.0, *, age: float = 0.0, session: str = "a") -> None:
+    """The daemon's heartbeat arrives, `delay` s after it was sent; its sign of life was `age` s old then."""
+    sent = bench.clock.monotonic() - delay
+    bench.link.hear(DAEMON_BEAT, Beat(number=number, session=session, alive=sent - age, sent=sent))
 
 
-async def beat_for(bench: Bench, seconds: float, first: int = 1, delay: float = 0.0) -> int:
+async def beat_for(bench: Bench, seconds: float, first: int = 1, delay: float = 0.0, session: str = "a") -> int:
     """Heartbeats as a daemon sends them; returns the next number."""
     numbers = range(first, first + round(seconds / BEAT_PERIOD))
     for number in numbers:
-        beat(bench, number, delay)
+        beat(bench, number, delay, session=session)
         await bench.clock.advance(BEAT_PERIOD)
     return numbers.stop
 
@@ -402,11 +403,47 @@ async def test_heartbeats_that_come_late_do_not_count(bench: Bench) -> None:
     assert bench.robot_device.holds > 0, "they keep coming, and all of them are of half a second ago"
 
 
+@pytest.mark.parametrize(
+    ("delay", "age"), [(0.9 * DEADMAN, 0.0), (0.0, 0.9 * DEADMAN), (0.45 * DEADMAN, 0.45 * DEADMAN)]
+)
+async def test_silence_counts_from_the_last_sign_of_life_however_late_that_was_known(
+    bench: Bench, delay: float, age: float
+) -> None:
+    """It waited in the daemon, on the way or here: the arm is not led by anyone for longer than the deadman's time."""
+    bench.robot_device.stream.put_nowait(MOVING)
+    number = await beat_for(bench, 1.0)
+    await bench.clock.advance(0.9 * DEADMAN - BEAT_PERIOD)
+    beat(bench, number, delay, age=age)  # of the same moment as the last one but for one period
+    await bench.clock.advance(0.1 * DEADMAN + BEAT_PERIOD + 0.001)
+    assert bench.robot_device.holds == 1
+    (event,) = bench.link.published["dev/robot/event"]
+    assert event.fields["silence"] == pytest.approx(DEADMAN, abs=0.002)
+
+
+async def test_a_beat_that_carries_no_newer_sign_of_life_does_not_help(bench: Bench) -> None:
+    """The process that sends the beats goes on while the loop hangs."""
+    bench.robot_device.stream.put_nowait(MOVING)
+    number = await beat_for(bench, 1.0)
+    for late in range(3):
+        beat(bench, number + late, age=(late + 1) * BEAT_PERIOD)
+        await bench.clock.advance(BEAT_PERIOD)
+    await bench.clock.advance(0.001)
+    assert bench.robot_device.holds == 1
+
+
 async def test_the_heartbeats_of_a_daemon_that_began_anew_count_whatever_its_clock_shows(bench: Bench) -> None:
     bench.robot_device.stream.put_nowait(MOVING)
     await beat_for(bench, 1.0)
-    await beat_for(bench, 1.0, first=1, delay=1000.0)
+    await beat_for(bench, 1.0, first=1, delay=1000.0, session="b")
     assert bench.robot_device.holds == 0
+
+
+async def test_the_heartbeats_of_the_daemon_before_do_not_count_any_more(bench: Bench) -> None:
+    bench.robot_device.stream.put_nowait(MOVING)
+    number = await beat_for(bench, 1.0, session="a")
+    await beat_for(bench, 1.0, session="b")
+    await beat_for(bench, 1.5 * DEADMAN, number, session="a")
+    assert bench.robot_device.holds == 1
 
 
 async def test_no_motion_begins_while_the_daemon_is_not_heard(bench: Bench) -> None:

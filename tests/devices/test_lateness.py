@@ -40,3 +40,14 @@ def test_a_sender_that_begins_anew_is_compared_anew() -> None:
     assert lateness.of(10.0, 51.0) > 900.0
     lateness.forget()
     assert lateness.hear(10.0, 51.0) == 0.0
+
+
+@given(delays, st.floats(-1e6, 1e6))
+def test_a_moment_of_the_sender_is_placed_too_late_by_the_least_delay_and_no_more(
+    taken: list[float], offset: float
+) -> None:
+    lateness, now = Lateness(), 100.0
+    for number, delay in enumerate(taken):
+        lateness.hear(now - delay + offset, now)
+        assert lateness.here(42.0 + offset) == pytest.approx(42.0 + min(taken[: number + 1]), abs=1e-6)
+        now += 0.025

@@ -14,7 +14,7 @@ from pcmrs.devices.deadman import DEADMAN, beat_period
 from pcmrs.devices.node import DAEMON_BEAT, PULSE_DELAY, DeviceNode
 from pcmrs.devices.remote import RemoteEmg, RemoteStimulator
 from pcmrs.errors import DeviceError, UnknownOutcomeError
-from pcmrs.messages import Beat, DeviceEvent, Epoch, FiredPulse, StimulatorState
+from pcmrs.messages import Beat, DeviceEvent, Epoch, FiredPulse, NodeBeat, StimulatorState
 
 BEAT_PERIOD = beat_period(DEADMAN)
 
@@ -107,7 +107,8 @@ async def test_stop_disarms_by_the_node_itself(bench: Bench) -> None:
 async def test_an_armed_stimulator_is_disarmed_when_the_daemon_falls_silent(bench: Bench) -> None:
     await bench.stimulator.arm()
     for number in range(1, 20):
-        bench.link.hear(DAEMON_BEAT, Beat(number=number, sent=bench.clock.monotonic()))
+        now = bench.clock.monotonic()
+        bench.link.hear(DAEMON_BEAT, Beat(number=number, session="a", alive=now, sent=now))
         await bench.clock.advance(BEAT_PERIOD)
     assert bench.device.disarms == 0
     await bench.clock.advance(DEADMAN + BEAT_PERIOD)
@@ -119,7 +120,7 @@ async def test_an_armed_stimulator_is_disarmed_when_the_daemon_falls_silent(benc
 async def test_the_beats_of_another_node_are_not_those_of_the_daemon(bench: Bench) -> None:
     await bench.stimulator.arm()
     for number in range(10):  # of the robot's node, which has outlived the daemon
-        bench.link.hear("dev/robot/beat", Beat(number=number, sent=bench.clock.monotonic()))
+        bench.link.hear("dev/robot/beat", NodeBeat(number=number, sent=bench.clock.monotonic()))
         await bench.clock.advance(BEAT_PERIOD)
     assert bench.device.disarms == 1
 

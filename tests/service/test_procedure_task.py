@@ -15,7 +15,6 @@ from pcmrs.campaign.driving import landmarks
 from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.errors import DeviceError, SupervisionError
 from pcmrs.messages import (
-    Beat,
     BodyPose,
     Command,
     DeviceEvent,
@@ -24,6 +23,7 @@ from pcmrs.messages import (
     DeviceRequest,
     Epoch,
     JointState,
+    NodeBeat,
     StimulatorState,
     Verdict,
 )
@@ -127,7 +127,11 @@ async def test_it_beats_and_knows_when_each_node_was_heard() -> None:
         await bench.clock.advance(1.0)
         beats = bench.link.published[DAEMON_BEAT]
         assert [beat.number for beat in beats] == list(range(1, len(beats) + 1))
-        bench.link.hear("dev/*/beat", "dev/robot/beat", Beat(number=1, sent=0.0))
+        assert {beat.session for beat in beats} == {bench.procedure.session}
+        assert [beat.alive for beat in beats] == sorted({beat.alive for beat in beats}), (
+            "each a sign of life of its own"
+        )
+        bench.link.hear("dev/*/beat", "dev/robot/beat", NodeBeat(number=1, sent=0.0))
         assert bench.procedure.heard == {"robot": bench.clock.monotonic()}
         late = DeviceHealth(device="robot", connected=True, dropped={"setpoints": 3})
         bench.link.hear("dev/*/state", "dev/robot/state", late)

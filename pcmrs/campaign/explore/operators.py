@@ -88,7 +88,7 @@ class Operators:
 
     def stop(self, who: str) -> None:
         """Presses Stop: daemon and node hear it."""
-        self._link.publish(f"stop/{who}", Beat(number=0, sent=0.0))
+        self._link.publish(f"stop/{who}", Beat(number=0, session="", alive=0.0, sent=0.0))
 
     async def _ask(self, who: str, command: Command) -> None:
         key = f"cmd/{who}/{command.branch}/{command.operation}"
