@@ -34,6 +34,11 @@ class Lateness:
         self._least = min(self._least, now - sent)
         return self.of(sent, now)
 
+    def ahead(self, sent: float, now: float) -> float:
+        """By how much a message seems to come before it could, s; 0 while there is nothing to compare."""
+        least = min(self._least, self._least_before)
+        return max(0.0, least - (now - sent)) if least < inf else 0.0
+
     def of(self, sent: float, now: float) -> float:
         """By how much a message is later than the quickest one of late, s; 0 while there is nothing to compare."""
         least = min(self._least, self._least_before)

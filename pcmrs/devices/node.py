@@ -15,6 +15,7 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.devices.deadman import DEADMAN, Deadman, beat_period
+from pcmrs.devices.frame_sessions import FrameSessions
 from pcmrs.devices.link import Link
 from pcmrs.devices.protocols import (
     Emg,
@@ -102,6 +103,7 @@ class DeviceNode:
         self._begun = self._awake = clock.monotonic()
         self._held_up = -inf
         self._heard: dict[str, float] = {}
+        self._frame_sessions = FrameSessions()
         self._holds: set[asyncio.Task[None]] = set()
 
     async def run(self) -> None:
@@ -244,7 +246,7 @@ class DeviceNode:
     async def _publish_frames(self, tracker: TrackerDriver) -> None:
         async for frame in tracker.frames():
             self._heard["tracker"] = self._clock.monotonic()
-            for pose in frame:
+            for pose in self._frame_sessions.named(frame):
                 self._link.publish(f"state/pose/{pose.body}", pose)
 
     async def _publish_joints(self, robot: RobotDriver) -> None:

@@ -22,9 +22,14 @@ HISTORY = 256
 RATE_TIME = 1.0
 """Over so long a time the rate of frames is taken, s of the clock."""
 
-RESTART_TIME = 2.0
-"""A tracker that begins to count anew after so long a silence was restarted, s of the clock."""
+AHEAD = 0.1
+"""A stamp that is ahead of all others by more than this is wrong, s: it would make all others late."""
 
+AGREED = 10
+"""So many messages in a row that are ahead are right, and those before were late: the comparison begins anew."""
+
+SESSIONS = 64
+"""Earlier sessions that are remembered: a frame may be late, but not by so many starts of the tracker."""
 
 NO_LIMITS = PoseLimits()
 
@@ -34,21 +39,25 @@ class Sighting:
     """A valid pose.
 
     Attributes:
+        frame_number: The tracker's, going on where a new session of the tracker counts anew.
         exposed: When it was captured, s of the tracker's clock.
         captured: The same, s of this process's clock.
+        session: That of the tracker; stamps of two sessions cannot be compared.
     """
 
     frame_number: int
     exposed: float
     captured: float
     tracker_from_body: Transform
+    session: str = ""
 
 
 class PoseFeed:
     """The newest poses of all tracked bodies.
 
     A pose is not taken when it is flagged invalid, is no pose, fits badly, its frame number or stamp does not
-    advance, or the body has jumped; what was dropped is counted by reason in `dropped`.
+    advance within its session, its stamp lies ahead of the others, it is of an earlier session of the tracker, or the
+    body has jumped; what was dropped is counted by reason in `dropped`.
 
     Args:
         clock: The cell's clock.
@@ -68,7 +77,10 @@ class PoseFeed:
         self._jumps = JumpGuard(limits)
         self._lateness = Lateness()
         self._sightings: dict[str, deque[Sighting]] = {}
-        self._arrivals: dict[str, float] = {}
+        self._session: str | None = None
+        self._earlier: deque[str] = deque(maxlen=SESSIONS)
+        self._number = self._offset = 0
+        self._ahead: dict[float, float] = {}
         self._last_reason: dict[str, str] = {}
         self._arrived = asyncio.Event()
 
@@ -156,6 +168,8 @@ class PoseFeed:
         return frames[:count]
 
     def _sighting_of(self, pose: BodyPose) -> tuple[Sighting | None, str]:
+        if not self._follow_session(pose.session):
+            return None, "earlier_session"
         if not pose.valid:
             return None, pose.reason or "invalid"
         if not pose.error <= self._limits.error:
@@ -163,14 +177,13 @@ class PoseFeed:
         age = pose.sent - pose.captured
         if not 0.0 <= age < math.inf:
             return None, "stamp_reversed"
-        now = self._clock.monotonic()
-        silence, self._arrivals[pose.body] = now - self._arrivals.get(pose.body, now), now
-        known = self._sightings.get(pose.body)
-        if known and pose.frame_number < known[-1].frame_number and silence > RESTART_TIME:
-            self._forget()  # the tracker was restarted and counts anew; a frozen one repeats its number
-        late = self._lateness.hear(pose.sent, now)
-        if known and pose.frame_number <= known[-1].frame_number:
+        now, known = self._clock.monotonic(), self._sightings.get(pose.body)
+        number = self._offset + pose.frame_number
+        if known and number <= known[-1].frame_number:
             return None, "frame_not_advancing"
+        if self._is_ahead(pose.sent, now):
+            return None, "stamp_ahead"
+        late = self._lateness.hear(pose.sent, now)
         if known and pose.captured <= known[-1].exposed:
             return None, "stamp_not_advancing"
         try:
@@ -180,11 +193,40 @@ class PoseFeed:
         doubt = self._jumps.doubt(pose.body, pose.captured, tracker_from_body)
         if doubt:
             return None, doubt
-        return Sighting(pose.frame_number, pose.captured, now - age - late, tracker_from_body), ""
+        self._number = max(self._number, number)
+        return Sighting(number, pose.captured, now - age - late, tracker_from_body, pose.session), ""
+
+    def _follow_session(self, session: str) -> bool:
+        """Forgets all poses where a new session begins; returns False for a frame of an earlier one."""
+        if session == self._session:
+            return True
+        if session in self._earlier:
+            return False
+        if self._session is not None:
+            self._earlier.append(self._session)
+            self._forget()
+        self._session = session
+        return True
+
+    def _is_ahead(self, sent: float, now: float) -> bool:
+        """Whether a stamp lies ahead of the others; not where so many agree that the others must have been late."""
+        if self._lateness.ahead(sent, now) <= AHEAD:
+            self._ahead.clear()
+            return False
+        if any(abs(now - sent - offset) > AHEAD for offset in self._ahead.values()):
+            self._ahead.clear()
+        self._ahead[sent] = now - sent
+        if len(self._ahead) < AGREED:
+            return True
+        self._ahead.clear()
+        self._lateness.forget()
+        return False
 
     def _forget(self) -> None:
-        """Of every body: a number of before would name another frame now."""
+        """Of every body: the tracker may stand elsewhere, and its clock may be another one."""
         self._lateness.forget()
+        self._ahead.clear()
+        self._offset = self._number + 1
         for body, sightings in self._sightings.items():
             self._jumps.forget(body)
             sightings.clear()

@@ -16,6 +16,9 @@ class BodyPose(Message, frozen=True, kw_only=True):
         position: `tracker_from_body` translation, m.
         quat_wxyz: `tracker_from_body` rotation, unit quaternion.
         error: The tracker's own fit error, m.
+        reason: Why it is not valid.
+        session: Random id, one per start of the tracker's node and whenever the tracker counts anew; numbers and stamps
+            are compared within one session only. The node sets it.
     """
 
     body: str
@@ -27,6 +30,7 @@ class BodyPose(Message, frozen=True, kw_only=True):
     quat_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     error: float = 0.0
     reason: str | None = None
+    session: str = ""
 
 
 class PoseMessage(Message, frozen=True, kw_only=True, omit_defaults=False):

@@ -36,9 +36,13 @@ class BodyTrack:
         """Takes a frame, and returns how much later than the one before it was exposed, s; 0 for the first.
 
         Raises:
-            RefusalError: See `PosePredictor.update`.
+            RefusalError: ``tracker_restarted``: the tracker counts anew since the frame before; otherwise see
+                `PosePredictor.update`.
         """
         seen, before = frame["body_ref"], self._newest
+        if before is not None and seen.session != before["body_ref"].session:
+            text = "The tracker was restarted: where it stands and what its stamps mean may have changed. Back off, "
+            raise RefusalError("tracker_restarted", text + "then begin again.")
         self._predictor.update(seen.exposed, seen.tracker_from_body)
         self._delays.append(seen.captured - seen.exposed)
         self._newest = frame

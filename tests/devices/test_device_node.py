@@ -338,8 +338,9 @@ async def test_streams_are_published_under_their_keys(bench: Bench) -> None:
     bench.tracker.stream.put_nowait([pose, hidden])
     bench.robot_device.stream.put_nowait(STATE)
     await settle()
-    assert bench.link.published["state/pose/coil"] == [pose]
-    assert bench.link.published["state/pose/pointer"] == [hidden]
+    (coil,), (pointer,) = bench.link.published["state/pose/coil"], bench.link.published["state/pose/pointer"]
+    assert coil.session == pointer.session != ""
+    assert (coil, pointer) == tuple(msgspec.structs.replace(each, session=coil.session) for each in (pose, hidden))
     assert bench.link.published["state/joints"] == [STATE]
 
 

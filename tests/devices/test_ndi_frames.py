@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.devices.ndi.poses import FROZEN_TIME, FrameReader
+from pcmrs.devices.ndi.poses import FROZEN_TIME, RESTARTED, FrameReader
 from pcmrs.devices.ndi.tools import LARGEST, placeholder, read_tools
 from pcmrs.devices.ndi.wire import LARGEST as LARGEST_REPORT
 from pcmrs.devices.ndi.wire import Failed, Frame, Ready, ToolFrame, Unpacker, pack
@@ -100,6 +100,20 @@ def test_numbers_go_on_where_a_tracker_that_was_set_up_again_begins_to_count() -
     reader.begin_anew()
     assert reader.poses(_frame(7, 9.0), now=9.0)[0].frame_number == 505
     assert reader.refused.total() == 0
+
+
+def test_a_tracker_that_counts_anew_by_itself_is_believed_after_a_few_frames() -> None:
+    reader = _reader()
+    reader.poses(_frame(500, 0.1), now=1.0)
+    found = [reader.poses(_frame(n, 0.1 + 0.01 * n), now=9.0)[0] for n in range(1, RESTARTED + 3)]
+    assert [pose.valid for pose in found] == [False] * (RESTARTED - 1) + [True] * 3
+    assert [pose.frame_number for pose in found[-3:]] == [501, 502, 503]
+
+
+def test_a_tracker_that_runs_backwards_is_never_believed() -> None:
+    reader = _reader()
+    reader.poses(_frame(500, 0.1), now=1.0)
+    assert not any(reader.poses(_frame(500 - n, 0.1 + 0.01 * n), now=9.0)[0].valid for n in range(1, 400))
 
 
 @given(frames)

@@ -13,7 +13,7 @@ from clock import ManualClock, settle
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.devices.poses import HISTORY, RESTART_TIME, PoseFeed
+from pcmrs.devices.poses import AGREED, HISTORY, PoseFeed
 from pcmrs.errors import RefusalError
 from pcmrs.messages import BodyPose
 
@@ -183,26 +183,64 @@ def test_only_the_newest_frames_are_kept() -> None:
     assert oldest == pytest.approx(np.mean(np.arange(11, HISTORY + 11)))
 
 
-async def test_a_tracker_that_was_restarted_is_believed_again() -> None:
+async def test_a_tracker_that_counts_anew_is_believed_at_once_and_its_numbers_go_on() -> None:
     clock, feed = _feed()
-    feed.update(_pose(1000))
-    await clock.advance(RESTART_TIME / 2)
-    feed.update(_pose(1))
-    assert feed.dropped["frame_not_advancing"] == 1, "it was not silent long enough to have been restarted"
-    await clock.advance(RESTART_TIME + PERIOD)
-    feed.update(_pose(2))
+    feed.update(_pose(1000, session="first"))
+    await clock.advance(0.1)
+    for number in range(1, 4):
+        await clock.advance(PERIOD)
+        feed.update(_pose(number, session="second"))
     assert feed.seen("coil")
+    assert len(feed.frames_after(1000, ["coil"])) == 3, "who has seen frame 1000 gets the later ones"
+    assert feed.dropped.total() == 0
+
+
+async def test_late_frames_of_an_earlier_session_never_count() -> None:
+    clock, feed = _feed()
+    for number, session in enumerate(("first", "second", "third")):
+        feed.update(_pose(number, session=session, position=(float(number), 0.0, 0.0)))
+    await clock.advance(PERIOD)
+    for late in (_pose(50, session="first"), _pose(51, session="second", valid=False, reason="occluded")):
+        feed.update(late)
+    assert feed.dropped == {"earlier_session": 2}
+    assert feed.newest("coil").translation[0] == 2.0
 
 
 async def test_frames_of_before_a_restart_are_never_paired_with_those_after_it() -> None:
     clock, feed = _feed()
     for body in ("coil", "body_ref"):
-        feed.update(_pose(5, body))
-    await clock.advance(RESTART_TIME + PERIOD)
+        feed.update(_pose(5, body, session="first"))
     for number in range(1, 7):  # the reference is not seen any more
-        feed.update(_pose(number))
+        feed.update(_pose(number, session="second"))
         await clock.advance(PERIOD)
     assert feed.frames_after(0, ("coil", "body_ref")) == []
     assert _reason(feed, "body_ref") == "pose_missing"
-    feed.update(_pose(7, "body_ref"))
+    feed.update(_pose(7, "body_ref", session="second"))
     assert feed.seen("body_ref")
+
+
+async def test_one_frame_stamped_an_hour_ahead_changes_nothing_for_those_after_it() -> None:
+    clock, feed = _feed()
+    feed.update(_pose(1))
+    await clock.advance(PERIOD)
+    feed.update(_pose(2, captured=_pose(2).captured + 3600.0, sent=_pose(2).sent + 3600.0))
+    assert feed.dropped == {"stamp_ahead": 1}
+    for number in range(3, 40):
+        await clock.advance(PERIOD)
+        feed.update(_pose(number))
+        assert feed.seen("coil")
+    assert feed.dropped == {"stamp_ahead": 1}
+
+
+async def test_where_the_first_frames_were_late_the_quicker_ones_are_believed_after_a_few() -> None:
+    clock, feed = _feed()
+    await clock.advance(5.0)  # so long the first frame was on its way
+    feed.update(_pose(1))
+    for number in range(2, AGREED + 1):
+        await clock.advance(PERIOD)
+        feed.update(_pose(number + 300))
+    assert feed.dropped == {"stamp_ahead": AGREED - 1}
+    await clock.advance(PERIOD)
+    feed.update(_pose(AGREED + 301))
+    assert feed.dropped == {"stamp_ahead": AGREED - 1}
+    assert feed.newest("coil") is not None

@@ -134,6 +134,22 @@ async def test_a_head_quicker_than_the_tool_closes_the_gate_until_the_tool_is_th
         assert await true_error(bench) < 0.001
 
 
+async def test_a_tracker_that_was_restarted_is_not_followed(following: WorkflowBench) -> None:
+    following.tracker_session = "second"
+    await ended(following)
+    assert "The tracker was restarted" in danger(following)
+
+
+async def test_a_tool_at_its_place_counts_as_aligned_again_when_the_tracker_counts_anew(bench: WorkflowBench) -> None:
+    await bench.to_placed()
+    await bench.until(lambda: aligned(bench))
+    await bench.scene.occlude("coil", hidden=True)
+    await bench.until(lambda: not aligned(bench))
+    bench.tracker_session, bench.tracker._frame_number = "second", 0  # type: ignore[attr-defined]
+    await bench.scene.occlude("coil", hidden=False)
+    await bench.until(lambda: aligned(bench))
+
+
 @pytest.mark.parametrize("compensated", [True, False])
 @pytest.mark.nightly
 async def test_latency_is_compensated(compensated: bool) -> None:

@@ -92,6 +92,7 @@ class WorkflowBench:
 
     Attributes:
         published: Snapshots, verdicts and events in order.
+        tracker_session: In which the tracker's frames come.
     """
 
     def __init__(
@@ -108,6 +109,7 @@ class WorkflowBench:
         self.tracker: TrackerDriver = devices["tracker"]
         self.recorder = ListRecorder()
         self.published: list[Snapshot | Verdict | DeviceEvent] = []
+        self.tracker_session = "first"
         self.cell = Cell(
             robot=devices["robot"],
             pointer=devices["pointer"],
@@ -220,7 +222,7 @@ class WorkflowBench:
     async def _take_poses(self) -> None:
         async for frame in self.tracker.frames():
             for pose in frame:
-                self.cell.poses.update(pose)
+                self.cell.poses.update(msgspec.structs.replace(pose, session=self.tracker_session))
 
 
 @cache

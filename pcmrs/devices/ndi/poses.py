@@ -16,6 +16,10 @@ FROZEN_TIME = 0.5
 """A tracker that answers but has had no new frame for so long is frozen, s: longer than a frame at 5 Hz."""
 
 
+RESTARTED = 5
+"""So many frames in a row that advance from below the last one show that the tracker counts anew."""
+
+
 class FrameReader:
     """Turns answers into poses; the same frame is answered to many questions and taken once.
 
@@ -34,6 +38,7 @@ class FrameReader:
         self._number = -1
         self._offset = 0
         self._anew = False
+        self._behind: list[int] = []
         self._new_at: float | None = None
 
     def begin_anew(self) -> None:
@@ -50,7 +55,7 @@ class FrameReader:
         if not frame.tools:
             return []
         number = self._offset + max(tool.frame_number for tool in frame.tools)
-        if self._anew and number <= self._number:
+        if (self._anew and number <= self._number) or self._counts_anew(number):
             self._offset += self._number + 1 - number
             number = self._number + 1
         self._anew = False
@@ -63,6 +68,17 @@ class FrameReader:
             self._new_at = frame.arrived
             return self._refuse("frozen", frame, now)
         return []
+
+    def _counts_anew(self, number: int) -> bool:
+        """Whether the tracker counts from the beginning though nobody has set it up again."""
+        if number >= self._number or (self._behind and number < self._behind[-1]):
+            self._behind.clear()
+        if number < self._number and (not self._behind or number > self._behind[-1]):
+            self._behind.append(number)
+        if len(self._behind) < RESTARTED:
+            return False
+        self._behind.clear()
+        return True
 
     def _refuse(self, reason: str, frame: Frame, now: float) -> list[BodyPose]:
         self.refused[reason] += 1

@@ -1,0 +1,45 @@
+"""When a tracker's frames belong to a new session."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pcmrs.devices.frame_sessions import STEADY, FrameSessions
+from pcmrs.messages import BodyPose
+
+
+def _sessions(numbers: Iterable[int], sent: Iterable[float] | None = None) -> list[str]:
+    sessions, named = FrameSessions(), list[str]()
+    for number, time in zip(numbers, sent or (float(i) for i in range(10_000)), strict=False):
+        pose = BodyPose(body="coil", frame_number=number, captured=time, sent=time, valid=True)
+        named.append(sessions.named([pose])[0].session)
+    return named
+
+
+def test_each_start_of_the_node_is_a_session() -> None:
+    assert len(set(_sessions(range(100)))) == 1
+    assert _sessions([1]) != _sessions([1])
+
+
+def test_a_tracker_that_counts_anew_begins_a_session_after_a_few_frames() -> None:
+    named = _sessions([500, 501, *range(1, 20)])
+    assert named.index(named[-1]) == 1 + STEADY
+    assert len(set(named)) == 2
+
+
+def test_one_frame_with_a_wrong_number_or_stamp_costs_a_few_frames_only() -> None:
+    named = _sessions([5, 2**31, *range(6, 20)])
+    assert named[0] == named[1] != named[-1]
+    assert len(set(named[1 + STEADY :])) == 1
+    times = [0.0, 3601.0, *(float(i) for i in range(2, 20))]
+    named = _sessions(range(20), times)
+    assert len(set(named[1 + STEADY :])) == 1
+    assert named[0] != named[-1]
+
+
+@given(st.lists(st.integers(0, 50), min_size=1, max_size=60).map(lambda found: sorted(found, reverse=True)))
+def test_a_tracker_that_runs_backwards_or_is_frozen_begins_none(numbers: list[int]) -> None:
+    assert len(set(_sessions(numbers))) == 1
