@@ -73,7 +73,7 @@ class Choices:
             return f"{holder} holds this cell."
         if holder is None and setup.lease_required:
             return "Nobody holds this cell: take the lease first."
-        if shown.latched and spec.halts:
+        if shown.latched and spec.blocked_when_latched:
             release = " or ".join(self.blueprint.unlatching)
             return f"Stop is latched: acknowledge with {release} first."
         answer = self._engine.ask(branch, operation)

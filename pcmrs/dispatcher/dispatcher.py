@@ -355,7 +355,7 @@ class Dispatcher(Generic[C, D]):
         return None
 
     def _barred(self, attempt: Attempt) -> Reason | None:
-        if self._broken is None and attempt.spec.halts and self.procedure.latched:
+        if self._broken is None and attempt.spec.blocked_when_latched and self.procedure.latched:
             release = " or ".join(self._workflow.blueprint.unlatching)
             text = f"{attempt.name} is not allowed while Stop is latched: acknowledge with {release} first."
             return Reason(code="latched", text=text)

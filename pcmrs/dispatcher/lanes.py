@@ -35,7 +35,7 @@ class Lanes:
         Nothing that moves or acts on the patient waits, nor does a plan change while something moves.
         """
         changes_plan = attempt.locks.writes & self._revokers
-        if attempt.spec.halts or (changes_plan and any(other.moves for other in self.running)):
+        if attempt.spec.blocked_when_latched or (changes_plan and any(other.moves for other in self.running)):
             busy = [other.name for other in self.running]
             text = f"{attempt.name} does not wait for {' and '.join(busy) or 'others'}: ask again when it has ended."
             return Reason(code="busy", text=text, fields={"running": busy})

@@ -46,7 +46,7 @@ class Procedure(Generic[C, D]):
         """Operations of a branch that users may ask for in a joint state and would not be denied."""
         operations = self.blueprint.branches[branch].operations
         able = self._engine.allowed(branch, states)
-        return [name for name in able if not (self.latched and operations[name].halts)]
+        return [name for name in able if not (self.latched and operations[name].blocked_when_latched)]
 
     def ask(self, branch: str, operation: str) -> Closure | Denial:
         """Asks the active state object, then works out the closure of what it allows."""

@@ -68,4 +68,4 @@ class Unsettled:
         of = self._blueprint.find(outcome.branch, outcome.operation)
         if of is not None and of.moves:
             return looks
-        return by.unlatches or (looks and not (of is not None and of.acts))
+        return by.unlatches or (looks and not (of is not None and of.affects_patient))

@@ -60,9 +60,12 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
         requires: What must hold while it runs.
         refusal: Code of the rejection when `requires` does not hold, or one for each branch in it.
         roles: Who of those who may ask for operations may ask for this one; empty for all of them.
-        motion: Whether it moves the robot, and which way.
-        acts: It acts on the patient without moving the robot, as drilling does: refused while Stop is latched, and
-            never kept waiting for others, as motions are.
+        moves: It moves the robot.
+        motion: Which way it moves the robot. Where only `moves` says that it does, it counts as an approach.
+        affects_patient: It acts on the patient without moving the robot, as drilling does: refused while Stop is
+            latched, and never kept waiting for others, as motions are.
+        blocked_when_latched: The latch of Stop forbids it. Filled when it is read: what moves or affects the patient is
+            forbidden, and nothing else unless it says so.
         rio: It is the branch's re-initiation operation (RIO).
         iio: It is called by a child branch only (IIO).
         event: It is called by a device, detector or timer only.
@@ -84,8 +87,10 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
     requires: Requirement = {}
     refusal: str | dict[str, str] = UNMET
     roles: list[Role] = []
+    moves: bool = False
     motion: Motion = "none"
-    acts: bool = False
+    affects_patient: bool = False
+    blocked_when_latched: bool | None = None
     rio: bool = False
     iio: bool = False
     event: bool = False
@@ -95,20 +100,23 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
     on_failure: Target | None = None
     on_unknown: Target | None = None
 
+    def __post_init__(self) -> None:
+        if self.moves and self.motion == "none":
+            msgspec.structs.force_setattr(self, "motion", "approach")
+        if self.blocked_when_latched is None:
+            blocked = self.motion != "none" or self.affects_patient
+            msgspec.structs.force_setattr(self, "blocked_when_latched", blocked)
+        msgspec.structs.force_setattr(self, "moves", self.motion != "none")
+
     @property
-    def moves(self) -> bool:
-        """Whether it moves the robot."""
-        return self.motion != "none"
+    def implied(self) -> dict[str, bool]:
+        """Keys that need not be said, with the values that the others give them."""
+        return {"moves": self.moves, "blocked_when_latched": self.moves or self.affects_patient}
 
     @property
     def askers(self) -> list[Role]:
         """Who may ask for it."""
         return [role for role in COMMANDING if not self.roles or role in self.roles]
-
-    @property
-    def halts(self) -> bool:
-        """Whether the latch of Stop forbids it."""
-        return self.moves or self.acts
 
     @property
     def endings(self) -> dict[str, OutcomeSpec]:
@@ -341,7 +349,7 @@ class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dic
             f"{name}.{key}"
             for name, branch in self.branches.items()
             for key, operation in branch.operations.items()
-            if operation.unlatches and not (operation.halts or operation.iio or operation.event)
+            if operation.unlatches and not (operation.blocked_when_latched or operation.iio or operation.event)
         ]
 
     @cached_property

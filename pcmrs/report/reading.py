@@ -353,7 +353,7 @@ class _Reading:
         if self._blueprint is None:
             return None
         spec = self._blueprint.find(branch, operation)
-        return spec is not None and spec.acts
+        return spec is not None and spec.affects_patient
 
 
 def _runs(rows: Sequence[StoredRow]) -> list[Run]:

@@ -112,7 +112,7 @@ class Ledger:
             )
         )
         spec, reason = self._spec(row), row.verdict.reason if row.verdict is not None else None
-        if reason is not None and reason.code == ENDED.code and (spec is None or spec.halts):
+        if reason is not None and reason.code == ENDED.code and (spec is None or spec.blocked_when_latched):
             self._latched = True
 
     def _spec(self, row: JournalRow) -> OperationSpec | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 from pcmrs.dispatcher import Registry, Workflow
@@ -29,6 +30,8 @@ from pcmrs.workflows.toolplan import register_plan_operations
 
 __all__ = ["Place", "find_workflow", "open_workflow", "placement_registry", "read_workflow"]
 
+_log = logging.getLogger(__name__)
+
 
 def read_workflow(name: str) -> Blueprint:
     """The blueprint of the workflow of that name or path, as it is written: neither verified nor run.
@@ -53,7 +56,7 @@ def open_workflow(name: str) -> Workflow[Cell, PlacementData]:
         BlueprintError: Its blueprint is unsound, or uses a name that nobody registers.
     """
     place = find_workflow(name)
-    blueprint = load_blueprint(place.blueprint)
+    blueprint = load_blueprint(place.blueprint, warn=lambda warning: _log.warning("%s", warning.heading))
     code = load_code(place)
     registry = _registry_with(place, code)
     initial = told_with_line(place.code, code.data.begin, blueprint)

@@ -117,7 +117,7 @@ FAULTS = {
     ),
     "ended moves": (
         'to = "held"\nevent',
-        'to = "held"\nacts = true\nevent',
+        'to = "held"\naffects_patient = true\nevent',
         "bad_activity",
         "while Stop is latched",
     ),

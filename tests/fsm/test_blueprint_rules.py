@@ -145,7 +145,7 @@ FAULTS = {
     ),
     "only a motion could release Stop": (
         "unlatches = true\n",
-        "unlatches = true\nacts = true\n",
+        "unlatches = true\naffects_patient = true\n",
         "no_release",
         "neither moves nor acts",
         "operations.clear",

@@ -256,7 +256,7 @@ def test_who_only_plans_moves_nothing(workflow: str) -> None:
     for name, branch in branches.items():
         for key, operation in branch.operations.items():
             asked = not (operation.event or operation.iio)
-            if asked and (operation.halts or name == "placement" or f"{name}.{key}" == "robot.connect"):
+            if asked and (operation.blocked_when_latched or name == "placement" or f"{name}.{key}" == "robot.connect"):
                 assert set(operation.roles) == {"operator", "teleoperator"}, f"{name}.{key}"
             if name in ("registration", "digitization", "toolplan"):
                 assert not operation.roles, f"{name}.{key}"

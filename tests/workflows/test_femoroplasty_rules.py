@@ -313,4 +313,4 @@ def test_every_word_of_the_surgeon_carries_a_name() -> None:
 
 def test_what_acts_on_the_patient_is_told_to_stop_and_what_tells_of_it_is_not() -> None:
     operations = BLUEPRINT.branches["treatment"].operations
-    assert {name for name, spec in operations.items() if spec.acts} == {"start_drilling", "start_injection"}
+    assert {name for name, spec in operations.items() if spec.affects_patient} == {"start_drilling", "start_injection"}

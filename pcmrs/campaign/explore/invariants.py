@@ -94,7 +94,7 @@ def nothing_begins_while_latched(view: View, event: Event) -> str | None:
     known = {each.id for each in view.before.running}
     for each in event.running:
         spec = view.blueprint.branches[each.branch].operations[each.operation]
-        if spec.halts and each.id not in known:
+        if spec.blocked_when_latched and each.id not in known:
             return f"{each.branch}.{each.operation} has begun although Stop is latched."
     return None
 

@@ -64,10 +64,13 @@ def _as_object(origin: str, examination: Examination) -> dict[str, Any]:
         "joint_states": examination.joint_states,
         "transitions": examination.transitions,
         "findings": examination.findings,
+        "warnings": examination.warnings,
     }
 
 
 def _show(origin: str, examination: Examination) -> None:
+    for warning in examination.warnings:
+        click.echo(warning.heading, err=True)
     if examination.blueprint is not None and examination.sound:
         searched = f"{examination.joint_states} joint states, {examination.transitions} transitions"
         click.echo(f"{origin}: sound: {searched}, {len(examination.blueprint.properties)} properties")

@@ -18,7 +18,7 @@ from pcmrs.fsm.difference.facets import FacetKind, Seen, answers_seen, differing
 
 Kind = Literal["added", "removed", "changed", "reached", "unreached"] | FacetKind
 
-DECLARED = ("payload", "checks", "steps", "timeout_s", "motion", "acts", "iio", "event", "unlatches")
+DECLARED = ("payload", "checks", "steps", "timeout_s", "motion", "affects_patient", "iio", "event", "unlatches")
 """What an operation declares of its performance; all else shows in what it answers."""
 
 BEGINNINGS: dict[Kind, str] = {

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import tomli_w
 
-from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.blueprint import Blueprint, OperationSpec
 
 LONGEST_LINE = 120
 HEADED = frozenset({"branches", "operations", "states", "parent", "sequence", "activities"})
@@ -41,7 +41,8 @@ def _without_defaults(value: Any) -> Any:
 def _is_default(value: msgspec.Struct, field: msgspec.structs.FieldInfo) -> bool:
     made = field.default_factory
     default = field.default if made is msgspec.NODEFAULT else made()
-    return bool(getattr(value, field.name) == default)
+    implied = value.implied if isinstance(value, OperationSpec) else {}
+    return bool(getattr(value, field.name) == implied.get(field.name, default))
 
 
 def _table(path: Path, table: dict[str, Any]) -> Iterator[str]:

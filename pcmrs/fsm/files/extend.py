@@ -8,9 +8,10 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from pcmrs.fsm.files.bounded import read_bounded
-from pcmrs.fsm.files.places import Places
+from pcmrs.fsm.files.places import Places, placed
+from pcmrs.fsm.files.renamed import rename_keys
 from pcmrs.fsm.files.toml import read_toml
-from pcmrs.fsm.finding import Path, refuse
+from pcmrs.fsm.finding import Finding, Path, refuse
 
 EXTENDS = "extends"
 OWN = ("id", "version", "title", "goal", "migrations")
@@ -21,8 +22,10 @@ FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}\.toml")
 Table = dict[str, Any]
 
 
-def read_layers(raw: bytes, origin: str, folder: FilePath | None) -> tuple[Table, Places]:
-    """The table in a blueprint file, laid over that of the file which it extends, and where each key comes from.
+def read_layers(raw: bytes, origin: str, folder: FilePath | None) -> tuple[Table, Places, list[Finding]]:
+    """The table in a blueprint file, laid over that of the file which it extends.
+
+    Returned are the table, where each of its keys comes from, and warnings of keys that have an old name.
 
     Tables merge. Properties replace those of the same `id` and are else appended, revocations are appended, and
     anything else replaces what was there.
@@ -35,16 +38,21 @@ def read_layers(raw: bytes, origin: str, folder: FilePath | None) -> tuple[Table
     Raises:
         BlueprintError: One of the two cannot be read, or is no file that can be extended; `findings` has where.
     """
-    own, places = read_toml(raw, origin)
+    own, places, warnings = _read_layer(raw, origin)
     if EXTENDS not in own:
-        return own, places
-    base, below = _read_base(own.pop(EXTENDS), places, folder)
+        return own, places, warnings
+    base, below, older = _read_base(own.pop(EXTENDS), places, folder)
     moved: dict[Path, Path] = {}
     merged = _laid_over(base, own, (), moved)
-    return merged, places.over(below, moved)
+    return merged, places.over(below, moved), [*older, *warnings]
 
 
-def _read_base(name: object, places: Places, folder: FilePath | None) -> tuple[Table, Places]:
+def _read_layer(raw: bytes, origin: str) -> tuple[Table, Places, list[Finding]]:
+    table, places = read_toml(raw, origin)
+    return table, places, placed(rename_keys(table), places)
+
+
+def _read_base(name: object, places: Places, folder: FilePath | None) -> tuple[Table, Places, list[Finding]]:
     origin, line, column = places.of((EXTENDS,))
     here = line, column
     if not (isinstance(name, str) and FILE_NAME.fullmatch(name)):
@@ -61,11 +69,11 @@ def _read_base(name: object, places: Places, folder: FilePath | None) -> tuple[T
     except OSError as error:
         text = f"`extends` names {name}, which cannot be read: {error.strerror}."
         refuse(origin, "bad_extends", text, here, (EXTENDS,))
-    base, below = read_toml(raw, str(FilePath(origin).with_name(name)))
+    base, below, warnings = _read_layer(raw, str(FilePath(origin).with_name(name)))
     if EXTENDS in base:
         text = f"`extends` names {name}, which extends another file itself: extend that one, or write it whole."
         refuse(origin, "bad_extends", text, here, (EXTENDS,))
-    return {key: value for key, value in base.items() if key not in OWN}, below
+    return {key: value for key, value in base.items() if key not in OWN}, below, warnings
 
 
 def _laid_over(base: Mapping[str, Any], own: Mapping[str, Any], above: Path, moved: dict[Path, Path]) -> Table:

@@ -6,11 +6,12 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
+from typing import Any
 
 import msgspec
 
 from pcmrs.errors import BlueprintError
-from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
 from pcmrs.fsm.files.bounded import read_bounded
 from pcmrs.fsm.files.extend import read_layers
 from pcmrs.fsm.files.places import Places, placed
@@ -30,12 +31,14 @@ class Examination:
         findings: All that is wrong; empty for a sound workflow.
         joint_states: How many of them can be reached, where the search came to its end.
         transitions: Commands accepted in them, with each of their endings.
+        warnings: What still counts, and should be written otherwise.
     """
 
     blueprint: Blueprint | None
     findings: list[Finding] = field(default_factory=list)
     joint_states: int = 0
     transitions: int = 0
+    warnings: list[Finding] = field(default_factory=list)
 
     @property
     def readable(self) -> bool:
@@ -48,8 +51,12 @@ class Examination:
         return self.readable and not self.findings
 
 
-def load_blueprint(path: FilePath) -> Blueprint:
-    """Reads the blueprint at `path`; see `parse_blueprint`.
+def load_blueprint(path: FilePath, *, warn: Callable[[Finding], object] | None = None) -> Blueprint:
+    """Reads the blueprint at `path`.
+
+    Args:
+        path: Its file.
+        warn: See `parse_blueprint`.
 
     Raises:
         BlueprintError: The file cannot be read, or is no sound blueprint.
@@ -58,21 +65,31 @@ def load_blueprint(path: FilePath) -> Blueprint:
         raw = read_bounded(path)
     except OSError as error:
         raise BlueprintError(f"{path}: cannot be read: {error.strerror}", path=str(path)) from error
-    return parse_blueprint(raw, origin=str(path), folder=path.parent)
+    return parse_blueprint(raw, origin=str(path), folder=path.parent, warn=warn)
 
 
-def parse_blueprint(raw: bytes, *, origin: str = "blueprint", folder: FilePath | None = None) -> Blueprint:
+def parse_blueprint(
+    raw: bytes,
+    *,
+    origin: str = "blueprint",
+    folder: FilePath | None = None,
+    warn: Callable[[Finding], object] | None = None,
+) -> Blueprint:
     """The sound workflow in a file.
 
     Args:
         raw: The file.
         origin: How findings call it.
         folder: Where it lies; without one it can extend no other file.
+        warn: Called with each warning.
 
     Raises:
         BlueprintError: It cannot be read or is unsound; `findings` has all that is wrong.
     """
     examination = examine(raw, origin=origin, folder=folder)
+    if warn is not None:
+        for warning in examination.warnings:
+            warn(warning)
     if examination.blueprint is None or examination.findings:
         raise BlueprintError(summary(examination.findings), findings=examination.findings)
     return examination.blueprint
@@ -96,14 +113,15 @@ def examine(
         progress: See `pcmrs.fsm.verify.verify`.
     """
     try:
-        blueprint, places = _read(raw, origin, folder)
+        blueprint, places, warnings = _read(raw, origin, folder)
     except BlueprintError as error:
         return Examination(None, error.fields["findings"])
     broken = list(check_rules(blueprint))
     if broken:
-        return Examination(blueprint, placed(broken, places))
+        return Examination(blueprint, placed(broken, places), warnings=warnings)
     found = verify(blueprint, limit=limit, progress=progress)
-    return Examination(blueprint, placed(found.findings, places), found.joint_states, found.transitions)
+    findings = placed(found.findings, places)
+    return Examination(blueprint, findings, found.joint_states, found.transitions, warnings)
 
 
 def read_blueprint(raw: bytes, origin: str, folder: FilePath | None = None) -> tuple[Blueprint | None, list[Finding]]:
@@ -121,12 +139,12 @@ def as_written(path: FilePath) -> Blueprint:
         OSError: It cannot be opened.
         BlueprintError: It is no blueprint; `findings` has where.
     """
-    table, places = read_layers(read_bounded(path), str(path), path.parent)
+    table, places, _ = read_layers(read_bounded(path), str(path), path.parent)
     return convert(table, Blueprint, places)
 
 
-def _read(raw: bytes, origin: str, folder: FilePath | None) -> tuple[Blueprint, Places]:
-    table, places = read_layers(raw, origin, folder)
+def _read(raw: bytes, origin: str, folder: FilePath | None) -> tuple[Blueprint, Places, list[Finding]]:
+    table, places, warnings = read_layers(raw, origin, folder)
     blueprint = convert(table, Blueprint, places)
     if "hash" in table:
         finding = Finding(code="bad_value", text="`hash` is worked out from the content: leave it out.", path=("hash",))
@@ -136,7 +154,7 @@ def _read(raw: bytes, origin: str, folder: FilePath | None) -> tuple[Blueprint, 
     except SequenceError as error:
         finding = Finding(code="bad_sequence", text=error.text, path=error.path)
         raise BlueprintError(error.text, findings=placed([finding], places)) from None
-    return msgspec.structs.replace(blueprint, hash=content_hash(blueprint)), places
+    return msgspec.structs.replace(blueprint, hash=content_hash(blueprint)), places, warnings
 
 
 def content_hash(blueprint: Blueprint) -> str:
@@ -145,6 +163,27 @@ def content_hash(blueprint: Blueprint) -> str:
     Comments, layout and its migrations do not matter, nor does the order of what has none: only states have one.
     """
     order = sorted((name, list(branch.states)) for name, branch in blueprint.branches.items())
-    bare = msgspec.structs.replace(blueprint, hash="", migrations=[])
+    branches = {name: _hashed_branch(branch) for name, branch in blueprint.branches.items()}
+    bare = msgspec.structs.replace(blueprint, hash="", migrations=[], branches=branches)
     content = msgspec.json.encode([order, bare], order="deterministic")
     return hashlib.sha256(content).hexdigest()
+
+
+FIRST_NAMES = {"affects_patient": "acts"}
+"""Keys that were renamed: journals name the hash, which must stay what it was where only a key is called otherwise."""
+
+
+def _hashed_branch(branch: BranchSpec) -> Any:
+    return msgspec.structs.replace(branch, operations={key: _hashed(each) for key, each in branch.operations.items()})
+
+
+def _hashed(operation: OperationSpec) -> msgspec.Raw:
+    """An operation under the first names of its keys, without those that came later and say nothing here."""
+    said: dict[str, msgspec.Raw] = {}
+    implied = operation.implied
+    for each in msgspec.structs.fields(operation):
+        value = getattr(operation, each.name)
+        if each.name not in implied or value != implied[each.name]:
+            name = FIRST_NAMES.get(each.encode_name, each.encode_name)
+            said[name] = msgspec.Raw(msgspec.json.encode(value, order="deterministic"))
+    return msgspec.Raw(msgspec.json.encode(said))

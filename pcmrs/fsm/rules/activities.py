@@ -54,7 +54,7 @@ def _bad_ending(branch: BranchSpec, state: str) -> Iterator[str]:
     operation = branch.operations[key]
     if not operation.event:
         yield "is no event: mark it with event = true."
-    if operation.halts:
+    if operation.blocked_when_latched:
         yield "moves or acts: it must be possible while Stop is latched."
     if operation.checks or operation.requires:
         yield "has checks or requires: nothing may keep it from being performed."

@@ -32,13 +32,17 @@ def check_shapes(blueprint: Blueprint) -> Iterator[Finding]:
 
 
 def _release(blueprint: Blueprint) -> Iterator[Finding]:
-    branches = blueprint.branches.items()
-    halting = [(name, key) for name, branch in branches for key, o in branch.operations.items() if o.halts]
-    if halting and not blueprint.unlatching:
-        name, key = halting[0]
+    blocked = [(name, key) for name, key, operation in _operations(blueprint) if operation.blocked_when_latched]
+    if blocked and not blueprint.unlatching:
+        name, key = blocked[0]
         text = f"After a Stop {name}.{key} could never be done again: mark an operation that users ask for, "
         text += "and that neither moves nor acts, with unlatches = true."
         yield Finding(code="no_release", text=text, path=("branches", name, "operations", key))
+
+
+def _operations(blueprint: Blueprint) -> Iterator[tuple[str, str, OperationSpec]]:
+    for name, branch in blueprint.branches.items():
+        yield from ((name, key, operation) for key, operation in branch.operations.items())
 
 
 def _level(blueprint: Blueprint, name: str, branch: BranchSpec) -> Iterator[Finding]:
@@ -69,7 +73,7 @@ def _faults(blueprint: Blueprint, branch: str, spec: BranchSpec, operation: Oper
         yield "needs states in `from`, or exactly ['*']."
     if operation.iio and (operation.steps or operation.checks or operation.outcomes or operation.requires):
         yield "is called by a child (iio): it has a target, no checks, steps, outcomes or requires."
-    if operation.iio and (operation.event or operation.rio or operation.halts or operation.unlatches):
+    if operation.iio and (operation.event or operation.rio or operation.blocked_when_latched or operation.unlatches):
         yield "is called by a child (iio): it cannot be an event, motion, act, release or re-initiation as well."
     if operation.moves and (operation.on_failure is None or operation.on_unknown is None):
         yield "moves: it needs `on_failure` and `on_unknown`, since it cannot end where it began."

@@ -50,9 +50,9 @@ def goals(space: Space) -> Iterator[Finding]:
 def releases(space: Space) -> Iterator[Finding]:
     """A joint state in which a Stop could not be acknowledged any more, by whatever the latch still allows."""
     blueprint = space.blueprint
-    if not any(operation.spec.halts for operation in space.operations):
+    if not any(operation.spec.blocked_when_latched for operation in space.operations):
         return
-    allowed = [each for each in space.transitions if each.intended and not _operation(space, each).halts]
+    allowed = [each for each in space.transitions if each.intended and not _operation(space, each).blocked_when_latched]
     releasing = Choices(each for each in allowed if f"{each.branch}.{each.operation}" in blueprint.unlatching)
     open_ = leading_to(space.reached, space.reached.which(releasing.mark), allowed)
     code = space.reached.first(lambda batch: ~open_.has(batch.codes))
