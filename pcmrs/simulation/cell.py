@@ -62,7 +62,7 @@ class SimulatedCell:
     ) -> None:
         self.network = network
         self.clock = SimulatedClock(asyncio.get_running_loop())
-        self.disk = Disk()
+        self.disk = Disk(network.windows.open)
         self.devices = devices
         self.daemon: SimulatedDaemon | None = None
         self._node: Endpoint | None = None
@@ -91,6 +91,13 @@ class SimulatedCell:
         daemon, self.daemon = self.daemon, None
         if daemon is not None:
             await daemon.end()
+
+    def hold_up(self, process: str, seconds: float) -> None:
+        """The loop of a process, ``daemon`` or ``node``, does nothing for so long, s."""
+        if process == NODE and self._node is not None:
+            self._node.hold_up(seconds)
+        elif process == DAEMON and self.daemon is not None:
+            self.daemon.link.hold_up(seconds)
 
     def start_node(self) -> None:
         """Starts the process that serves the devices."""

@@ -3,6 +3,9 @@
 The order of everything is decided by the timers and by the order in which callbacks were scheduled; tasks are
 numbered, so that a set of them is walked through in the same order in every run. Sockets, threads and processes have
 no place in it: what asks for them fails.
+
+All simulated processes share the loop. One of them can be held up, as by a callback that takes long or by a scheduler
+that gives it no time: its callbacks then wait, in their order, and those of the others go on.
 """
 
 from __future__ import annotations
@@ -50,6 +53,7 @@ class SimulatedLoop(asyncio.BaseEventLoop):
         self._numbers = itertools.count(1)
         self._timers: list[tuple[float, int, asyncio.TimerHandle]] = []
         self._due: deque[asyncio.Handle] = deque()
+        self._held_up: dict[int, float] = {}
         self.set_task_factory(self._numbered_task)
 
     def time(self) -> float:
@@ -98,8 +102,29 @@ class SimulatedLoop(asyncio.BaseEventLoop):
             raise SimulationError("Everybody waits and nothing will ever happen: no timer is set.")
         for _ in range(len(due)):
             handle = due.popleft()
-            if not handle.cancelled():
+            if handle.cancelled():
+                continue
+            until = self._held_up_until(handle) if self._held_up else 0.0
+            if until > self._now:
+                heapq.heappush(timers, (until, next(self._numbers), cast(asyncio.TimerHandle, handle)))
+            else:
                 handle._run()
+
+    def hold_up(self, owned: dict[asyncio.Task[Any], None], seconds: float) -> None:
+        """The process that owns these tasks does nothing for so long; its threads go on.
+
+        Args:
+            owned: See `OWNER`.
+            seconds: From now on, s.
+        """
+        self._held_up[id(owned)] = self._now + seconds
+
+    def _held_up_until(self, handle: asyncio.Handle) -> float:
+        owned = handle._context.get(OWNER)  # type: ignore[attr-defined]
+        until = 0.0 if owned is None else self._held_up.get(id(owned), 0.0)
+        if self._held_up and max(self._held_up.values()) <= self._now:
+            self._held_up.clear()
+        return until
 
     def _timer_handle_cancelled(self, handle: asyncio.TimerHandle) -> None:
         """It is dropped when its time comes."""

@@ -1,7 +1,9 @@
 """The network of a simulated cell: endpoints that publish, ask and answer, and what happens to messages in between.
 
 Messages pass as the immutable structs that they are; a network that is told to packs and unpacks each one, as the real
-bus does. Between two endpoints they keep their order, as on one TCP connection, unless reordering is asked for.
+bus does. Between two endpoints those of one channel keep their order, as those of one priority on one TCP connection
+do, unless reordering is asked for; Stop has a connection of its own. Requests are sent by threads (`senders`), and so
+not in the order in which they were asked for.
 """
 
 from __future__ import annotations
@@ -10,13 +12,16 @@ import asyncio
 import random
 from collections.abc import Awaitable, Callable
 from contextvars import copy_context
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 import msgspec
 
+from pcmrs.bus.qos import class_of
 from pcmrs.errors import PcmrsError, UnknownOutcomeError
 from pcmrs.simulation.conditions import Conditions
-from pcmrs.simulation.loop import OWNER, SimulationError
+from pcmrs.simulation.loop import OWNER, SimulatedLoop, SimulationError
+from pcmrs.simulation.senders import Senders, name_of
+from pcmrs.simulation.windows import Windows
 
 M = TypeVar("M", bound=msgspec.Struct)
 
@@ -29,6 +34,9 @@ ENDING = 0.001
 
 ATTEMPTS = 1000
 """So often."""
+
+DATAGRAMS, REQUESTS, STOPS = "datagrams", str(class_of("cmd/**").priority), "stops"
+"""Channels: each keeps its order, and none waits for another. Others bear the names of the bus's priorities."""
 
 Handler = Callable[[str, Any], None]
 Answer = Callable[[str, Any], Awaitable[msgspec.Struct]]
@@ -53,18 +61,22 @@ class Network:
 
     Attributes:
         conditions: What is wrong now.
+        windows: How long what is in the hands of threads takes; a part of it is drawn, or told by a script.
         counts: How many messages were lost, doubled or overtaken, by those names.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, seed: int, *, coded: bool = False) -> None:
         self.conditions = Conditions()
+        self.windows = Windows(loop, seed)
         self.counts = {"lost": 0, "doubled": 0, "overtaken": 0}
         self._loop = loop
+        self._outside = copy_context()
         self._draw = random.Random(f"network {seed}")
         self._coded = coded
         self._endpoints: dict[str, Endpoint] = {}
         self._routes: dict[tuple[str, str], tuple[tuple[Endpoint, Handler, type[Any]], ...]] = {}
-        self._packets: dict[tuple[str, str], _Packet] = {}
+        self._channels: dict[str, str] = {}
+        self._packets: dict[tuple[str, str, str], _Packet] = {}
 
     def endpoint(self, name: str) -> Endpoint:
         """Joins the network under a name that nobody has; an endpoint that has crashed leaves its name free."""
@@ -92,19 +104,24 @@ class Network:
         if not route:
             return
         packed = msgspec.msgpack.encode(message) if self._coded else b""
+        channel = self._channels.get(key)
+        if channel is None:
+            channel = self._channels[key] = _channel_of(key)
         for target, handler, kind in route:
             heard = msgspec.msgpack.decode(packed, type=kind) if self._coded else message
-            self.carry(source, target, handler, key, heard)
+            self.carry(source, target, handler, key, heard, channel=channel)
 
     def server(self, key: str) -> Endpoint | None:
         """Who answers requests on `key`."""
         return next((each for each in self._endpoints.values() if each.service(key) is not None), None)
 
-    def carry(self, source: Endpoint, target: Endpoint, call: Callable[..., None], *what: Any) -> None:
+    def carry(
+        self, source: Endpoint, target: Endpoint, call: Callable[..., None], *what: Any, channel: str = DATAGRAMS
+    ) -> None:
         """Has `target` called with `what` when the message arrives, if it does: once, twice or out of order."""
         conditions, draw = self.conditions, self._draw
         if conditions.fine:
-            self._arrive(source, target, LATENCY * draw.random(), call, what)
+            self._arrive(source, target, channel, LATENCY * draw.random(), call, what)
             return
         if conditions.lost(source.name, target.name, draw):
             self.counts["lost"] += 1
@@ -116,14 +133,14 @@ class Network:
             self.counts["overtaken"] += 1
             self._later(target, conditions.delay + OVERTAKEN * draw.random(), call, what)
             return
-        self._arrive(source, target, (LATENCY + conditions.delay) * draw.random(), call, what)
+        self._arrive(source, target, channel, (LATENCY + conditions.delay) * draw.random(), call, what)
 
     def carry_reliably(self, source: Endpoint, target: Endpoint, call: Callable[..., None], *what: Any) -> None:
         """As a connection does it: late or not at all, but in order and never twice."""
         if self.conditions.lost(source.name, target.name, self._draw):
             self.counts["lost"] += 1
             return
-        self._arrive(source, target, (LATENCY + self.conditions.delay) * self._draw.random(), call, what)
+        self._arrive(source, target, REQUESTS, (LATENCY + self.conditions.delay) * self._draw.random(), call, what)
 
     def copy(self, message: msgspec.Struct, kind: type[M]) -> M:
         """The message as the other side has it."""
@@ -131,11 +148,24 @@ class Network:
             return message  # type: ignore[return-value]  # structs are immutable: they may be shared
         return msgspec.msgpack.decode(msgspec.msgpack.encode(message), type=kind)
 
+    def by_thread(self, delay: float, call: Callable[..., None], *what: Any) -> None:
+        """Has a thread of a process call something after `delay` s; a loop that is held up does not hold it up."""
+        if delay > 0.0:
+            self._loop.call_later(delay, call, *what, context=self._outside)
+        else:
+            call(*what)
+
     def _arrive(
-        self, source: Endpoint, target: Endpoint, delay: float, call: Callable[..., None], what: tuple[Any, ...]
+        self,
+        source: Endpoint,
+        target: Endpoint,
+        channel: str,
+        delay: float,
+        call: Callable[..., None],
+        what: tuple[Any, ...],
     ) -> None:
-        """After `delay`, but not before what was sent earlier; what is sent at one moment goes together."""
-        pair, now = (source.name, target.name), self._loop.time()
+        """After `delay`, but not before what the channel took earlier; what is sent at one moment goes together."""
+        pair, now = (source.name, target.name, channel), self._loop.time()
         packet = self._packets.get(pair)
         if packet is not None and packet.sent == now and packet.target is target:
             packet.calls.append((call, what))
@@ -174,6 +204,7 @@ class Endpoint:
         self.context = copy_context()
         self.context.run(OWNER.set, self._tasks)
         self._asked: dict[asyncio.Future[Any], Endpoint] = {}
+        self._senders = Senders(network.windows)
         self._gone = False
 
     def publish(self, key: str, message: msgspec.Struct) -> None:
@@ -194,9 +225,9 @@ class Endpoint:
         answered: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         self._asked[answered] = server
         kind, _ = server._services[_pattern(server._services, key)]
-        self._network.carry_reliably(
-            self, server, server._serve, key, self._network.copy(message, kind), self, answered
-        )
+        delay = self._senders.delay(name_of(key, message), asyncio.get_running_loop().time())
+        # Whoever asked may be cancelled: what a thread has taken is sent all the same.
+        self._network.by_thread(delay, self._send_request, server, key, self._network.copy(message, kind), answered)
         try:
             async with asyncio.timeout(timeout):
                 answer = await answered
@@ -207,6 +238,10 @@ class Endpoint:
         if isinstance(answer, PcmrsError):
             raise answer
         return self._network.copy(answer, reply)
+
+    def _send_request(self, server: Endpoint, key: str, message: msgspec.Struct, answered: asyncio.Future[Any]) -> None:
+        if not self._gone:
+            self._network.carry_reliably(self, server, server._serve, key, message, self, answered)
 
     def alive(self, component: str) -> None:
         self.alive_tokens.append(component)
@@ -219,6 +254,10 @@ class Endpoint:
     def spawn(self, work: Any) -> asyncio.Task[None]:
         """Runs `work` as a task that ends with this process."""
         return asyncio.get_running_loop().create_task(work, context=self.context.copy())
+
+    def hold_up(self, seconds: float) -> None:
+        """The process's loop does nothing for so long, s; its threads go on."""
+        cast(SimulatedLoop, asyncio.get_running_loop()).hold_up(self._tasks, seconds)
 
     def receive(self, calls: list[tuple[Callable[..., None], tuple[Any, ...]]]) -> None:
         """Messages have arrived."""
@@ -268,6 +307,10 @@ class Endpoint:
             answer = await handler(key, message)
         except PcmrsError as error:
             answer = error
+        delay = self._network.windows.open(f"reply:{name_of(key, message)}")
+        self._network.by_thread(delay, self._send_reply, asker, answered, answer)
+
+    def _send_reply(self, asker: Endpoint, answered: asyncio.Future[Any], answer: msgspec.Struct | PcmrsError) -> None:
         if not self._gone:
             self._network.carry_reliably(self, asker, _settle, answered, answer)
 
@@ -278,6 +321,10 @@ class Endpoint:
                 answered.set_result(
                     UnknownOutcomeError("Who was asked has ended before it answered.", name=server.name)
                 )
+
+
+def _channel_of(key: str) -> str:
+    return STOPS if key.startswith("stop/") else str(class_of(key).priority)
 
 
 def _settle(answered: asyncio.Future[Any], answer: Any) -> None:

@@ -137,3 +137,43 @@ def test_who_asked_a_process_that_ends_learns_it_at_once_and_its_tasks_end() -> 
         assert asyncio.get_running_loop().time() < 2.0
 
     on_network(play)
+
+
+def test_requests_overtake_each_other_between_loop_and_thread_and_one_that_was_taken_is_sent() -> None:
+    """As on the bus: a pool of threads sends them, and to cancel who asks does not recall what a thread has taken."""
+
+    async def play(network: Network) -> None:
+        client, server = network.endpoint("client"), network.endpoint("server")
+        heard: list[int] = []
+
+        async def answer(_key: str, note: Note) -> Note:
+            heard.append(note.number)
+            return note
+
+        server.serve("slow", Note, answer)
+        server.serve("quick", Note, answer)
+        loop = asyncio.get_running_loop()
+        slow = loop.create_task(client.request("slow", Note(1), Note, 5.0))
+        assert await network.windows.reached("send:s*w", 0.3, 1.0)
+        slow.cancel()
+        assert await client.request("quick", Note(2), Note, 5.0) == Note(2)
+        assert heard == [2]
+        await asyncio.sleep(1.0)
+        assert heard == [2, 1]
+
+    on_network(play)
+
+
+def test_a_process_that_is_held_up_hears_late_and_in_order_and_the_others_go_on() -> None:
+    async def play(network: Network) -> None:
+        one, two, other = network.endpoint("one"), network.endpoint("two"), network.endpoint("other")
+        late, now = heard_by(one, "key"), heard_by(two, "key")
+        one.hold_up(0.4)
+        for number in range(3):
+            other.publish("key", Note(number))
+            await asyncio.sleep(0.1)
+        assert (late, now) == ([], [0, 1, 2])
+        await asyncio.sleep(0.2)
+        assert late == [0, 1, 2]
+
+    on_network(play)

@@ -9,13 +9,12 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from itertools import count, islice
-from typing import Any
 
 import msgspec
 
 from pcmrs.campaign.explore.faults import FAULTS
 from pcmrs.campaign.explore.generate import draw_script
-from pcmrs.campaign.explore.script import Physics, Script
+from pcmrs.campaign.explore.script import Act, Physics, Script
 from pcmrs.campaign.explore.session import Found, forget_sessions, run_session
 from pcmrs.campaign.explore.settings import workflow_of
 from pcmrs.campaign.explore.shrinking import shrink
@@ -206,9 +205,11 @@ def _broken(workflow: str, physics: Physics, found: Found, shrunk: bool) -> Brok
 
 def as_lines(script: Script) -> list[str]:
     """The acts of a script for people, one line each."""
-    return [_line(number, act.after, act.what, act.who, act.arguments) for number, act in enumerate(script.acts, 1)]
+    return [_line(number, act) for number, act in enumerate(script.acts, 1)]
 
 
-def _line(number: int, after: float, what: str, who: str, arguments: dict[str, Any]) -> str:
-    given = " ".join(f"{name}={value}" for name, value in arguments.items())
-    return f"{number:3}. after {after:.3f} s {who + ': ' if who else ''}{what} {given}".rstrip()
+def _line(number: int, act: Act) -> str:
+    given = " ".join(f"{name}={value}" for name, value in act.arguments.items())
+    where = f"into {act.window}" + (f", held {act.held:.3f} s" if act.held else "") if act.window else ""
+    who = f"{act.who}: " if act.who else ""
+    return f"{number:3}. after {act.after:.3f} s {where and where + ', '}{who}{act.what} {given}".rstrip()

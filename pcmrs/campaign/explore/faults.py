@@ -126,6 +126,11 @@ HOST: Mapping[str, Fault] = {
     "crash_daemon": Fault(("P1",), _nothing, {}, 10.0, 3.0),
     "end_daemon": Fault(("P2",), _nothing, {}, 10.0),
     "crash_node": Fault(("P1",), _nothing, {}, 5.0, 2.0),
+    "held_up": Fault(
+        ("T4",),
+        lambda draw: {"process": draw.choice(("daemon", "node")), "seconds": round(draw.uniform(0.02, 0.5), 3)},
+        weight=2.0,
+    ),
     "slow_disk": Fault(("T8",), lambda draw: {"seconds": draw.choice((0.05, 0.5, 2.0))}, {"seconds": 0.0}, weight=2.0),
     "failing_disk": Fault(("T1", "T2", "T3"), lambda draw: {"landing": draw.random() < 0.5}, {}, 5.0),
     "wall_jump": Fault(("C1", "C2"), lambda draw: {"seconds": draw.choice((-3600.0, 864000.0))}, {"seconds": 0.0}),

@@ -46,6 +46,7 @@ class Faults:
             "crash_daemon": self._crash_daemon,
             "end_daemon": self._end_daemon,
             "crash_node": self._crash_node,
+            "held_up": self._hold_up,
             "slow_disk": self._slow_disk,
             "failing_disk": self._fail_disk,
             "wall_jump": self._jump,
@@ -132,7 +133,7 @@ class Faults:
             self._cell.disk.failing = False
         elif name == "wall_frozen":
             self._cell.clock.freeze(False)
-        else:
+        elif HOST[name].mend is not None:
             await self._hosts[name](dict(HOST[name].mend or {}))
 
     async def start_daemon(self) -> None:
@@ -164,6 +165,9 @@ class Faults:
 
     async def _crash_node(self, _arguments: dict[str, Any]) -> None:
         await self._cell.crash_node()
+
+    async def _hold_up(self, arguments: dict[str, Any]) -> None:
+        self._cell.hold_up(str(arguments["process"]), float(arguments["seconds"]))
 
     async def _slow_disk(self, arguments: dict[str, Any]) -> None:
         self._cell.disk.delay = float(arguments["seconds"])

@@ -22,6 +22,8 @@ class Act(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         who: The operator; for faults nobody.
         arguments: Of the operation, the command or the fault.
         waits: Whether the next act comes only after its verdict.
+        window: Done in the next window of this name, `after` s after it opens; see `pcmrs.simulation.windows`.
+        held: That window lasts so long at least, s.
     """
 
     after: float
@@ -29,6 +31,8 @@ class Act(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     who: str = ""
     arguments: dict[str, Any] = {}
     waits: bool = True
+    window: str = ""
+    held: float = 0.0
 
 
 class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -39,6 +43,7 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         workflow: By its name.
         physics: Of the simulated arm.
         coded: Whether every message is packed and unpacked.
+        slow: Part of the windows that take time although no act asks for it.
         acts: In order.
     """
 
@@ -46,6 +51,7 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     workflow: str = "ratms"
     physics: Physics = "kinematic"
     coded: bool = False
+    slow: float = 0.0
     acts: list[Act] = []
 
 

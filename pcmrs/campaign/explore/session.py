@@ -30,6 +30,8 @@ from pcmrs.simulation.loop import SimulatedLoop
 
 QUIET_END = 10.0
 """After the last act, with nothing wrong any more, everything has come to an end within this and `PATIENCE`, s."""
+WINDOW_OPENS = 8.0
+"""An act that waits for a window is done after this anyhow, s: longer than any motion takes."""
 LONGEST_FOLLOWING = 3.0
 """While the tool follows the head, nobody waits longer until the next act, s: each second has 60 set points."""
 
@@ -116,6 +118,7 @@ async def _play(script: Script, path: Path, seconds: float) -> Session:
         watched=witness.watched,
         observe=witness.observe,
     ) as cell:
+        cell.network.windows.share = script.slow
         session = Session(cell, witness, script)
         await session.faults.start_daemon()
         await session.play(seconds)
@@ -153,6 +156,8 @@ class Session:
 
     async def _act_all(self, seconds: float) -> None:
         for act in self._script.acts:
+            if act.window:
+                await self._cell.network.windows.reached(act.window, act.held, WINDOW_OPENS)
             await asyncio.sleep(min(act.after, LONGEST_FOLLOWING) if self._following() else act.after)
             task = asyncio.get_running_loop().create_task(self._do(act))
             self._under_way[task] = None
