@@ -8,7 +8,6 @@ READING = {
     "too_deep": "A file is nested deeper than what is read.",
     "not_utf8": "A text file is not in UTF-8.",
     "not_toml": "A file is not TOML.",
-    "old_key": "A key has its old name, which still counts: a warning, no fault.",
     "bad_value": "A key is unknown or missing, or a value has the wrong type.",
     "bad_extends": "The file that a blueprint extends is not beside it, cannot be opened, or extends another itself.",
     "bad_sequence": "An ordered list has no items, too many, or some that cannot be states.",
@@ -65,5 +64,9 @@ EXCHANGE = {
     "not_supported": "Something that a blueprint cannot express; it is named rather than guessed.",
     "no_start": "A drawing does not say where it starts.",
 }
+WARNINGS = {
+    "old_key": "A key has its old name, which still counts.",
+}
+"""What is said of a workflow that may be sound."""
 
-CODES = READING | RULES | VERIFICATION | DESIGN | EXCHANGE
+CODES = READING | RULES | VERIFICATION | DESIGN | EXCHANGE | WARNINGS
