@@ -12,6 +12,9 @@ FAIL_STOP = "fail_stop"
 """Code of the event that nothing is accepted any more; its field ``reason`` is the code of why."""
 NOT_CONFIRMED = "hold_not_confirmed"
 """Code of the event that nobody knows whether the robot stands."""
+ACTIVITY_STARTED, ACTIVITY_ENDED = "activity_started", "activity_ended"
+"""Codes of the events that an activity is about to begin, and that it does nothing any more; the journal has the first
+before it moves anything, and the second after the robot stands or a motion has taken over."""
 REOPENED = DeviceEvent(
     device="journal",
     code="journal_reopened",

@@ -9,7 +9,7 @@ from typing import Any, Generic
 import structlog
 
 from pcmrs.dispatcher.activity import Activity
-from pcmrs.dispatcher.events import NOT_CONFIRMED
+from pcmrs.dispatcher.events import ACTIVITY_ENDED, ACTIVITY_STARTED, NOT_CONFIRMED
 from pcmrs.dispatcher.perform import reason_of
 from pcmrs.dispatcher.run import C, D
 from pcmrs.dispatcher.stage import Stage, performing
@@ -86,13 +86,13 @@ class Pursuit(Generic[C, D]):
         """Makes known that it has ended, if it had begun."""
         if self._begun:
             how = danger.text if danger is not None else "as it was told to."
-            await self._tell(self._event("activity_ended", f"{self.act.name} has ended: {how}"))
+            await self._tell(self._event(ACTIVITY_ENDED, f"{self.act.name} has ended: {how}"))
 
     async def _perform(self) -> Reason | None:
         """Performs its function as soon as its beginning is durable."""
         act, moves, hold = self.act, self.spec.moves, self._stage.hold
         self._begun = True
-        await self._tell(self._event("activity_started", f"{act.name} begins: {act.branch} is {act.state}."))
+        await self._tell(self._event(ACTIVITY_STARTED, f"{act.name} begins: {act.branch} is {act.state}."))
         if self.ending:
             return None
         if moves:

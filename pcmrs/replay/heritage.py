@@ -45,7 +45,8 @@ class Heritage:
             name = f"outcome {row.branch}.{row.operation}"
             yield Difference(sequence=closed[asked].sequence, row=name, what="row", recorded="unknown")
         ledger = Ledger(workflow.blueprint, self.kept)
-        for stored in closed.values():
+        started = [each for each in run.rows if each.row.kind == "config"][:1]
+        for stored in (*started, *closed.values()):
             ledger.take(stored.row)
         self.kept = ledger.kept
 

@@ -132,7 +132,7 @@ class _Known:
         kept = ledger.kept
         self.latched = kept.latched
         # Of one operation a ledger keeps the newest only: none of its outcomes counts as settled while that one is not.
-        self.unsettled = {f"{each.branch}.{each.operation}" for each in (*kept.unknown, *kept.begun)}
+        self.unsettled = {f"{each.branch}.{each.operation}" for each in (*kept.unknown, *kept.begun, *kept.moving)}
 
 
 class _Reading:

@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from pcmrs.dispatcher.events import NOT_CONFIRMED, SHUTDOWN
+from pcmrs.dispatcher.events import ACTIVITY_ENDED, ACTIVITY_STARTED, NOT_CONFIRMED, SHUTDOWN
 from pcmrs.dispatcher.unsettled import Unsettled
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.blueprint import OperationSpec
@@ -32,12 +32,14 @@ class Kept(msgspec.Struct, frozen=True, kw_only=True):
         taken_back: Field of the procedure's data to its value.
         latched: Nobody has acknowledged the last Stop or danger; the Stop with which a daemon ends does not count.
         begun: Commands under way.
+        moving: Activities under way that move the robot; `operation` is the name of the activity.
         unknown: Outcomes that nobody knows and no operator has settled.
     """
 
     taken_back: dict[str, Any] = {}
     latched: bool = False
     begun: tuple[Begun, ...] = ()
+    moving: tuple[Begun, ...] = ()
     unknown: tuple[UnknownOutcome, ...] = ()
 
 
@@ -54,6 +56,7 @@ class Ledger:
         self._taken_back = dict(kept.taken_back)
         self._latched = kept.latched
         self._begun = {(each.source, each.command): each for each in kept.begun}
+        self._moving = {(each.source, each.command): each for each in kept.moving}
         self._unsettled = Unsettled(blueprint, kept.unknown)
 
     @property
@@ -63,6 +66,7 @@ class Ledger:
             taken_back=dict(self._taken_back),
             latched=self._latched,
             begun=tuple(self._begun.values()),
+            moving=tuple(self._moving.values()),
             unknown=tuple(self._unsettled.shown()),
         )
 
@@ -72,8 +76,12 @@ class Ledger:
             self._begin(row)
         elif row.kind == "outcome":
             self._end(row)
-        elif row.kind == "device" and (row.result or {}).get("danger"):
-            self._latched = self._latched or row.source != SHUTDOWN or _left_in_doubt(row)
+        elif row.kind == "config":
+            self._leave_moving()
+        elif row.kind == "device":
+            self._follow_activity(row)
+            if (row.result or {}).get("danger"):
+                self._latched = self._latched or row.source != SHUTDOWN or _left_in_doubt(row)
 
     def _begin(self, row: JournalRow) -> None:
         source, command, branch = row.source or "", row.command_id or "", row.branch or ""
@@ -94,12 +102,51 @@ class Ledger:
         elif decision == "unknown":
             self._doubt(row, row.wall if began is None else began.since)
 
+    def _follow_activity(self, row: JournalRow) -> None:
+        """An activity that moves the robot has begun, or has ended with the robot at rest or a motion in its place."""
+        fields = (row.result or {}).get("fields") or {}
+        key = row.source or "", str(fields.get("command", ""))
+        if row.operation == ACTIVITY_ENDED:
+            self._moving.pop(key, None)
+        elif row.operation == ACTIVITY_STARTED and self._moves(fields["branch"], fields["state"]):
+            self._moving[key] = Begun(
+                command=key[1],
+                source=key[0],
+                branch=fields["branch"],
+                operation=key[0].partition(":")[2],
+                since=row.wall,
+                state=fields["state"],
+            )
+
+    def _leave_moving(self) -> None:
+        """A daemon starts: what moved the robot under the one before has not ended, as a motion that was under way."""
+        for each in self._moving.values():
+            self._latched = True
+            self._unsettled.add(
+                UnknownOutcome(
+                    command=each.command,
+                    source=each.source,
+                    branch=each.branch,
+                    operation=each.operation,
+                    since=each.since,
+                )
+            )
+        self._moving.clear()
+
+    def _moves(self, branch: str, state: str) -> bool:
+        """Whether the activity of a state moves the robot; of one that this version does not have, nobody knows."""
+        declared = self._blueprint.branches.get(branch)
+        activity = None if declared is None else declared.activities.get(state)
+        return activity is None or activity.moves
+
     def _accept(self, row: JournalRow) -> None:
         changes = row.result or {}
         self._taken_back |= {field: changes[field] for field in TAKEN_BACK if changes.get(field)}
         self._unsettled.settle_by(row.branch or "", row.operation or "")
         spec = self._spec(row)
-        self._latched = self._latched and not (spec is not None and spec.unlatches)
+        if self._latched and spec is not None and spec.unlatches:
+            self._latched = False
+            self._moving.clear()  # Stop has ended them all, also where the journal failed before it had that
 
     def _doubt(self, row: JournalRow, since: float) -> None:
         self._unsettled.add(

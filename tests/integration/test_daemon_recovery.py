@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from daemon_process import SLOW, own_settings, running_daemon, wait_until
 
-from pcmrs.campaign.driving import accept, moving, register, showing, until
+from pcmrs.campaign.driving import accept, moving, register, showing, to_standoff, until
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.journal import JournalReader
 
@@ -74,6 +74,28 @@ async def test_after_a_kill_in_a_motion_nothing_moves_until_the_operator_has_loo
                 verdict = await client.call(name)
                 assert verdict.reason is not None
                 assert verdict.reason.code == "other_patient"
+
+
+async def test_after_a_kill_while_somebody_guided_the_tool_nothing_moves_until_somebody_has_confirmed(
+    tmp_path: Path,
+) -> None:
+    settings = own_settings(tmp_path)
+    with running_daemon(settings, tmp_path) as daemon:
+        async with daemon.client() as client:
+            await to_standoff(client)
+            await accept(client, "placement.guide")
+            daemon.end(signal.SIGKILL)
+    with running_daemon(settings, tmp_path) as successor:
+        async with successor.client() as client:
+            state = await client.state()
+            assert state.latched
+            (lost,) = state.unknown
+            assert (lost.branch, lost.operation) == ("placement", "teleoperate")
+            await accept(client, "robot.connect")
+            await until(client, showing(placement="retracted"))
+            refused = await client.call("placement.home")
+            assert refused.reason is not None
+            assert refused.reason.code == "latched"
 
 
 @pytest.mark.nightly

@@ -75,6 +75,7 @@ NUMBERS = iter(range(1000, 10**9))
 
 # -- the ledger ----------------------------------------------------------------------------------------------------
 
+STARTED = ("config", "daemon.started", None, None)
 NAMES = [
     "placement.approach",
     "placement.locate",
@@ -93,14 +94,28 @@ ROWS = st.lists(
             st.sampled_from(["accepted", "rejected", "failed", "unknown", "ended"]),
         ),
         st.tuples(st.just("device"), st.sampled_from(["tracker.lost", "shutdown.stopped"]), st.booleans(), st.none()),
+        st.tuples(
+            st.just("activity"),
+            st.sampled_from(["started", "ended"]),
+            st.integers(0, 5),
+            st.sampled_from(["placed", "following", "guided"]),
+        ),
+        st.tuples(st.just("config"), st.just("daemon.started"), st.none(), st.none()),
     ),
     max_size=30,
 )
 
 
 def as_row(kind: str, name: str, number: Any, decision: str | None) -> JournalRow:
-    branch, operation = name.split(".")
     common: dict[str, Any] = {"wall": 5.0, "monotonic": 1.0, "boot_id": "b", "session_id": "s", "blueprint": TAG}
+    if kind == "activity":
+        fields = {"branch": "placement", "state": decision, "command": f"c{number}"}
+        source = f"activity:{RATMS.branches['placement'].activities[decision or ''].run}"
+        result = {"danger": False, "fields": fields}
+        return JournalRow(kind="device", source=source, operation=f"activity_{name}", result=result, **common)
+    branch, operation = name.split(".")
+    if kind == "config":
+        return JournalRow(kind="config", source=branch, operation=operation, **common)
     if kind == "device":
         return JournalRow(kind="device", source=branch, operation=operation, result={"danger": number}, **common)
     common |= {"source": "x", "command_id": f"c{number}", "branch": branch, "operation": operation}
@@ -144,6 +159,22 @@ def test_reading_on_from_any_snapshot_says_what_reading_everything_says(rows: li
         ([("device", "operator.stopped", True, None), ("outcome", "robot.connect", 1, "accepted")], True),
         ([("intent", "placement.approach", 1, None), ("outcome", "placement.approach", 1, "ended")], True),
         ([("intent", "robot.connect", 1, None), ("outcome", "robot.connect", 1, "ended")], False),
+        ([("activity", "started", 1, "following"), STARTED], True),
+        ([("activity", "started", 1, "guided"), STARTED], True),
+        ([("activity", "started", 1, "placed"), STARTED], False),
+        ([("activity", "started", 1, "following"), ("activity", "ended", 1, "following"), STARTED], False),
+        ([("activity", "started", 2, "following"), ("activity", "ended", 1, "following"), STARTED], True),
+        (
+            [
+                ("activity", "started", 1, "guided"),
+                ("device", "operator.stopped", True, None),
+                ("outcome", "robot.acknowledge", 1, "accepted"),
+                STARTED,
+            ],
+            False,
+        ),
+        ([("activity", "started", 1, "guided"), ("outcome", "robot.acknowledge", 1, "accepted"), STARTED], True),
+        ([("activity", "started", 1, "guided"), STARTED, ("outcome", "robot.acknowledge", 1, "accepted")], False),
     ],
 )
 def test_the_latch_outlives_a_run_until_somebody_acknowledges(rows: list[Any], latched: bool) -> None:
@@ -206,6 +237,29 @@ async def test_what_had_begun_is_unknown_until_it_is_settled_over_any_number_of_
     assert (recovered.latched, recovered.unknown) == (False, ())
     outcomes = [stored.row for stored in journal.reader.read(kind="outcome", command_id="c1")]
     assert [row.verdict.decision for row in outcomes if row.verdict] == ["unknown"], "it is closed once"
+
+
+async def test_an_activity_that_moved_the_robot_is_latched_and_shown_over_any_number_of_starts(
+    journal: Journal, configured: Settings
+) -> None:
+    earlier = recorder_of(journal)
+    await recover(journal, earlier, WORKFLOW, configured)
+    fields = {"branch": "placement", "state": "following", "command": "c7"}
+    begun = DeviceEvent(device="activity:follow_head", code="activity_started", text="", fields=fields)
+    await earlier.event(begun, {"placement": "following"})
+    for session in ("s2", "s3"):
+        recovered = await recover(journal, recorder_of(journal, session), WORKFLOW, configured)
+        (shown,) = recovered.unknown
+        assert (shown.command, shown.source) == ("c7", "activity:follow_head")
+        assert (shown.branch, shown.operation) == ("placement", "follow_head")
+        assert recovered.latched
+    last = recorder_of(journal, "s4")
+    await recover(journal, last, WORKFLOW, configured)
+    await write(last, "placement.locate")
+    assert last.kept.unknown == ()
+    assert last.kept.latched
+    await write(last, "robot.acknowledge")
+    assert not last.kept.latched
 
 
 async def test_a_snapshot_shares_the_commit_of_the_thousandth_row_and_is_read_on_from(
