@@ -34,8 +34,8 @@ class Recovered:
 
     Attributes:
         workflow: Its initial data hold what explicit operations may take back.
-        latched: A Stop or danger was not acknowledged, or a motion, an activity that moves the robot or a pulse was under
-            way when the last run ended.
+        latched: A Stop or danger was not acknowledged, or a motion, an activity that moves the robot or a pulse was
+            under way when the last run ended.
         unknown: What nobody knows the outcome of, until an operator has settled it.
     """
 
