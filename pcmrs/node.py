@@ -16,6 +16,7 @@ from pcmrs.config import as_table
 from pcmrs.devices.node import DeviceNode
 from pcmrs.devices.protocols import OpenDriver
 from pcmrs.settings import DRIVERS, Settings
+from pcmrs.threads import Threads
 
 
 async def serve_devices(settings: Settings, driver: str, devices: Sequence[str], *, lifeline: bool) -> None:
@@ -43,7 +44,7 @@ async def serve_devices(settings: Settings, driver: str, devices: Sequence[str],
         bus = await Bus.open(settings.bus("client"))
         stack.push_async_callback(bus.close)
         opened = await stack.enter_async_context(open_driver(devices, as_table(settings), clock))
-        node = DeviceNode(bus, opened, SystemClock(), settings.robot.deadman)
+        node = DeviceNode(bus, opened, SystemClock(), settings.robot.deadman, Threads())
         lane = await StopLane.open(settings.bus("client"), node.stop)
         stack.push_async_callback(lane.close)
         bus.alive(f"node-{driver}")

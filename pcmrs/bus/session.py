@@ -128,6 +128,23 @@ class Bus:
         self._receivers.append(subscriber)
         return partial(self._end, subscriber)
 
+    def listen(self, key: str, kind: type[T], handler: Callable[[str, T], None]) -> Any:
+        """Calls `handler(relative key, message)` in Zenoh's thread, where the message is received.
+
+        For what must not wait for the event loop, such as the moment at which a heartbeat came. `handler` returns soon.
+        """
+
+        def take(sample: zenoh.Sample) -> None:
+            received = self._relative(sample)
+            try:
+                handler(received, unpack(payload_of(sample), kind))
+            except PayloadError as error:
+                self._ignored.take(received, error)
+
+        subscriber = declare_subscriber(self._session, self._absolute(key), class_of(key), take)
+        self._receivers.append(subscriber)
+        return partial(self._end, subscriber)
+
     def serve(
         self,
         key: str,

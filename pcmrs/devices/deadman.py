@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Protocol
 
 from pcmrs.clock import Clock
 from pcmrs.devices.lateness import Lateness
 from pcmrs.messages import Beat
+from pcmrs.threads import Load
 
 DEADMAN = 0.1
 """Without a fresh heartbeat for so long what moves is held, s of the machine, unless configured otherwise."""
@@ -15,15 +19,60 @@ BEATS = 4
 """Heartbeats are sent so often within the deadman's time."""
 
 HELD_UP = 0.012
-"""A watch that wakes up so much too late was held up itself, s of the machine."""
+"""A node of which a thread has waited so long for a processor, or whose timer was so late, was held up itself, s."""
 
-LISTENING = 0.008
-"""Then it first hears for so long what has arrived meanwhile, s of the machine."""
+DELIVERY = 0.010
+"""What has already arrived at a node that was held up is taken within this, or not any more, s of the machine."""
+
+TURN = 0.001
+"""Threads of the node are given turns of this length meanwhile, s of the machine."""
+
+
+class Scheduling(Protocol):
+    """How the threads of this process are served by the machine; see `pcmrs.threads.Threads`."""
+
+    def waited(self) -> float:
+        """The longest that one of them has waited for a processor since the last call, s."""
+
+    def pending(self) -> bool:
+        """Whether another thread than the caller's has something to do."""
+
+    def load(self) -> Load:
+        """What the machine has to do now."""
+
+
+class AlwaysServed:
+    """Scheduling of a process that never waits, as in simulated time."""
+
+    def waited(self) -> float:
+        return 0.0
+
+    def pending(self) -> bool:
+        return False
+
+    def load(self) -> Load:
+        return Load(1, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """Why the deadman acts.
+
+    Attributes:
+        lasted: Since the last sign of life of the daemon's loop, s of the machine.
+        held_up: The node itself was not served by the machine for so long meanwhile, s; 0 where it was.
+    """
+
+    lasted: float
+    held_up: float
 
 
 def beat_period(deadman: float) -> float:
     """Time between two heartbeats, of the daemon and of the nodes, s of the machine."""
     return deadman / BEATS
+
+
+ALWAYS_SERVED = AlwaysServed()
 
 
 class Deadman:
@@ -32,8 +81,10 @@ class Deadman:
     Args:
         limit: See `DEADMAN`.
         at_risk: Whether anything moves or could fire.
-        act: Makes that safe; gets the silence, s.
+        act: Makes that safe.
         clock: The machine's.
+        saved: Called when the node was held up and a sign of life had arrived meanwhile: it does not act.
+        scheduling: Of this process.
 
     Attributes:
         limit: See `DEADMAN`.
@@ -45,13 +96,17 @@ class Deadman:
         self,
         limit: float,
         at_risk: Callable[[], Awaitable[bool]],
-        act: Callable[[float], Awaitable[None]],
+        act: Callable[[Silence], Awaitable[None]],
         clock: Clock,
+        saved: Callable[[Silence], None] = lambda _: None,
+        scheduling: Scheduling = ALWAYS_SERVED,
     ) -> None:
         self.limit = limit
         self.late = 0
         self.lateness = Lateness()
         self._at_risk, self._act, self._clock = at_risk, act, clock
+        self._saved, self._scheduling = saved, scheduling
+        self._lock = threading.Lock()
         self._begun = clock.monotonic()
         self._rests_until = self._begun
         self._session = ""
@@ -65,23 +120,29 @@ class Deadman:
         return self._clock.monotonic() - self._last_alive()
 
     def hear(self, beat: Beat) -> None:
-        """Takes a heartbeat of the daemon; of an earlier session, or again, it says nothing."""
-        if beat.session in self._ended:
-            return
-        if beat.session != self._session:
-            self._ended.add(self._session)
-            self._session, self._number, self._alive = beat.session, 0, beat.alive
-            self.lateness.forget()  # another daemon, perhaps of another start of its machine
-        if beat.number <= self._number:
-            return
-        self._number = beat.number
-        self.lateness.hear(beat.sent, self._clock.monotonic())
-        self._alive = max(self._alive, beat.alive)
-        self.late += self.lateness.of(beat.alive, self._clock.monotonic()) > self.limit
+        """Takes a heartbeat of the daemon, in the thread that has received it.
+
+        Of an earlier session, or again, it says nothing.
+        """
+        now = self._clock.monotonic()
+        with self._lock:
+            if beat.session in self._ended:
+                return
+            if beat.session != self._session:
+                self._ended.add(self._session)
+                self._session, self._number, self._alive = beat.session, 0, beat.alive
+                self.lateness.forget()  # another daemon, perhaps of another start of its machine
+            if beat.number <= self._number:
+                return
+            self._number = beat.number
+            self.lateness.hear(beat.sent, now)
+            self._alive = max(self._alive, beat.alive)
+            self.late += self.lateness.of(beat.alive, now) > self.limit
 
     def _last_alive(self) -> float:
         """By our clock; before the first beat, when this began."""
-        return max(self._begun, self.lateness.here(self._alive))
+        with self._lock:
+            return max(self._begun, self.lateness.here(self._alive))
 
     def _due(self) -> float:
         """When to act unless another sign of life becomes known."""
@@ -93,24 +154,34 @@ class Deadman:
         while self.silence > self.limit:
             if self._clock.monotonic() >= end:
                 return False
-            await self._clock.sleep(LISTENING)
+            await self._clock.sleep(TURN)
         return True
 
     async def run(self) -> None:
         """Watches until cancelled."""
         while True:
-            await self._wait()
+            due = self._due()
+            await self._clock.sleep(due - self._clock.monotonic())
+            waited = max(self._scheduling.waited(), self._clock.monotonic() - due)
+            held_up = waited if waited > HELD_UP else 0.0
             if self._clock.monotonic() < self._due():
                 continue
+            silence = Silence(self.silence, held_up)
+            if held_up:
+                await self._take_what_has_arrived()
+                if self._clock.monotonic() < self._due():
+                    self._saved(silence)
+                    continue
             rest = self.limit / 4  # soon: something may begin to move unasked
             if await self._at_risk():
-                await self._act(self.silence)
+                await self._act(Silence(self.silence, held_up))
                 rest = self.limit
             self._rests_until = self._clock.monotonic() + rest
 
-    async def _wait(self) -> None:
-        """Until the timer was due when this began; a little longer where this process was held up itself."""
-        due = self._due()
-        await self._clock.sleep(due - self._clock.monotonic())
-        if self._clock.monotonic() - due > HELD_UP:
-            await self._clock.sleep(LISTENING)
+    async def _take_what_has_arrived(self) -> None:
+        """Lets the threads that receive run until they have nothing more to do, and waits for nothing else."""
+        end = self._clock.monotonic() + DELIVERY
+        pending = True
+        while pending and self._clock.monotonic() < end:
+            await self._clock.sleep(TURN)
+            pending = self._scheduling.pending()

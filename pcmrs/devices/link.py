@@ -19,6 +19,9 @@ class Link(Protocol):
     def subscribe(self, key: str, kind: type[M], handler: Callable[[str, M], None]) -> None:
         """Calls `handler(key, message)` in the event loop for every message of `kind`."""
 
+    def listen(self, key: str, kind: type[M], handler: Callable[[str, M], None]) -> None:
+        """Calls `handler(key, message)` where the message is received, in any thread: at once, past the event loop."""
+
     def serve(self, key: str, kind: type[M], handler: Callable[[str, M], Awaitable[msgspec.Struct]]) -> None:
         """Answers requests on `key`, each in a task of its own, with the handler's message."""
 

@@ -14,7 +14,7 @@ import msgspec
 import structlog
 
 from pcmrs.clock import Clock
-from pcmrs.devices.deadman import DEADMAN, Deadman, beat_period
+from pcmrs.devices.deadman import ALWAYS_SERVED, DEADMAN, Deadman, Scheduling, Silence, beat_period
 from pcmrs.devices.frame_sessions import FrameSessions
 from pcmrs.devices.link import Link
 from pcmrs.devices.protocols import (
@@ -27,10 +27,10 @@ from pcmrs.devices.protocols import (
     StimulatorDriver,
     TrackerDriver,
 )
+from pcmrs.devices.silences import daemon_silent, node_held_up
 from pcmrs.errors import DeviceError, PayloadError, PcmrsError
 from pcmrs.messages import (
     Beat,
-    DeviceEvent,
     DeviceHealth,
     DeviceReply,
     DeviceRequest,
@@ -87,16 +87,25 @@ class DeviceNode:
         clock: The machine's clock: heartbeats do not run faster with a simulated cell.
         deadman: A moving robot is held, and an armed stimulator disarmed, when nothing fresh has been heard of the
             daemon for so long, s of the machine.
+        scheduling: Of this process; by default it is never held up.
 
     Attributes:
         late: Kind of message to how many came too late to be followed.
     """
 
-    def __init__(self, link: Link, devices: Mapping[str, Any], clock: Clock, deadman: float = DEADMAN) -> None:
+    def __init__(
+        self,
+        link: Link,
+        devices: Mapping[str, Any],
+        clock: Clock,
+        deadman: float = DEADMAN,
+        scheduling: Scheduling = ALWAYS_SERVED,
+    ) -> None:
         self._link = link
         self._devices = devices
         self._clock = clock
-        self._deadman = Deadman(deadman, self._at_risk, self._hold_for_silence, clock)
+        self._scheduling = scheduling
+        self._deadman = Deadman(deadman, self._at_risk, self._hold_for_silence, clock, self._tell_held_up, scheduling)
         self.late: Counter[str] = Counter()
         self._moving = False
         self._made_safe = 0
@@ -116,7 +125,7 @@ class DeviceNode:
             if "tracker" in self._devices:
                 tasks.create_task(self._publish_frames(self._devices["tracker"]))
             if "robot" in self._devices or "stimulator" in self._devices:
-                self._link.subscribe(DAEMON_BEAT, Beat, lambda _, beat: self._deadman.hear(beat))
+                self._link.listen(DAEMON_BEAT, Beat, lambda _, beat: self._deadman.hear(beat))
                 tasks.create_task(self._deadman.run())
             if "robot" in self._devices:
                 robot: RobotDriver = self._devices["robot"]
@@ -259,13 +268,30 @@ class DeviceNode:
         async for event in device.events():
             self._link.publish(f"dev/{name}/event", event)
 
-    async def _hold_for_silence(self, silence: float) -> None:
+    async def _hold_for_silence(self, silence: Silence) -> None:
         await asyncio.gather(self.make_safe("no heartbeat"), self._tell_silence(silence))
 
-    async def _tell_silence(self, silence: float) -> None:
-        log.warning("held_by_node", reason="no heartbeat of the daemon", silence=round(silence, 4))
-        device = "robot" if self._moving else "stimulator"
-        self._link.publish(f"dev/{device}/event", _daemon_silent(device, silence, self._deadman.limit))
+    async def _tell_silence(self, silence: Silence) -> None:
+        load = self._scheduling.load()
+        log.warning(
+            "held_by_node",
+            reason="no heartbeat of the daemon",
+            silence=round(silence.lasted, 4),
+            held_up=round(silence.held_up, 4),
+            running=load.running,
+            processors=load.processors,
+        )
+        self._tell_held_up(silence)
+        device = self._risky()
+        self._link.publish(f"dev/{device}/event", daemon_silent(device, silence, self._deadman.limit, load))
+
+    def _tell_held_up(self, silence: Silence) -> None:
+        if silence.held_up:
+            device = self._risky()
+            self._link.publish(f"dev/{device}/event", node_held_up(device, silence, self._scheduling.load()))
+
+    def _risky(self) -> str:
+        return "robot" if self._moving or "stimulator" not in self._devices else "stimulator"
 
     async def _at_risk(self) -> bool:
         """Whether anything moves or could fire."""
@@ -277,13 +303,6 @@ class DeviceNode:
         except Exception:  # nobody knows, and the watch must go on
             return True
         return state.armed
-
-
-def _daemon_silent(device: str, silence: float, limit: float) -> DeviceEvent:
-    text = f"The node of the {device} has made it safe by itself: it had not heard the daemon for "
-    text += f"{silence * 1e3:.0f} ms, limit {limit * 1e3:.0f} ms. Nothing goes on by itself: look, and acknowledge."
-    fields = {"silence": silence, "limit": limit}
-    return DeviceEvent(device=device, code="daemon_silent", text=text, danger=True, fields=fields)
 
 
 @cache

@@ -215,6 +215,9 @@ class Endpoint:
         self._listeners.setdefault(key, []).append((handler, kind))
         self._network.forget_routes()
 
+    def listen(self, key: str, kind: type[M], handler: Callable[[str, M], None]) -> None:
+        self.subscribe(key, kind, handler)
+
     def serve(self, key: str, kind: type[M], handler: Callable[[str, M], Awaitable[msgspec.Struct]]) -> None:
         self._services[key] = (kind, handler)
 

@@ -38,6 +38,9 @@ class MemoryLink:
     def subscribe(self, key: str, kind: type[M], handler: Callable[[str, M], None]) -> None:
         self._subscribers[key].append(handler)
 
+    def listen(self, key: str, kind: type[M], handler: Callable[[str, M], None]) -> None:
+        self.subscribe(key, kind, handler)
+
     def serve(self, key: str, kind: type[M], handler: Callable[[str, M], Awaitable[msgspec.Struct]]) -> None:
         self._services[key] = (kind, handler)
 

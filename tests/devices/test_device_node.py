@@ -12,7 +12,7 @@ import pytest
 from clock import ManualClock, settle
 from memory_link import MemoryLink
 
-from pcmrs.devices.deadman import DEADMAN, LISTENING, beat_period
+from pcmrs.devices.deadman import DEADMAN, DELIVERY, HELD_UP, TURN, beat_period
 from pcmrs.devices.node import DAEMON_BEAT, REQUEST_DELAY, DeviceNode
 from pcmrs.devices.remote import ANSWER_TIME, MOTION_MARGIN, RemotePointer, RemoteRobot, RemoteScene
 from pcmrs.errors import DeviceError, UnknownOutcomeError
@@ -32,6 +32,7 @@ from pcmrs.messages import (
     PressRequest,
     ServoSession,
 )
+from pcmrs.threads import Load
 
 BEAT_PERIOD = beat_period(DEADMAN)
 
@@ -144,13 +145,31 @@ class FakeHand:
         self.calls.append(duration)
 
 
+class FakeScheduling:
+    """A machine that serves the node, unless told otherwise."""
+
+    def __init__(self) -> None:
+        self.waits = 0.0
+        self.busy = False
+
+    def waited(self) -> float:
+        return self.waits
+
+    def pending(self) -> bool:
+        return self.busy
+
+    def load(self) -> Load:
+        return Load(running=9, processors=2)
+
+
 class Bench:
     def __init__(self) -> None:
         self.clock = ManualClock()
         self.link = MemoryLink()
         self.robot_device, self.tracker, self.hand = FakeRobot(), FakeTracker(), FakeHand()
         devices = {"robot": self.robot_device, "tracker": self.tracker, "pointer": self.hand, "scene": self.hand}
-        self.node = DeviceNode(self.link, devices, self.clock)
+        self.scheduling = FakeScheduling()
+        self.node = DeviceNode(self.link, devices, self.clock, DEADMAN, self.scheduling)
         self.robot = RemoteRobot(self.link, self.clock)
         self.pointer = RemotePointer(self.link, self.clock, touch_timeout=30.0)
         self.scene = RemoteScene(self.link, self.clock)
@@ -501,18 +520,42 @@ async def test_a_set_point_that_comes_late_is_dropped(bench: Bench) -> None:
     assert bench.node.late == {"setpoints": 1}
 
 
-async def test_a_node_that_was_held_up_itself_hears_first_what_has_arrived(bench: Bench) -> None:
+async def test_a_node_that_was_not_served_takes_what_has_arrived_and_reports_that(bench: Bench) -> None:
+    """Its timer was in time: the threads that receive were not served."""
+    bench.robot_device.stream.put_nowait(MOVING)
+    beat(bench, 1)
+    await bench.clock.advance(DEADMAN - TURN)
+    bench.scheduling.waits, bench.scheduling.busy = 5 * HELD_UP, True
+    await bench.clock.advance(2 * TURN)
+    beat(bench, 2, 2 * TURN)
+    await bench.clock.advance(2 * TURN)
+    assert bench.robot_device.holds == 0
+    await bench.clock.advance(DEADMAN / 2)
+    assert bench.robot_device.holds == 0
+    (event,) = bench.link.published["dev/robot/event"]
+    assert (event.code, event.danger) == ("node_held_up", False)
+    assert "9 threads want to run on 2 processors" in event.text
+
+
+async def test_a_node_that_was_not_served_holds_at_once_when_nothing_has_arrived(bench: Bench) -> None:
+    """Whatever it waits for, the arm is held within 25 ms after the deadman's time."""
     bench.robot_device.stream.put_nowait(MOVING)
     beat(bench, 1)
     await bench.clock.advance(DEADMAN / 2)
     bench.clock.stall(2 * DEADMAN)
-    await bench.clock.advance(LISTENING / 2)
-    beat(bench, 2)
-    await bench.clock.advance(DEADMAN / 2)
-    assert bench.robot_device.holds == 0
-    for _ in range(2):  # held up all the time, it does not wait for ever
-        bench.clock.stall(2 * DEADMAN)
-        await bench.clock.advance(LISTENING / 2)
+    await bench.clock.advance(2 * TURN)
+    assert bench.robot_device.holds == 1
+    codes = [event.code for event in bench.link.published["dev/robot/event"]]
+    assert sorted(codes) == ["daemon_silent", "node_held_up"]
+    (silent,) = (event for event in bench.link.published["dev/robot/event"] if event.code == "daemon_silent")
+    assert "9 threads want to run on 2 processors" in silent.text, "the reason of the hold is the machine"
+
+
+async def test_threads_that_never_rest_do_not_put_the_hold_off(bench: Bench) -> None:
+    bench.robot_device.stream.put_nowait(MOVING)
+    beat(bench, 1)
+    bench.scheduling.waits, bench.scheduling.busy = 5 * HELD_UP, True
+    await bench.clock.advance(DEADMAN + DELIVERY + TURN)
     assert bench.robot_device.holds == 1
 
 

@@ -58,6 +58,9 @@ class FakeLink:
     def subscribe(self, key: str, kind: type[Any], handler: Callable[[str, Any], None]) -> None:
         self._subscribers[key] = handler
 
+    def listen(self, key: str, kind: type[Any], handler: Callable[[str, Any], None]) -> None:
+        raise AssertionError
+
     def serve(self, key: str, kind: type[Any], handler: Callable[[str, Any], Awaitable[msgspec.Struct]]) -> None:
         raise AssertionError
 
