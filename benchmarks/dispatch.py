@@ -4,7 +4,7 @@ Prints p50, p99 and max in µs and the ratio of the medians. The server runs in 
 gateway, dispatcher, RATMS workflow and journal, without devices, since the commands asked for touch none
 (`toolplan.plan`, accepted, changes a state; `registration.register`, rejected). Clients and servers share the machine.
 
-    .venv/bin/python benchmarks/dispatch.py [--count 3000]
+    .venv/bin/python benchmarks/dispatch.py [--count 3000] [--warm-up 300]
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ import zenoh
 
 from pcmrs.bus import Bus, BusSettings, CommandEdge
 from pcmrs.bus.envelope import Envelope
+from pcmrs.cli.log import log_to_stderr
 from pcmrs.clock import SystemClock
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.remote import RemotePointer, RemoteRobot
@@ -50,7 +51,6 @@ from pcmrs.workflows import open_workflow
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.settings import ProcedureSettings
 
-WARM_UP = 300
 PAUSE = 0.0005  # s between commands, as planners leave far more: what is measured is latency, not throughput
 PLAN = {"position": [0.0, 0.05, 0.1], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
 
@@ -63,8 +63,13 @@ class Echo(asyncio.DatagramProtocol):
         self.transport.sendto(data, address)
 
 
+async def nothing_to_hold() -> None:
+    """There is no arm: the Stop with which the dispatcher ends need not wait for one."""
+
+
 async def serve(endpoint: str, folder: Path, durable: bool) -> None:
-    """Runs until standard input ends; says on standard output which ports it has."""
+    """Runs until standard input ends; says on standard output which ports it has, and nothing else."""
+    log_to_stderr()
     loop, clock = asyncio.get_running_loop(), SystemClock()
     ended = asyncio.Event()
     loop.add_reader(sys.stdin.fileno(), ended.set)
@@ -78,7 +83,7 @@ async def serve(endpoint: str, folder: Path, durable: bool) -> None:
     robot, pointer = RemoteRobot(bus, clock), RemotePointer(bus, clock, 1.0)
     cell = Cell(robot, pointer, PoseFeed(clock, 0.2), ArmModel(ARMS["iiwa14"]), clock, settings)
     recorder = JournalRecorder(journal, clock, "benchmark", tag)
-    dispatcher = Dispatcher(workflow, cell, clock, recorder, cell.robot.hold, Publishing(bus).publish)
+    dispatcher = Dispatcher(workflow, cell, clock, recorder, nothing_to_hold, Publishing(bus).publish)
     edge = await CommandEdge.open(bus, dispatcher.submit, lambda *_: None, lambda _source: None)
 
     async def echo_query(_key: str, request: Envelope) -> Envelope:
@@ -114,7 +119,7 @@ def measure_udp(port: int, datagrams: list[bytes]) -> list[float]:
             client.recv(2048)
             times.append((time.perf_counter_ns() - begin) / 1000.0)
             time.sleep(PAUSE)
-    return times[WARM_UP:]
+    return times
 
 
 def measure_query(session: zenoh.Session, key: str, payloads: list[bytes]) -> list[float]:
@@ -126,7 +131,7 @@ def measure_query(session: zenoh.Session, key: str, payloads: list[bytes]) -> li
                 raise SystemExit(f"{key}: {reply.err}")
         times.append((time.perf_counter_ns() - begin) / 1000.0)
         time.sleep(PAUSE)
-    return times[WARM_UP:]
+    return times
 
 
 def register_datagrams(count: int) -> list[bytes]:
@@ -152,7 +157,7 @@ def measure_plans(port: int, count: int) -> list[float]:
             if b"accepted" not in answer:
                 raise SystemExit(f"not accepted: {answer!r}")
             time.sleep(PAUSE)
-    return times[WARM_UP:]
+    return times
 
 
 def measure_commit(folder: Path, count: int) -> list[float]:
@@ -188,21 +193,21 @@ def row(name: str, times: list[float], base: list[float] | None = None) -> None:
     print(f"  {name:<44} {median(times):8.0f} {p99:8.0f} {ordered[-1]:8.0f} {ratio}")
 
 
-def compare(durable: bool, count: int) -> None:
+def compare(durable: bool, count: int, warm_up: int) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with tempfile.TemporaryDirectory(dir=os.environ.get("BENCHMARK_FOLDER")) as name:
         folder = Path(name)
         with server(endpoint, folder, durable) as ports:
             kind = "with" if durable else "without"
             print(f"journal {kind} fsync: p50, p99, max in µs; ratio of p50 to the bare one")
-            echo = measure_udp(ports["echo"], [b"x" * 30] * (count + WARM_UP))
+            echo = measure_udp(ports["echo"], [b"x" * 30] * (count + warm_up))[warm_up:]
             row("UDP, bare asyncio echo (uvloop)", echo)
             row(
                 "UDP command → verdict, rejected",
-                measure_udp(ports["planner"], register_datagrams(count + WARM_UP)),
+                measure_udp(ports["planner"], register_datagrams(count + warm_up))[warm_up:],
                 echo,
             )
-            plans = measure_plans(ports["planner"], count + WARM_UP)
+            plans = measure_plans(ports["planner"], count + warm_up)[warm_up:]
             row("UDP command → verdict, accepted and committed", plans, echo)
             config = zenoh.Config()
             config.insert_json5("mode", '"client"')
@@ -210,11 +215,11 @@ def compare(durable: bool, count: int) -> None:
             config.insert_json5("scouting/multicast/enabled", "false")
             with zenoh.open(config) as session:
                 prefix = "pcmrs/lab/benchmark"
-                empty = [b"{}"] * (count + WARM_UP)
-                bare = measure_query(session, f"{prefix}/svc/echo", empty)
+                empty = [b"{}"] * (count + warm_up)
+                bare = measure_query(session, f"{prefix}/svc/echo", empty)[warm_up:]
                 row("Zenoh, bare query answered in the loop", bare)
-                asked = [msgspec.json.encode({"arguments": PLAN})] * (count + WARM_UP)
-                planned = measure_query(session, f"{prefix}/cmd/local/toolplan/plan", asked)
+                asked = [msgspec.json.encode({"arguments": PLAN})] * (count + warm_up)
+                planned = measure_query(session, f"{prefix}/cmd/local/toolplan/plan", asked)[warm_up:]
                 row("Zenoh query → verdict, accepted and committed", planned, bare)
             if durable:
                 commit = measure_commit(folder, count)
@@ -228,6 +233,7 @@ def compare(durable: bool, count: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=3000)
+    parser.add_argument("--warm-up", type=int, default=300, help="commands before those that count")
     parser.add_argument("--serve", nargs=2, metavar=("ENDPOINT", "FOLDER"), help=argparse.SUPPRESS)
     parser.add_argument("--durable", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -239,7 +245,7 @@ def main() -> None:
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     print(f"{machine}, {arguments.count} commands each")
     for durable in (False, True):
-        compare(durable, arguments.count)
+        compare(durable, arguments.count, arguments.warm_up)
 
 
 if __name__ == "__main__":
