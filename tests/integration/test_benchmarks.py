@@ -11,7 +11,7 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 @pytest.mark.timeout(120)
 def test_the_time_to_a_decision_is_measured() -> None:
-    command = [sys.executable, BENCHMARKS / "dispatch.py", "--count", "3", "--warm-up", "0"]
+    command = [sys.executable, str(BENCHMARKS / "dispatch.py"), "--count", "3", "--warm-up", "0"]
 
     measured = subprocess.run(command, capture_output=True, text=True, check=False)
 
