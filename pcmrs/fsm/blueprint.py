@@ -66,6 +66,10 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
             latched, and never kept waiting for others, as motions are.
         blocked_when_latched: The latch of Stop forbids it. Filled when it is read: what moves or affects the patient is
             forbidden, and nothing else unless it says so.
+        irreversible: What it does cannot be undone: it is not accepted again before an operation that allows that.
+        allows_again: Irreversible operations of the branch that may be done again after this one.
+        confirm: Somebody has to confirm it each time before it is accepted, in a branch that
+            `pcmrs.fsm.files.confirming` makes from this. False once that is made.
         rio: It is the branch's re-initiation operation (RIO).
         iio: It is called by a child branch only (IIO).
         event: It is called by a device, detector or timer only.
@@ -91,6 +95,9 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
     motion: Motion = "none"
     affects_patient: bool = False
     blocked_when_latched: bool | None = None
+    irreversible: bool = False
+    allows_again: list[str] = []
+    confirm: bool = False
     rio: bool = False
     iio: bool = False
     event: bool = False
@@ -109,9 +116,11 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
         msgspec.structs.force_setattr(self, "moves", self.motion != "none")
 
     @property
-    def implied(self) -> dict[str, bool]:
-        """Keys that need not be said, with the values that the others give them."""
-        return {"moves": self.moves, "blocked_when_latched": self.moves or self.affects_patient}
+    def implied(self) -> dict[str, Any]:
+        """Keys that came later than the others, with the values that they have where nothing is said of them."""
+        blocked = self.moves or self.affects_patient
+        later = {"irreversible": False, "allows_again": [], "confirm": False}
+        return {"moves": self.moves, "blocked_when_latched": blocked} | later
 
     @property
     def askers(self) -> list[Role]:

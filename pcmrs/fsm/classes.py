@@ -138,11 +138,12 @@ def _state_name(branch: str, state: str) -> str:
 
 
 def _given(spec: msgspec.Struct) -> Iterator[tuple[str, str]]:
-    """Fields that differ from their defaults, as Python."""
+    """Fields that differ from their defaults and from what others imply, as Python."""
+    implied = spec.implied if isinstance(spec, OperationSpec) else {}
     for field in _fields(type(spec)):
         value = getattr(spec, field.name)
         default = field.default_factory() if field.default_factory is not msgspec.NODEFAULT else field.default
-        if value != default:
+        if value != implied.get(field.name, default):
             yield field.name, _literal(value)
 
 

@@ -147,7 +147,7 @@ FAULTS = {
         "unlatches = true\n",
         "unlatches = true\naffects_patient = true\n",
         "no_release",
-        "neither moves nor acts",
+        "neither moves nor affects the patient",
         "operations.clear",
     ),
     "failure unknown": ('on_failure = "held"', 'on_failure = "far"', "unknown_state", "'far'", "on_failure"),

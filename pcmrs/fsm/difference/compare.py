@@ -18,7 +18,10 @@ from pcmrs.fsm.difference.facets import FacetKind, Seen, answers_seen, differing
 
 Kind = Literal["added", "removed", "changed", "reached", "unreached"] | FacetKind
 
-DECLARED = ("payload", "checks", "steps", "timeout_s", "motion", "affects_patient", "iio", "event", "unlatches")
+DECLARED = (
+    "payload", "checks", "steps", "timeout_s", "motion", "affects_patient", "blocked_when_latched", "irreversible",
+    "allows_again", "iio", "event", "unlatches",
+)  # fmt: skip
 """What an operation declares of its performance; all else shows in what it answers."""
 
 BEGINNINGS: dict[Kind, str] = {

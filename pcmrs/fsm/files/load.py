@@ -13,6 +13,7 @@ import msgspec
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
 from pcmrs.fsm.files.bounded import read_bounded
+from pcmrs.fsm.files.confirming import expand_confirmations
 from pcmrs.fsm.files.extend import read_layers
 from pcmrs.fsm.files.places import Places, placed
 from pcmrs.fsm.files.sequence import SequenceError, expand
@@ -154,6 +155,7 @@ def _read(raw: bytes, origin: str, folder: FilePath | None) -> tuple[Blueprint, 
     except SequenceError as error:
         finding = Finding(code="bad_sequence", text=error.text, path=error.path)
         raise BlueprintError(error.text, findings=placed([finding], places)) from None
+    blueprint = expand_confirmations(blueprint)
     return msgspec.structs.replace(blueprint, hash=content_hash(blueprint)), places, warnings
 
 

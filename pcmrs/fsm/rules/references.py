@@ -92,6 +92,8 @@ def _operation_references(blueprint: Blueprint, branch: str, spec: OperationSpec
         yield from _states_exist(blueprint, {branch: states}, (*path, key))
     yield from _requirement(blueprint, spec.requires, (*path, "requires"))
     yield from _states_exist(blueprint, {child: [state] for child, state in spec.sets.items()}, (*path, "sets"))
+    for key in spec.allows_again:
+        yield from _operation_exists(blueprint, f"{branch}.{key}", (*path, "allows_again"))
     for name, ending in spec.outcomes.items():
         yield from _states_exist(blueprint, {branch: _named(ending.to)}, (*path, "outcomes", name, "to"))
         yield from _requirement(blueprint, ending.requires, (*path, "outcomes", name, "requires"))

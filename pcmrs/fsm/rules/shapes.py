@@ -17,7 +17,7 @@ def check_shapes(blueprint: Blueprint) -> Iterator[Finding]:
             path = ("branches", name, "operations", key)
             for text in _faults(blueprint, name, branch, operation):
                 yield Finding(code="bad_operation", text=f"{name}.{key} {text}", path=path)
-    yield from _release(blueprint)
+    yield from _latch(blueprint)
     identities: set[str] = set()
     for index, promise in enumerate(blueprint.properties):
         given = [promise.always, promise.never, promise.reachable, promise.leads_to]
@@ -31,12 +31,22 @@ def check_shapes(blueprint: Blueprint) -> Iterator[Finding]:
         identities.add(promise.id)
 
 
-def _release(blueprint: Blueprint) -> Iterator[Finding]:
-    blocked = [(name, key) for name, key, operation in _operations(blueprint) if operation.blocked_when_latched]
+def _latch(blueprint: Blueprint) -> Iterator[Finding]:
+    """What the latch of Stop would not bar, or would bar for ever."""
+    blocked: list[tuple[str, str]] = []
+    for name, key, operation in _operations(blueprint):
+        path = ("branches", name, "operations", key)
+        if operation.blocked_when_latched:
+            blocked.append((name, key))
+        elif operation.moves or operation.affects_patient:
+            what = "moves" if operation.moves else "affects the patient"
+            text = f"{name}.{key} {what}, and would be allowed while Stop is latched: "
+            text += "leave `blocked_when_latched` out."
+            yield Finding(code="latch_ignored", text=text, path=(*path, "blocked_when_latched"))
     if blocked and not blueprint.unlatching:
         name, key = blocked[0]
         text = f"After a Stop {name}.{key} could never be done again: mark an operation that users ask for, "
-        text += "and that neither moves nor acts, with unlatches = true."
+        text += "and that neither moves nor affects the patient, with unlatches = true."
         yield Finding(code="no_release", text=text, path=("branches", name, "operations", key))
 
 
@@ -75,8 +85,7 @@ def _faults(blueprint: Blueprint, branch: str, spec: BranchSpec, operation: Oper
         yield "is called by a child (iio): it has a target, no checks, steps, outcomes or requires."
     if operation.iio and (operation.event or operation.rio or operation.blocked_when_latched or operation.unlatches):
         yield "is called by a child (iio): it cannot be an event, motion, act, release or re-initiation as well."
-    if operation.moves and (operation.on_failure is None or operation.on_unknown is None):
-        yield "moves: it needs `on_failure` and `on_unknown`, since it cannot end where it began."
+    yield from _hazards(spec, operation)
     doubtful = operation.on_failure is not None or operation.on_unknown is not None
     if not operation.steps and (doubtful or operation.moves):
         yield "has no steps: it can neither move nor fail, nor end in doubt."
@@ -93,3 +102,21 @@ def _faults(blueprint: Blueprint, branch: str, spec: BranchSpec, operation: Oper
     for child in operation.sets:
         if child not in blueprint.children[branch]:
             yield f"sets {child}, which is no child of {branch}."
+
+
+def _hazards(spec: BranchSpec, operation: OperationSpec) -> Iterator[str]:
+    """What is wrong with an operation that moves, or that cannot be undone, or allows what cannot."""
+    undecided = operation.on_failure is None or operation.on_unknown is None
+    if operation.moves and undecided:
+        yield "moves: it needs `on_failure` and `on_unknown`, since it cannot end where it began."
+    elif operation.irreversible and operation.steps and undecided:
+        yield "is irreversible: it needs `on_failure` and `on_unknown`, since nobody knows how far it got."
+    if operation.irreversible and (operation.iio or operation.event or operation.rio):
+        yield "is irreversible: it must be one that a user asks for, and no re-initiation."
+    if operation.allows_again and (operation.iio or operation.event or operation.rio or operation.irreversible):
+        yield "has `allows_again`: it must be one that a user asks for, neither a re-initiation nor irreversible."
+    if operation.confirm:
+        yield "cannot be confirmed: users must ask for it, and <operation>_confirmation be no other branch's name."
+    for key in operation.allows_again:
+        if not spec.operations[key].irreversible:
+            yield f"allows {key} again, which is not irreversible: mark that, or leave it out."

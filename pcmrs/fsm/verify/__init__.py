@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.verify import liveness, structure
+from pcmrs.fsm.verify import hazards, liveness, structure
 from pcmrs.fsm.verify.properties import promises
 from pcmrs.fsm.verify.running import Runs
 from pcmrs.fsm.verify.search import Progress, TooManyError
@@ -18,7 +18,15 @@ MAX_JOINT_STATES = 2_000_000
 """So many joint states are looked at unless more are asked for."""
 
 BY_ITSELF = (structure.denials, structure.revocations)
-IN_A_WHOLE_SEARCH = (structure.unused, structure.activities, liveness.deadlocks, liveness.goals, liveness.releases)
+IN_A_WHOLE_SEARCH = (
+    structure.unused,
+    structure.activities,
+    liveness.deadlocks,
+    liveness.goals,
+    liveness.releases,
+    hazards.ways_back,
+    hazards.repetitions,
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,74 @@
+"""Writes out `confirm = true`: a branch in which somebody confirms an operation each time before it is accepted.
+
+A confirmation is used up by the next command of the operation's branch, whatever that is, and by any command of a
+branch that can release the latch of Stop: what was confirmed before a Stop does not count after it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import msgspec
+
+from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, RevocationSpec
+
+OPEN, GIVEN = "open", "given"
+REFUSAL = "not_confirmed"
+"""Code of the rejection of an operation that nobody has confirmed."""
+
+
+def confirmation_of(operation: str) -> str:
+    """Name of the branch in which an operation is confirmed."""
+    return f"{operation}_confirmation"
+
+
+def expand_confirmations(blueprint: Blueprint) -> Blueprint:
+    """The same workflow without `confirm`, and with the branches that it stands for.
+
+    An operation that cannot be confirmed keeps its `confirm`: see `pcmrs.fsm.rules.shapes`.
+
+    Args:
+        blueprint: Without sequences.
+    """
+    branches = dict(blueprint.branches)
+    for name, key, operation in _confirmed(blueprint):
+        made = confirmation_of(key)
+        if made in branches or operation.iio or operation.event or operation.rio:
+            continue
+        operations = branches[name].operations | {key: _requiring(operation, made)}
+        branches[name] = msgspec.structs.replace(branches[name], operations=operations)
+        by = [name, *(release.partition(".")[0] for release in blueprint.unlatching)]
+        branches[made] = _branch(name, key, operation, list(dict.fromkeys(by)))
+    return msgspec.structs.replace(blueprint, branches=branches)
+
+
+def _confirmed(blueprint: Blueprint) -> Iterator[tuple[str, str, OperationSpec]]:
+    for name, branch in blueprint.branches.items():
+        yield from ((name, key, operation) for key, operation in branch.operations.items() if operation.confirm)
+
+
+def _requiring(operation: OperationSpec, made: str) -> OperationSpec:
+    refusal = operation.refusal
+    refusals = dict.fromkeys(operation.requires, refusal) if isinstance(refusal, str) else refusal
+    requires = operation.requires | {made: [GIVEN]}
+    return msgspec.structs.replace(operation, confirm=False, requires=requires, refusal=refusals | {made: REFUSAL})
+
+
+def _branch(name: str, key: str, operation: OperationSpec, by: list[str]) -> BranchSpec:
+    title = operation.title or key.replace("_", " ")
+    possible = {} if operation.from_ == ["*"] else {name: operation.from_}
+    confirm = OperationSpec(
+        title=f"Confirm: {title}",
+        from_=[OPEN],
+        to=GIVEN,
+        requires=possible,
+        roles=operation.roles,
+        blocked_when_latched=True,
+    )
+    take_back = OperationSpec(title=f"Take the confirmation back: {title}", from_=[GIVEN], to=OPEN, rio=True)
+    return BranchSpec(
+        title=f"Confirmation: {title}",
+        states={OPEN: "not confirmed", GIVEN: "confirmed: may be done once"},
+        operations={f"confirm_{key}": confirm, "take_back": take_back},
+        revocations=[RevocationSpec(by=by, from_=[GIVEN], to=OPEN)],
+    )
