@@ -103,6 +103,11 @@ class PoseFeed:
         """
         return self._newest(body).tracker_from_body
 
+    def last_seen(self, body: str) -> float:
+        """Return when the newest pose of a body was captured, s of the clock; minus infinity where there is none."""
+        known = self._sightings.get(body)
+        return known[-1].captured if known else -math.inf
+
     def seen(self, body: str) -> bool:
         """Whether there is a fresh pose of the body."""
         try:

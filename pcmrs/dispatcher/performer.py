@@ -150,7 +150,7 @@ class Performer(Generic[C, D]):
 
         stage = self._stage
         states, data = stage.procedure.joint(), stage.procedure.data
-        return Run(attempt.command, attempt.payload, states, stage.cell, stage.clock, data, show)
+        return Run(attempt.command, attempt.payload, states, stage.cell, stage.clock, data, show, attempt.spec.motion)
 
     def _conclude(self, attempt: Attempt, run: Run[C, D], refused: Reason | None, ending: Ending | None) -> None:
         """Works out what the refusal or the ending means for the states."""

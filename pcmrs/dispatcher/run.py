@@ -9,6 +9,7 @@ from typing import Any, Generic, TypeVar
 import msgspec
 
 from pcmrs.clock import Clock
+from pcmrs.fsm.blueprint import Motion
 from pcmrs.messages import Command
 
 
@@ -38,6 +39,7 @@ class Run(Generic[C, D]):
         states: The joint state it started in; its own branches cannot change under it.
         cell: The devices and frames of the cell.
         clock: The cell's clock.
+        motion: Which way the operation moves the robot, as its blueprint declares it.
         outcome: Declared outcome to end with; a last step of an operation with outcomes sets it.
         result: What the verdict reports.
         prepared: What a check has worked out for a step, such as a trajectory.
@@ -51,6 +53,7 @@ class Run(Generic[C, D]):
     clock: Clock
     _data: D
     _show_progress: Callable[[float], None]
+    motion: Motion = "none"
     outcome: str | None = None
     result: dict[str, Any] = field(default_factory=dict)
     prepared: Any = None

@@ -68,7 +68,7 @@ async def press_gently(run: Run) -> None:
     """
     cell = run.cell
     request, way = run.prepared
-    async with guarded(cell, way):
+    async with guarded(cell, way, towards_body=True):
         ended = await cell.robot.press(request)
     travel = _travel(cell, way, ended)
     run.result |= {"force": ended.force, "asked": request.force, "travel": travel}

@@ -1,8 +1,9 @@
-"""Watches the measured joints while the arm moves, and holds it where it drifts into a zone."""
+"""Watches an arm that moves: holds it where it drifts into a zone, or goes to a body that is not seen any more."""
 
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 
@@ -11,27 +12,37 @@ from pcmrs.messages import JointState, JointTrajectory, MotionResult
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.floors import Floors
 
+BODY = "body_ref"
 
-async def follow_guarded(cell: Cell, trajectory: JointTrajectory) -> MotionResult:
-    """Follows a trajectory, watched.
+LONGEST_LOOK = 0.1
+"""Between two looks, s: joints come more often."""
+
+
+async def follow_guarded(cell: Cell, trajectory: JointTrajectory, *, towards_body: bool) -> MotionResult:
+    """Follows a trajectory, watched; `towards_body` says whether the tracker has to show the body on the way.
 
     Raises:
-        RefusalError: The arm was held, since it came nearer to a zone than planned.
+        RefusalError: The arm was held: it came nearer to a zone than planned, or the body was not seen.
         DeviceError: The robot answered with a failure.
         UnknownOutcomeError: It did not answer.
     """
-    async with guarded(cell, trajectory):
+    async with guarded(cell, trajectory, towards_body=towards_body):
         return await cell.robot.follow(trajectory)
 
 
 @asynccontextmanager
-async def guarded(cell: Cell, trajectory: JointTrajectory) -> AsyncIterator[None]:
+async def guarded(cell: Cell, trajectory: JointTrajectory, *, towards_body: bool) -> AsyncIterator[None]:
     """Watches a motion along a trajectory, or along a part of it, for as long as the context lasts.
 
+    Args:
+        cell: The cell.
+        trajectory: The way as it was planned.
+        towards_body: The arm is held where the tracker does not show the body any more; a retreat goes on.
+
     Raises:
-        RefusalError: The arm was held, since it came nearer to a zone than planned.
+        RefusalError: The arm was held: it came nearer to a zone than planned, or the body was not seen.
     """
-    guard = _Guard(cell, trajectory)
+    guard = _Guard(cell, trajectory, _Sight(cell) if towards_body else None)
     cell.watchers.append(guard.watch)
     try:
         yield
@@ -42,19 +53,21 @@ async def guarded(cell: Cell, trajectory: JointTrajectory) -> AsyncIterator[None
 
 
 class _Guard:
-    def __init__(self, cell: Cell, trajectory: JointTrajectory) -> None:
+    def __init__(self, cell: Cell, trajectory: JointTrajectory, sight: _Sight | None) -> None:
         self._cell = cell
+        self._sight = sight
         self._floors = Floors(cell, trajectory.positions)
-        self._entered: RefusalError | None = None
+        self._refusal: RefusalError | None = None
         self._holding: asyncio.Task[JointState] | None = None
 
     def watch(self, state: JointState) -> None:
-        """Takes measured joints, and holds the arm the first time that a link is too near."""
-        if self._entered is not None:
+        """Takes measured joints, and holds the arm the first time that a link is too near or the body is lost."""
+        if self._refusal is not None:
             return
         self._place_body()
-        self._entered = self._floors.passed(state.positions)
-        if self._entered is not None:
+        lost = None if self._sight is None else self._sight.lost()
+        self._refusal = self._floors.passed(state.positions) or lost
+        if self._refusal is not None:
             self._holding = asyncio.get_running_loop().create_task(self._cell.robot.hold())
 
     async def held(self) -> None:
@@ -64,13 +77,44 @@ class _Guard:
 
     def check(self) -> None:
         """Raises `RefusalError` where the arm was held."""
-        if self._entered is not None:
-            raise self._entered
+        if self._refusal is not None:
+            raise self._refusal
 
     def _place_body(self) -> None:
         """Takes where the tracker sees the body now; while it does not, the body counts as where it was."""
         cell = self._cell
         with suppress(RefusalError):
-            seen = cell.poses.newest("body_ref")
+            seen = cell.poses.newest(BODY)
             if cell.base_from_tracker is not None and cell.body_ref_from_image is not None:
                 cell.zones.place_body(cell.base_from_tracker @ seen @ cell.body_ref_from_image)
+
+
+class _Sight:
+    """Measures for how long the tracker has not shown the body, with every look.
+
+    Time in which nobody looked counts as `LONGEST_LOOK` at most: where this process or the robot's messages were held
+    up, poses wait to be taken, too.
+    """
+
+    def __init__(self, cell: Cell) -> None:
+        self._cell = cell
+        self._looked = cell.clock.monotonic()
+        self._captured = -math.inf
+        self._unseen = 0.0
+
+    def lost(self) -> RefusalError | None:
+        """Why the arm is to be held, if it is."""
+        cell, limit = self._cell, self._cell.settings.tracking.unseen
+        now, captured = cell.clock.monotonic(), cell.poses.last_seen(BODY)
+        if captured > self._captured and now - captured <= limit:
+            self._captured, self._unseen = captured, min(now - captured, LONGEST_LOOK)
+        else:
+            self._unseen += min(now - self._looked, LONGEST_LOOK)
+        self._looked = now
+        if self._unseen <= limit:
+            return None
+        text = (
+            f"The tracker has not shown the body for {self._unseen:.2f} s, limit {limit:g} s, and the arm was held on "
+            "its way to it. Clear the line of sight, then back off."
+        )
+        return RefusalError("body_not_seen", text, unseen=self._unseen, limit=limit)

@@ -119,7 +119,7 @@ async def measure_coil(run: AnyRun[Cell, P]) -> Transform:
 
 async def follow(run: Run, trajectory: JointTrajectory) -> None:
     """Follows a trajectory past the zones, and lets the arm come to rest. Raises `RefusalError` where it was held."""
-    ended = await follow_guarded(run.cell, trajectory)
+    ended = await follow_guarded(run.cell, trajectory, towards_body=run.motion == "approach")
     if ended.outcome != "done":
         raise RefusalError("motion_stopped", f"The motion was stopped: {ended.reason or 'held'}.")
     await run.clock.sleep(run.cell.settings.placement.settle_time)

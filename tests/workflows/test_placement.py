@@ -151,6 +151,47 @@ async def test_the_body_must_be_seen_for_a_motion_towards_it(bench: WorkflowBenc
     assert (await bench.accept("placement.home")).state == "retracted"
 
 
+@pytest.mark.parametrize("name", ["placement.approach", "placement.confirm", "placement.nudge"])
+async def test_a_motion_towards_a_body_that_is_not_seen_any_more_is_held_without_a_latch(name: str) -> None:
+    async with open_bench({"motion": {"linear_velocity": 0.02, "near_velocity": 0.01}}) as bench:
+        await (bench.register() if name == "placement.approach" else bench.to_standoff())
+        arguments = {"translation": [0.0, 0.0, 0.019]} if name == "placement.nudge" else {}
+        async with bench.moving(name, faster_than=0.005, **arguments) as motion:
+            await bench.scene.occlude("body_ref", True)
+            hidden = bench.clock.monotonic()
+            verdict = await motion
+        assert verdict.reason is not None
+        assert (verdict.decision, verdict.reason.code, verdict.state) == ("failed", "body_not_seen", "held")
+        assert bench.clock.monotonic() - hidden < 0.8, "0.5 s, and the time to brake"
+        assert not bench.dispatcher.snapshot().latched
+        assert bench.speed() < 1e-3
+        # A retreat needs nobody to see the body.
+        await bench.accept("placement.back_off")
+
+
+async def test_a_body_hidden_for_a_moment_holds_nothing() -> None:
+    async with open_bench({"motion": {"linear_velocity": 0.02, "near_velocity": 0.01}}) as bench:
+        await bench.register()
+        async with bench.moving("placement.approach", faster_than=0.005) as approach:
+            for _ in range(3):
+                await bench.scene.occlude("body_ref", True)
+                await bench.clock.sleep(0.35)
+                await bench.scene.occlude("body_ref", False)
+                await bench.clock.sleep(0.1)
+            assert (await approach).decision == "accepted"
+
+
+async def test_how_long_a_body_may_be_hidden_is_configured() -> None:
+    slow = {"motion": {"linear_velocity": 0.02, "near_velocity": 0.01}, "tracking": {"unseen": 2.0}}
+    async with open_bench(slow) as bench:
+        await bench.register()
+        async with bench.moving("placement.approach", faster_than=0.005) as approach:
+            await bench.scene.occlude("body_ref", True)
+            await bench.clock.sleep(1.5)
+            await bench.scene.occlude("body_ref", False)
+            assert (await approach).decision == "accepted"
+
+
 async def test_a_tool_lost_by_the_tracker_during_the_correction_is_held(bench: WorkflowBench) -> None:
     await bench.to_standoff()
     async with bench.moving("placement.confirm") as confirm:

@@ -179,10 +179,12 @@ class WorkflowBench:
         return await self.accept("placement.confirm")
 
     @asynccontextmanager
-    async def moving(self, name: str, **arguments: Any) -> AsyncIterator[asyncio.Task[Verdict]]:
-        """A motion in the middle of which the arm moves."""
+    async def moving(
+        self, name: str, *, faster_than: float = 0.05, **arguments: Any
+    ) -> AsyncIterator[asyncio.Task[Verdict]]:
+        """A motion in the middle of which a joint moves faster than `faster_than`, rad/s."""
         task = asyncio.create_task(self.do(name, **arguments))
-        await self.until(lambda: task.done() or self.speed() > 0.05)
+        await self.until(lambda: task.done() or self.speed() > faster_than)
         assert not task.done(), task.result()
         yield task
         await task
