@@ -139,9 +139,17 @@ class AccessSettings(Table, frozen=True, forbid_unknown_fields=True):
 
 
 class JournalSettings(Table, frozen=True, forbid_unknown_fields=True):
-    """The journal; not `durable`, decisions survive a kill but not a power cut: for benchmarks."""
+    """The journal.
+
+    Attributes:
+        durable: Without it decisions survive a kill but not a power cut: for benchmarks.
+        warn_free_mb: With less free space on its disk the daemon warns, MB.
+        least_free_mb: With less it accepts no state change any more; Stop, events and what runs still have room, MB.
+    """
 
     durable: bool = True
+    warn_free_mb: Annotated[float, msgspec.Meta(ge=0.0)] = 1000.0
+    least_free_mb: Annotated[float, msgspec.Meta(ge=0.0)] = 100.0
 
 
 class MetricsSettings(Table, frozen=True, forbid_unknown_fields=True):

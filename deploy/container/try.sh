@@ -32,7 +32,7 @@ podman volume create try-journal >/dev/null
 podman run --detach --name try-router "${closed[@]}" --network-alias router --publish 127.0.0.1:7449:7449 \
     --volume "$work/router:/identity:ro" --volume "$register:/register.json:ro" \
     "$image" pcmrs-router --identity /identity --register /register.json --listen tls/0.0.0.0:7449
-podman run --detach --name try-cell "${closed[@]}" --stop-timeout 30 \
+podman run --detach --name try-cell "${closed[@]}" --ulimit rtprio=20:20 --stop-timeout 30 \
     --volume "$work/cell1:/identity:ro" --volume "$register:/register.json:ro" --volume try-journal:/var/lib/pcmrs \
     --health-cmd 'pcmrs health' --health-interval disable \
     "$image" pcmrs-serve --set access.identity=/identity --set access.register=/register.json \

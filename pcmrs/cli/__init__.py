@@ -18,6 +18,7 @@ COMMANDS = {
     "cells": "pcmrs.cli.cells:cells",
     "console": "pcmrs.cli.console:console",
     "health": "pcmrs.cli.health:health",
+    "doctor": "pcmrs.cli.doctor:doctor",
     "stop": "pcmrs.cli.cell:stop",
     "journal": "pcmrs.cli.journal:journal",
     "fsm": "pcmrs.cli.fsm:fsm",

@@ -34,6 +34,11 @@ def test_secrets_and_settings_are_mounted_for_reading_only(name: str) -> None:
         assert mount.endswith(":ro") or not mount.startswith("."), mount
 
 
+def test_only_the_cell_may_take_the_real_time_policy() -> None:
+    assert [name for name, service in SERVICES.items() if "rtprio" in service["ulimits"]] == ["cell"]
+    assert SERVICES["cell"]["ulimits"].items() > SERVICES["sim"]["ulimits"].items()
+
+
 def test_only_the_router_is_dialled_and_the_devices_are_nobody_else_s() -> None:
     assert [name for name, service in SERVICES.items() if "ports" in service] == ["router"]
     assert SERVICES["sim"]["networks"] == ["devices"]

@@ -1,0 +1,56 @@
+"""`pcmrs doctor`: whether this machine has what a cell needs, and what to do where it has not."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from pcmrs.cli.options import config_options, json_option
+from pcmrs.cli.printing import print_report
+from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors
+
+if TYPE_CHECKING:
+    from pcmrs.doctor import Examination
+
+STATUS = {"good": 0, "warning": EXIT_REJECTED, "bad": EXIT_FAILED}
+COLOURS = {"good": "green", "warning": "yellow", "bad": "red"}
+
+
+@click.command()
+@json_option
+@config_options
+@readable_errors
+def doctor(as_json: bool, file: Path | None, overrides: tuple[str, ...]) -> None:
+    """Check whether this machine has what the configured cell needs; nothing is changed.
+
+    Scheduling, kernel, limits, clock source, fsync time and free space of the disk, ports, extras, devices and
+    certificates. Run it as the user, in the service or container, that runs the daemon: limits are theirs.
+
+    Exit status: 0 all good, 1 it works, with warnings, 2 something is bad, 4 the configuration cannot be used.
+    """
+    from pcmrs.doctor import examine
+    from pcmrs.settings import read_settings
+
+    found = examine(read_settings(file, overrides))
+    print_report(found, doctor_table(found), as_json=as_json)
+    sys.exit(STATUS[found.verdict])
+
+
+def doctor_table(found: Examination) -> Table:
+    """One row for each finding; below one that is not good, what to do."""
+    table = Table(box=SIMPLE_HEAD)
+    for name in ("check", "verdict"):
+        table.add_column(name, no_wrap=True)
+    table.add_column("found", overflow="fold")
+    for finding in found.findings:
+        text = Text(finding.found)
+        if finding.remedy:
+            text.append(f"\n→ {finding.remedy}")
+        table.add_row(Text(finding.check), Text(finding.verdict, style=COLOURS[finding.verdict]), text)
+    return table

@@ -1,0 +1,6 @@
+"""Whether a machine has what a cell needs, before anything moves: `pcmrs doctor`."""
+
+from pcmrs.doctor.examination import Examination, examine
+from pcmrs.doctor.finding import Finding
+
+__all__ = ["Examination", "Finding", "examine"]

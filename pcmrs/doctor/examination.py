@@ -1,0 +1,50 @@
+"""All checks, and what they come to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pcmrs.doctor.disk import disk, free_space
+from pcmrs.doctor.finding import Finding, Verdict
+from pcmrs.doctor.machine import clock_source, kernel, limits, scheduling
+from pcmrs.doctor.surroundings import certificates, devices, extras, is_running, ports
+from pcmrs.messages import Message
+from pcmrs.settings import Settings
+
+
+class Examination(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """What a machine has of what a cell needs.
+
+    Attributes:
+        verdict: The worst of the findings.
+        findings: In the order in which they were made.
+    """
+
+    verdict: Verdict
+    findings: list[Finding]
+
+
+def examine(settings: Settings) -> Examination:
+    """Looks at this machine for the cell of a configuration; changes nothing, and asks no device for anything.
+
+    Args:
+        settings: Of the cell.
+    """
+    findings = list(_findings(settings))
+    verdicts = {finding.verdict for finding in findings}
+    verdict: Verdict = "bad" if "bad" in verdicts else "warning" if "warning" in verdicts else "good"
+    return Examination(verdict=verdict, findings=findings)
+
+
+def _findings(settings: Settings) -> Iterator[Finding]:
+    running, folder = is_running(settings), settings.cell.path()
+    yield from scheduling()
+    yield from kernel()
+    yield from limits()
+    yield from clock_source()
+    yield from disk(folder)
+    yield from free_space(folder, settings.journal.warn_free_mb * 1e6, settings.journal.least_free_mb * 1e6)
+    yield from ports(settings, running=running)
+    yield from extras(settings)
+    yield from devices(settings, running=running)
+    yield from certificates(settings)

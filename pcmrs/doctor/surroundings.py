@@ -1,0 +1,209 @@
+"""What a cell needs around it: free ports, installed extras, devices, and certificates that hold."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import socket
+import stat
+from collections.abc import Iterator, Mapping
+from importlib.metadata import PackageNotFoundError, entry_points, requires, version
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from pcmrs.clock import SystemClock
+from pcmrs.console.settings import HOST
+from pcmrs.doctor.finding import Finding, bad, good, warning
+from pcmrs.errors import ConfigurationError
+from pcmrs.hosts import is_loopback
+from pcmrs.service.health_report import ENDS_SOON
+from pcmrs.service.metrics import HOST as METRICS_HOST
+from pcmrs.settings import DRIVER_SETTINGS, Settings
+
+EXTRAS: Final = {
+    "sim": ("sim",),
+    "ndi": ("hardware",),
+    "plus": ("hardware",),
+    "lsl": ("hardware",),
+    "trigger": ("hardware",),
+    "ros2": ("ros2",),
+}
+"""Driver to the extras of the distribution that it needs."""
+DIALLED: Final = ("ndi", "plus")
+"""Devices that take a second client for a moment. A cabinet takes one, and may end its application when that goes."""
+DIAL_TIME: Final = 2.0
+
+Port = tuple[str, int, socket.SocketKind, str]
+"""Host, number, kind, and the setting that has it."""
+
+
+def is_running(settings: Settings) -> bool:
+    """Whether a daemon runs this cell: then its ports are taken, and its devices are not to be dialled."""
+    try:
+        with (settings.cell.path() / "lock").open() as lock:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def ports(settings: Settings, *, running: bool) -> Iterator[Finding]:
+    """Whether everything that the daemon binds is free."""
+    wanted = list(_ports(settings))
+    if running:
+        yield good("ports", "the daemon of this cell runs and has them")
+        return
+    taken = False
+    for host, port, kind, setting in wanted:
+        if why := _why_not_bound(host, port, kind):
+            taken = True
+            name = "TCP" if kind == socket.SOCK_STREAM else "UDP"
+            remedy = f"`ss -lntup 'sport = :{port}'` says who has it: end that program, or set {setting}."
+            yield bad("ports", f"{name} port {port} of {host} cannot be bound: {why}", remedy)
+    if not taken:
+        yield good("ports", f"{', '.join(str(port) for _, port, *_ in wanted)} are free")
+
+
+def extras(settings: Settings, wanted: Mapping[str, tuple[str, ...]] = EXTRAS) -> Iterator[Finding]:
+    """Whether the packages are installed that drivers and page need."""
+    needed = {extra for driver in settings.drivers() for extra in wanted.get(driver, ())}
+    for extra in sorted(needed | ({"console"} if settings.console.enabled else set())):
+        missing = [name for name in _packages(extra) if not _is_installed(name)]
+        if not missing:
+            yield good("extras", f"{extra}: installed")
+        elif extra == "console":
+            remedy = f'`pip install "pcmrs[{extra}]"`, or set console.enabled=false.'
+            yield warning("extras", f"{extra}: {', '.join(missing)} is missing; no page is served", remedy)
+        else:
+            remedy = f'`pip install "pcmrs[{extra}]"` in the environment of pcmrs-serve.'
+            yield bad("extras", f"{extra}: {', '.join(missing)} is missing", remedy)
+
+
+def devices(settings: Settings, *, running: bool) -> Iterator[Finding]:
+    """Whether the addresses of the devices lead somewhere; nothing is asked of a device itself."""
+    if running:
+        yield good("devices", "the daemon of this cell has them: `pcmrs health` says how they are")
+        return
+    for driver, served in settings.drivers().items():
+        table: Mapping[str, Any] = getattr(settings, driver, {})
+        name = f"{driver} ({', '.join(served)})"
+        if place := _place(driver, table):
+            yield _serial(name, place) if isinstance(place, Path) else _network(driver, name, *place)
+        else:
+            yield good("devices", f"{name}: no address to look at")
+
+
+def certificates(settings: Settings) -> Iterator[Finding]:
+    """Whether the identity can be used, is registered, and does not end soon."""
+    if not settings.access.is_open:
+        yield good("certificates", "none: the cell is reached from this machine only")
+        return
+    try:
+        own = settings.bus("router").credentials
+    except ConfigurationError as error:
+        remedy = "`pcmrs pki issue` makes an identity, `pcmrs pki list` shows the register: docs/access.md."
+        yield bad("certificates", error.text, remedy)
+        return
+    days = 0.0 if own is None else (own.ends - SystemClock().wall()) / 86400.0
+    if days * 86400.0 < ENDS_SOON:
+        remedy = "Have a new one issued, `pcmrs pki issue`, and restart the daemon."
+        yield warning("certificates", f"the daemon's ends in {days:.1f} days", remedy)
+    else:
+        yield good("certificates", f"the daemon's is registered, and ends in {days:.0f} days")
+
+
+def _ports(settings: Settings) -> Iterator[Port]:
+    tcp, udp = socket.SOCK_STREAM, socket.SOCK_DGRAM
+    for setting, endpoints in (("cell.endpoint", (settings.cell.endpoint,)), ("access.listen", settings.access.listen)):
+        for endpoint in endpoints:
+            host, _, number = endpoint.partition("/")[2].rpartition(":")
+            yield host.strip("[]"), int(number), tcp, setting
+    gateway = settings.gateway
+    for link in ("planner", "robot", "visualization", "mixed_reality", "mep"):
+        if port := getattr(gateway, link).port:
+            yield gateway.host, port, udp, f"gateway.{link}.port"
+    if gateway.tcp_port:
+        yield gateway.host, gateway.tcp_port, tcp, "gateway.tcp_port"
+    if gateway.openigtlink.enabled and gateway.openigtlink.role == "server" and gateway.openigtlink.port:
+        yield gateway.host, gateway.openigtlink.port, tcp, "gateway.openigtlink.port"
+    if settings.console.enabled:
+        yield HOST, settings.console.port, tcp, "console.port"
+    if settings.metrics.port:
+        yield METRICS_HOST, settings.metrics.port, tcp, "metrics.port"
+
+
+def _why_not_bound(host: str, port: int, kind: socket.SocketKind) -> str:
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=kind)[0]
+        with socket.socket(family, kind) as tried:
+            if kind == socket.SOCK_STREAM:
+                tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as servers do
+            tried.bind(address)
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
+def _packages(extra: str) -> list[str]:
+    ending = f'extra == "{extra}"'
+    lines = [each.replace("'", '"') for each in requires("pcmrs") or []]
+    return [_name(line) for line in lines if line.endswith(ending)]
+
+
+def _name(requirement: str) -> str:
+    return next(requirement[:at] for at, letter in enumerate(requirement) if not (letter.isalnum() or letter in "-_."))
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        version(package)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def _place(driver: str, table: Mapping[str, Any]) -> Path | tuple[str, int] | None:
+    """Where a driver looks for its device, by its table with the driver's defaults; None where that has no address."""
+    points = entry_points(group=DRIVER_SETTINGS, name=driver)
+    if not points:
+        return None  # the driver of another distribution, without a table
+    found = msgspec.convert(table, points[driver].load())
+    if driver == "ndi":
+        host, _, port = found.device.rpartition(":")
+        return Path(found.device) if found.device.startswith("/") else (host, int(port))
+    if driver in ("kst", "plus"):
+        return found.host, found.port
+    return Path(found.port) if driver == "trigger" and found.port else None
+
+
+def _serial(name: str, path: Path) -> Finding:
+    try:
+        there = stat.S_ISCHR(path.stat().st_mode)
+    except OSError as error:
+        remedy = "See to its cable; `ls /dev/tty*` shows what there is, deploy/cable/70-pcmrs.rules gives it a name."
+        return bad("devices", f"{name}: {path}: {error.strerror}", remedy)
+    if there and os.access(path, os.R_OK | os.W_OK):
+        return good("devices", f"{name}: {path} is there and may be used")
+    remedy = "Add the user who runs the daemon to the group dialout; for the unit, serial.conf of deploy/systemd."
+    return bad("devices", f"{name}: {path} may not be used", remedy)
+
+
+def _network(driver: str, name: str, host: str, port: int) -> Finding:
+    where = f"{name}: {host}:{port}"
+    if is_loopback(host):
+        return good("devices", f"{where} is this machine: a virtual device")
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.connect((host, port))  # sends nothing
+            way = f"{where} is reached from {probe.getsockname()[0]}"
+        if driver not in DIALLED:
+            return good("devices", f"{way}; it is not dialled, since it takes one client only")
+        with socket.create_connection((host, port), DIAL_TIME):
+            return good("devices", f"{way} and answers")
+    except OSError as error:
+        remedy = "See to its power, cable and address, and to the drop-in network.conf of the unit: docs/devices.md."
+        return bad("devices", f"{where}: {error.strerror or error}", remedy)
