@@ -16,7 +16,7 @@ from pcmrs.campaign.saboteur import order, sabotaged
 from pcmrs.campaign.samples import sample, slope
 from pcmrs.clock import Clock
 from pcmrs.errors import PcmrsError
-from pcmrs.experiment.process import descendants
+from pcmrs.experiment.process import nodes_of
 
 WARM_UP = 0.2
 """Share of the time before anything is compared: caches fill, modules are loaded."""
@@ -133,7 +133,7 @@ async def _look(
 ) -> Seen:
     begun, period = clock.monotonic(), max(1.0, length / SAMPLES)
     seen: Seen = []
-    nodes = descendants(cell.process.pid)[:1]
+    nodes = nodes_of(cell.process.pid)
     while (now := clock.monotonic() - begun) < length and not operating.done():
         for process, pid in (("daemon", cell.process.pid), *(("node", node) for node in nodes)):
             taken = msgspec.structs.asdict(sample(pid))

@@ -94,6 +94,11 @@ def descendants(pid: int) -> list[int]:
     return found + [below for child in found for below in descendants(child)]
 
 
+def nodes_of(pid: int) -> list[int]:
+    """Ids of the device nodes of a daemon."""
+    return [found for found in descendants(pid) if b"\0node\0" in Path(f"/proc/{found}/cmdline").read_bytes()]
+
+
 def free_port() -> int:
     """A port on which nobody listens, TCP and UDP; below those that Linux gives to whoever names none."""
     while True:

@@ -27,6 +27,7 @@ from pcmrs.service.audit import audit
 from pcmrs.service.companion import Companion
 from pcmrs.service.console import is_served, open_console
 from pcmrs.service.counters import Source, counted
+from pcmrs.service.heart import HeartProcess
 from pcmrs.service.inspection import Inspection
 from pcmrs.service.metrics import MetricsServer
 from pcmrs.service.nodes import NodeProcesses
@@ -110,16 +111,20 @@ class Daemon:
             stack.push_async_callback(conclude, recorder)
             supervisor = Supervisor(machine)
             clocks = Clocks(clock, machine)
-            procedure = RunningProcedure(bus, settings, recovered.workflow, recorder, clocks, supervisor)
+            heart = HeartProcess(settings.bus("client"), machine)
+            procedure = RunningProcedure(bus, settings, recovered.workflow, recorder, clocks, supervisor, heart)
             dispatcher = procedure.dispatcher
+            heart.report = dispatcher.report_later
             recovered.give_to(dispatcher, journal)
             recorder.attach(dispatcher.procedure)
             children = _child_processes(settings, session, procedure, machine)
             nodes, recording, console = await stack.enter_async_context(children)
+            stack.push_async_callback(heart.stop)
             asyncio.get_running_loop().set_exception_handler(supervisor.take_stray)
             await stack.enter_async_context(supervisor)
             supervisor.start("journal", lambda: keep_journal(journal, recorder, dispatcher, machine))
             procedure.start()
+            heart.start(supervisor)
             nodes.start(supervisor)
             await procedure.hearing.wait()
             stalls = StallWatch(dispatcher.report_later, procedure.moving, machine)

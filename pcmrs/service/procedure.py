@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
 from dataclasses import dataclass
 
 import structlog
@@ -11,6 +10,7 @@ from pcmrs.clock import Clock
 from pcmrs.devices.dwell import DwellPointer
 from pcmrs.devices.jumps import PoseLimits
 from pcmrs.devices.link import Link
+from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.remote import RemoteEmg, RemotePointer, RemoteRobot, RemoteStimulator
 from pcmrs.dispatcher import Dispatcher, Recorder, Workflow
@@ -23,7 +23,7 @@ from pcmrs.service.abandoned import AbandonedWatch
 from pcmrs.service.core import GatewayCore
 from pcmrs.service.health import HealthWatch
 from pcmrs.service.hearing import Hearing, awaited
-from pcmrs.service.heartbeat import Heartbeat
+from pcmrs.service.heart import Heart, LoopHeart
 from pcmrs.service.lease import LeaseWatch
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.reference import ReferenceWatch
@@ -63,9 +63,10 @@ class RunningProcedure:
         recorder: The journal.
         clocks: Of the cell and of the machine.
         supervisor: Its tasks run there, and it reports to the dispatcher from now on.
+        heart: Sends the signs of life of the loop; by default the loop itself does.
 
     Attributes:
-        session: Of this start of the daemon, random; in its heartbeats.
+        session: Of this start of the daemon, as its heartbeats have it.
         cell: Devices and poses.
         dispatcher: Takes commands.
         core: The same as the gateway sees it.
@@ -84,8 +85,10 @@ class RunningProcedure:
         recorder: Recorder,
         clocks: Clocks,
         supervisor: Supervisor,
+        heart: Heart | None = None,
     ) -> None:
-        self.session = uuid.uuid4().hex
+        heart = heart or LoopHeart(link.publish, clocks.machine)
+        self.session = heart.session
         self._link = link
         self._supervisor = supervisor
         self.cell = open_cell(settings, link, clocks)
@@ -104,7 +107,7 @@ class RunningProcedure:
         self.hearing = Hearing(awaited(settings, workflow.blueprint.branches), clocks.machine)
         dispatcher = self.dispatcher
         self.watch = RobotWatch(
-            Heartbeat(link.publish, self.session, clocks.machine).beat,
+            heart.sign,
             self.connected,
             lambda: dispatcher.in_doubt,
             dispatcher.report,
@@ -180,6 +183,8 @@ class RunningProcedure:
         self.hearing.hear("robot")
 
     def _take_beat(self, key: str, _beat: NodeBeat) -> None:
+        if key == DAEMON_BEAT:
+            return  # of its own heart
         device = key.split("/")[1]
         self.heard[device] = self._machine.monotonic()
         if device == "robot":

@@ -98,8 +98,13 @@ class ServeProcess:
         return run_pcmrs(words[0], *address, *words[1:])
 
     def children(self) -> list[int]:
-        """Ids of the daemon's child processes: the device nodes."""
-        return _children(self.process.pid)
+        """Ids of the daemon's child processes but its heart: the device nodes, and recorder and console if they run."""
+        return [pid for pid in _children(self.process.pid) if pid != self.heart()]
+
+    def heart(self) -> int:
+        """Id of the process that sends the daemon's heartbeats."""
+        found = _children(self.process.pid)
+        return next(pid for pid in found if b"pcmrs.bus.heart" in Path(f"/proc/{pid}/cmdline").read_bytes())
 
     def end(self, number: int = signal.SIGTERM) -> int:
         """Sends a signal and returns the exit status."""

@@ -25,7 +25,7 @@ def _rows(folder: Path) -> list[JournalRow]:
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.nightly)])
 async def test_a_signal_holds_the_motion_before_everything_ends(tmp_path: Path, number: int) -> None:
     with running_daemon([*own_settings(tmp_path), *SLOW], tmp_path) as daemon:
-        nodes = daemon.children()
+        nodes = [*daemon.children(), daemon.heart()]
         async with daemon.client() as client:
             await register(client)
             async with moving(client) as approach:
@@ -47,7 +47,7 @@ async def test_nodes_end_by_themselves_after_the_daemon_is_killed_and_its_succes
 ) -> None:
     settings = [*own_settings(tmp_path), *SLOW]
     with running_daemon(settings, tmp_path) as daemon:
-        nodes = daemon.children()
+        nodes = [*daemon.children(), daemon.heart()]
         async with daemon.client() as client:
             planned = await client.call("registration.clear_landmarks", id="before-the-crash")
             await register(client)

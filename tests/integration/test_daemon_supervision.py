@@ -107,3 +107,25 @@ async def test_a_node_that_dies_is_begun_anew_and_the_operator_begins_anew_too(t
         assert daemon.end() == 0
         assert not is_running(successor)
         assert "Traceback" not in daemon.log
+
+
+async def test_without_its_heart_the_daemon_moves_nothing_and_with_another_it_goes_on(tmp_path: Path) -> None:
+    with running_daemon([*own_settings(tmp_path), *SLOW], tmp_path) as daemon:
+        async with daemon.client() as client:
+            await register(client)
+            heart = daemon.heart()
+            async with moving(client) as approach:
+                os.kill(heart, signal.SIGSTOP)
+                verdict = await approach
+            assert (verdict.decision, verdict.state) == ("failed", "held")
+            assert await asyncio.to_thread(wait_until, lambda: told(daemon, "daemon_silent"))
+            await held_until_acknowledged(client)
+            await accept(client, "robot.acknowledge")
+            assert (await client.call("placement.back_off")).decision == "failed", "nobody would stop it"
+            os.kill(heart, signal.SIGKILL)
+            assert await asyncio.to_thread(wait_until, lambda: told(daemon, "heart_restarted"))
+            async with asyncio.timeout(PATIENCE):
+                while (await client.call("placement.back_off")).decision != "accepted":  # noqa: ASYNC110
+                    await asyncio.sleep(0.2)
+        assert daemon.end() == 0
+        assert "Traceback" not in daemon.log
