@@ -9,14 +9,18 @@ from collections.abc import Callable, Sequence
 from contextlib import AsyncExitStack, suppress
 from importlib.metadata import entry_points
 
+from pcmrs.background import meanwhile
 from pcmrs.bus import Bus
 from pcmrs.bus.stop import StopLane
 from pcmrs.clock import SystemClock
 from pcmrs.config import as_table
 from pcmrs.devices.node import DeviceNode
 from pcmrs.devices.protocols import OpenDriver
-from pcmrs.settings import DRIVERS, Settings
-from pcmrs.threads import Threads
+from pcmrs.settings import DRIVERS, SIMULATION, Settings
+from pcmrs.threads import Priority, RealTime, Threads
+
+ACTING = frozenset({"robot", "stimulator"})
+"""Devices that somebody must be able to stop at any time."""
 
 
 async def serve_devices(settings: Settings, driver: str, devices: Sequence[str], *, lifeline: bool) -> None:
@@ -48,6 +52,10 @@ async def serve_devices(settings: Settings, driver: str, devices: Sequence[str],
         lane = await StopLane.open(settings.bus("client"), node.stop)
         stack.push_async_callback(lane.close)
         bus.alive(f"node-{driver}")
+        if ACTING.intersection(devices):
+            # The simulated cell computes in this process: only the threads of the bus go ahead of others then.
+            realtime = RealTime(Priority.DEVICE, main=driver != SIMULATION)
+            await stack.enter_async_context(meanwhile(realtime.keep(SystemClock().sleep), "real-time policy"))
         serving = asyncio.create_task(node.run())
         ending = asyncio.create_task(ended.wait())
         await asyncio.wait([serving, ending], return_when=asyncio.FIRST_COMPLETED)

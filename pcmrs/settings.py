@@ -30,6 +30,8 @@ from pcmrs.workflows.settings import ProcedureSettings
 DRIVERS = "pcmrs.drivers"
 DRIVER_SETTINGS = "pcmrs.driver_settings"
 
+SIMULATION = "sim"
+"""The driver of the simulated cell."""
 DEVICES = ("robot", "tracker", "pointer", "scene", "stimulator", "emg")
 TABLES = ("sim", "kst", "ndi", "plus", "lsl", "trigger", "ros2")
 """Drivers that have a table of their own."""

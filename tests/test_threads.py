@@ -43,6 +43,7 @@ def test_processes_that_share_a_processor_wait_for_it_and_the_machine_has_more_t
             assert child.stdout is not None
             assert child.stdout.readline() == b"here\n"
         measured = [Threads(child.pid) for child in pair]
+        assert [threads.waited() for threads in measured] == [0.0, 0.0], "it counts from the first call"
         for child in pair:
             assert child.stdin is not None
             child.stdin.write(b"\n")

@@ -41,6 +41,7 @@ from pcmrs.service.showing import setup_of
 from pcmrs.service.stall import StallWatch
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.settings import Settings
+from pcmrs.threads import NOT_PERMITTED, Priority, RealTime
 from pcmrs.workflows import open_workflow
 
 log = structlog.get_logger(__name__)
@@ -158,6 +159,7 @@ class Daemon:
                 recording.start(supervisor)
             if is_served(settings):
                 console.start(supervisor)
+            supervisor.start("real-time policy", lambda: go_ahead(machine))
             supervisor.start("health", lambda: tell_health(bus, inspection.health, machine))
             if earlier:
                 supervisor.spawn("audit", audit(journal.reader.path, dispatcher.report_later))
@@ -215,6 +217,16 @@ def _ready(
         listen=settings.access.listen,
         routers=settings.access.routers,
     )
+
+
+async def go_ahead(machine: Clock) -> None:
+    """Gives the real-time policy to the loop and the threads of the bus; says once what is missing where it may not."""
+    realtime = RealTime(Priority.LOOP)
+    try:
+        realtime.give()
+    except PermissionError:
+        log.warning("no_real_time_policy", text=NOT_PERMITTED)
+    await realtime.keep(machine.sleep)
 
 
 def _tell_counters(sources: Iterable[Source]) -> None:

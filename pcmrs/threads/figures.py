@@ -50,15 +50,17 @@ class Threads:
 
     def __init__(self, pid: int | None = None) -> None:
         self._folder = Path(f"/proc/{pid or os.getpid()}/task")
-        self._before = self.figures()
+        self._before: dict[int, Figures] | None = None
 
     def figures(self) -> dict[int, Figures]:
         """Thread id to figures; empty where the process has ended or the kernel keeps none."""
         return {thread: _figures(text) for thread, text in self._read("schedstat")}
 
     def waited(self) -> float:
-        """The longest that one of the threads has waited for a processor since the last call, in all, s."""
+        """The longest that one of the threads has waited for a processor since the last call, in all, s; 0 at first."""
         before, self._before = self._before, self.figures()
+        if before is None:
+            return 0.0
         none = Figures(0.0, 0.0)
         return max(
             (each.waited - before.get(thread, none).waited for thread, each in self._before.items()), default=0.0

@@ -1,0 +1,118 @@
+"""The real-time policy: who gets it, who inherits it, and from whom it is taken."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+
+import pytest
+
+from pcmrs.threads import Priority, Runaways
+
+REALTIME = os.SCHED_RR | os.SCHED_RESET_ON_FORK
+
+
+def permitted() -> bool:
+    found: list[bool] = []
+
+    def attempt() -> None:
+        with suppress(PermissionError):
+            os.sched_setscheduler(0, REALTIME, os.sched_param(Priority.HEART))
+            found.append(True)
+
+    thread = threading.Thread(target=attempt)
+    thread.start()
+    thread.join()
+    return bool(found)
+
+
+needs_permission = pytest.mark.skipif(not permitted(), reason="SCHED_RR is not permitted to this user")
+
+GIVEN = """
+import asyncio, os, subprocess, sys, threading
+from concurrent.futures import ThreadPoolExecutor
+from pcmrs.threads import Priority, RealTime
+
+async def run():
+    ended = threading.Event()
+    sending = ThreadPoolExecutor(1, thread_name_prefix="pcmrs-bus")
+    working = ThreadPoolExecutor(1, thread_name_prefix="planning")
+    for pool in (sending, working):
+        pool.submit(int).result()
+    keeping = asyncio.create_task(RealTime(Priority.LOOP, main={main}).keep(asyncio.sleep))
+    await asyncio.sleep(0)
+    own = "import os; print(os.sched_getscheduler(0))"
+    child = subprocess.run([sys.executable, "-c", own], capture_output=True, check=True)
+    threads = [thread.native_id for pool in (sending, working) for thread in pool._threads]
+    print(*map(os.sched_getscheduler, (0, *threads)), child.stdout.decode())
+    keeping.cancel()
+
+asyncio.run(run())
+"""
+
+
+@needs_permission
+@pytest.mark.parametrize("main", [True, False])
+def test_loop_and_bus_have_the_policy_and_neither_workers_nor_children(main: bool) -> None:
+    said = subprocess.run([sys.executable, "-c", GIVEN.format(main=main)], capture_output=True, text=True, check=True)
+    expected = (REALTIME if main else os.SCHED_OTHER, REALTIME, os.SCHED_OTHER, os.SCHED_OTHER)
+    assert [int(word) for word in said.stdout.split()] == list(expected), "loop, bus, worker, child"
+
+
+WITHOUT = """
+import os, resource
+resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+if os.getuid() == 0:
+    os.setuid(65534)
+"""
+
+
+def test_without_the_permission_it_says_so_and_the_process_works_on() -> None:
+    code = """
+import asyncio
+from pcmrs.threads import Priority, RealTime
+realtime = RealTime(Priority.LOOP)
+async def run():
+    keeping = asyncio.create_task(realtime.keep(asyncio.sleep))
+    await asyncio.sleep(0)
+    assert not keeping.done()
+    keeping.cancel()
+    try:
+        realtime.give()
+    except PermissionError:
+        print("refused")
+asyncio.run(run())
+"""
+    imports = "from pcmrs.threads import Priority, RealTime\nimport asyncio\n"
+    command = [sys.executable, "-c", imports + WITHOUT + code]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "refused\n"
+
+
+RUNS_AWAY = "import threading\nt = threading.Thread(target=input)\nt.start()\nwhile t.is_alive(): pass"
+RESTS = "input()"
+
+
+@needs_permission
+def test_a_thread_that_runs_away_loses_the_policy_and_one_that_rests_keeps_it() -> None:
+    begin = f"import os; os.sched_setscheduler(0, {REALTIME}, os.sched_param(10))\nprint('here', flush=True)\n"
+    with (
+        subprocess.Popen([sys.executable, "-c", begin + RUNS_AWAY], stdin=-1, stdout=-1) as runaway,
+        subprocess.Popen([sys.executable, "-c", begin + RESTS], stdin=-1, stdout=-1) as resting,
+    ):
+        pair = (runaway, resting)
+        for child in pair:
+            assert child.stdout is not None
+            assert child.stdout.readline() == b"here\n"
+        watch = Runaways(lambda: [child.pid for child in pair])
+        while not (found := watch.look(time.monotonic())):
+            assert os.sched_getscheduler(runaway.pid) == REALTIME
+            time.sleep(0.02)
+        assert [(each.process, each.thread) for each in found] == [(runaway.pid, runaway.pid)]
+        assert os.sched_getscheduler(runaway.pid) == os.SCHED_OTHER
+        assert os.sched_getscheduler(resting.pid) == REALTIME
+        for child in pair:
+            child.communicate(b"\n")
