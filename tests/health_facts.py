@@ -25,7 +25,7 @@ WELL = HealthFacts(
     console="",
     metrics="",
     certificate=None,
-    journal=JournalStatus(waiting=1, oldest_wait=0.002),
+    journal=JournalStatus(waiting=1, oldest_wait=0.002, free=5e9),
     tasks=[
         TaskStanding(name="journal", answers=True, restarts=0),
         TaskStanding(name="reference watch", answers=True, restarts=2),

@@ -44,13 +44,14 @@ class LoopDisk:
     path: Path
     image: Path
 
-    def fill(self) -> None:
-        """Takes all the space that is left; `release` gives it back."""
+    def fill(self, leaving: int = 0) -> None:
+        """Takes all the space that is left but for some bytes; `release` gives it back."""
         with (self.path / RESERVE).open("wb", buffering=0) as reserve:
             for size in (1 << 20, 1 << 12, 1):
                 with suppress(OSError):
                     while reserve.write(bytes(size)):
                         continue
+            reserve.truncate(max(0, reserve.tell() - leaving))
             with suppress(OSError):
                 os.fsync(reserve.fileno())
 

@@ -42,6 +42,8 @@ def _overview(health: Health) -> Table:
         _add(table, f"until {latency.decision}", _latency(latency))
     waiting = f"{journal.waiting} rows wait, the oldest for {journal.oldest_wait:.3f} s"
     _add(table, "journal", journal.failure or waiting)
+    if journal.free is not None:
+        _add(table, "disk", f"{journal.free / 1e9:.1f} GB free")
     _add(table, "loop", f"{loop.lag:.3f} s late, {loop.stalls} stalls, the longest {loop.longest:.2f} s")
     queues = ", ".join(f"{each.queue} {each.depth} of {each.limit}" for each in health.queues)
     _add(table, "queues", queues)

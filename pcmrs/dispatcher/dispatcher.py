@@ -12,7 +12,7 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.activities import Activities
-from pcmrs.dispatcher.admission import check_fresh, check_role, find_operation, read_payload
+from pcmrs.dispatcher.admission import EVENT_SOURCES, check_fresh, check_role, find_operation, read_payload
 from pcmrs.dispatcher.attempt import Attempt, locks_for
 from pcmrs.dispatcher.decisions import Conclusion, Decisions, reason_for
 from pcmrs.dispatcher.events import DAEMON, REOPENED, SHUTDOWN, failed, not_confirmed, stopped
@@ -90,6 +90,7 @@ class Dispatcher(Generic[C, D]):
         )
         self._missed: dict[tuple[str, str], Command] = {}
         self._broken: Reason | None = None
+        self._suspended: Reason | None = None
         self._break_listeners: list[Callable[[], None]] = []
         self._stop_listeners: list[Callable[[], None]] = []
         self.in_doubt = False
@@ -141,7 +142,7 @@ class Dispatcher(Generic[C, D]):
             attempt, answer = self._attempt(command, asyncio.get_running_loop().create_future())
         except PcmrsError as error:
             return Prospect(reason=reason_of(error))
-        reason = self._barred(attempt) or _denied(answer)
+        reason = self._suspended or self._barred(attempt) or _denied(answer)
         if reason is None and (self._moves() or self._lanes.blocked(attempt)):
             text = f"Something runs, so that {attempt.name} is not looked at: ask again when it has ended."
             reason = Reason(code="busy", text=text)
@@ -233,6 +234,13 @@ class Dispatcher(Generic[C, D]):
             self._tasks.spawn(self._record_event(event))
         return reason
 
+    def suspend(self, reason: Reason | None) -> None:
+        """Rejects every command for `reason` until called again with None; Stop, events and what runs go on.
+
+        Such a rejection leaves no row: a repeat of the command is decided anew when commands are taken again.
+        """
+        self._suspended = reason
+
     async def close(self) -> None:
         """Ends the procedure: the robot is held, whatever runs is stopped, and nothing more is accepted."""
         self._broken = Reason(code=ENDING, text="The daemon is ending.")
@@ -300,6 +308,11 @@ class Dispatcher(Generic[C, D]):
 
     def _admit(self, command: Command, verdict: asyncio.Future[Verdict]) -> None:
         """Turns a command into an attempt that starts, waits or is rejected."""
+        if self._suspended is not None and not command.source.startswith(EVENT_SOURCES):
+            self._decisions.answer_unrecorded(Conclusion(command, verdict, "rejected", self._suspended))
+            self._memory.forget(command)
+            self._publish(verdict.result())
+            return
         if command.branch == LEASE:
             self._admit_lease(command, verdict)
             return

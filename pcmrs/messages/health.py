@@ -9,6 +9,8 @@ from pcmrs.messages.snapshot import BlueprintTag
 
 HealthStatus = Literal["ok", "degraded", "failed"]
 Severity = Literal["degraded", "failed"]
+Room = Literal["enough", "little", "none"]
+"""What the free space of a disk is to the journal on it."""
 
 
 class JournalStatus(Message, frozen=True, kw_only=True, omit_defaults=False):
@@ -18,11 +20,15 @@ class JournalStatus(Message, frozen=True, kw_only=True, omit_defaults=False):
         waiting: Rows that wait for the disk.
         oldest_wait: How long the first of them has waited, s of the machine.
         failure: Why it cannot be written; empty while it can.
+        free: Free space on its disk, bytes; None where nobody has looked yet.
+        room: What that means: with ``none`` no state change is accepted.
     """
 
     waiting: int
     oldest_wait: float
     failure: str = ""
+    free: float | None = None
+    room: Room = "enough"
 
 
 class TaskStanding(Message, frozen=True, kw_only=True, omit_defaults=False):

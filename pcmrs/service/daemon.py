@@ -38,6 +38,7 @@ from pcmrs.service.recorder import JournalRecorder
 from pcmrs.service.recording import open_recorder
 from pcmrs.service.recovery import conclude, keep_journal, recover
 from pcmrs.service.showing import setup_of
+from pcmrs.service.space import SpaceWatch
 from pcmrs.service.stall import StallWatch
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.settings import Settings
@@ -124,6 +125,15 @@ class Daemon:
             asyncio.get_running_loop().set_exception_handler(supervisor.take_stray)
             await stack.enter_async_context(supervisor)
             supervisor.start("journal", lambda: keep_journal(journal, recorder, dispatcher, machine))
+            space = SpaceWatch(
+                settings.cell.path(),
+                settings.journal.warn_free_mb,
+                settings.journal.least_free_mb,
+                dispatcher.suspend,
+                dispatcher.report_later,
+                machine,
+            )
+            supervisor.start("disk watch", space.run)
             procedure.start()
             heart.start(supervisor)
             nodes.start(supervisor)
@@ -140,6 +150,7 @@ class Daemon:
                 machine=machine,
                 bus=bus,
                 journal=journal,
+                space=space,
                 supervisor=supervisor,
                 procedure=procedure,
                 nodes=nodes,

@@ -66,6 +66,13 @@ def _of_journal(facts: HealthFacts) -> Iterator[HealthReason]:
         yield _failed("journal_stuck", f"{waited}: its writer is stuck.", "Look to the disk, then restart the daemon.")
     elif journal.oldest_wait > SLOW_DISK:
         yield _degraded("journal_slow", f"{waited}.", "See what else writes to that disk; use a quicker one.")
+    if journal.room != "enough":
+        text = f"{(journal.free or 0.0) / 1e6:.0f} MB are free on the disk of the journal"
+        if journal.room == "none":
+            remedy = "Make room on the disk of cell.folder; commands are taken again by themselves."
+            yield _failed("disk_full", f"{text}: no state change is accepted.", remedy)
+        else:
+            yield _degraded("disk_filling", f"{text}.", "Make room on the disk of cell.folder.")
 
 
 def _of_tasks(facts: HealthFacts) -> Iterator[HealthReason]:

@@ -31,6 +31,7 @@ from pcmrs.service.companion import Companion
 from pcmrs.service.health_report import report
 from pcmrs.service.nodes import NodeProcesses
 from pcmrs.service.procedure import RunningProcedure
+from pcmrs.service.space import MEGABYTE, SpaceWatch
 from pcmrs.service.stall import StallWatch
 from pcmrs.service.supervisor import Supervisor
 
@@ -52,6 +53,7 @@ class Inspection:
     machine: Clock
     bus: Bus
     journal: Journal
+    space: SpaceWatch
     supervisor: Supervisor
     procedure: RunningProcedure
     nodes: NodeProcesses
@@ -98,11 +100,13 @@ class Inspection:
         )
 
     def _journal(self) -> JournalStatus:
-        broken = self.journal.broken
+        broken, free = self.journal.broken, self.space.free
         return JournalStatus(
             waiting=self.journal.waiting,
             oldest_wait=self.journal.oldest_wait,
             failure="" if broken is None else broken.text,
+            free=None if free is None else free * MEGABYTE,
+            room=self.space.room,
         )
 
     def _tasks(self) -> list[TaskStanding]:

@@ -200,6 +200,8 @@ def _of_queues(health: Health) -> Iterator[Metric]:
     yield _gauge("journal_failed", "Whether the journal cannot be written.", bool(health.journal.failure))
     text = "How long the row that waits longest has waited for the disk."
     yield _gauge("journal_oldest_wait_seconds", text, health.journal.oldest_wait)
+    if health.journal.free is not None:
+        yield _gauge("journal_disk_free_bytes", "Free space on the disk of the journal.", health.journal.free)
 
 
 def _gauge(name: str, text: str, value: float) -> Metric:

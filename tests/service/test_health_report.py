@@ -17,6 +17,7 @@ from pcmrs.messages.health import (
     LoopStatus,
     NodeStatus,
     QueueStatus,
+    Room,
     TaskStanding,
 )
 from pcmrs.service.health_report import SILENCE, SLOW_DISK, STUCK_DISK, needs_restart, reasons, report
@@ -33,8 +34,8 @@ def ill(**changes: Any) -> HealthFacts:
     return replace(WELL, **changes)
 
 
-def journal(wait: float, failure: str = "") -> JournalStatus:
-    return JournalStatus(waiting=1, oldest_wait=wait, failure=failure)
+def journal(wait: float, failure: str = "", room: Room = "enough") -> JournalStatus:
+    return JournalStatus(waiting=1, oldest_wait=wait, failure=failure, free=5e7, room=room)
 
 
 def queue(depth: int) -> list[QueueStatus]:
@@ -47,6 +48,8 @@ ILLNESSES: list[tuple[HealthFacts, str, str, str]] = [
     (ill(journal=journal(0.0, "No space left.")), "failed", "journal_failed", "No space left."),
     (ill(journal=journal(STUCK_DISK + 1)), "failed", "journal_stuck", "11.0 s"),
     (ill(journal=journal(SLOW_DISK + 1)), "degraded", "journal_slow", "2.0 s"),
+    (ill(journal=journal(0.0, room="little")), "degraded", "disk_filling", "50 MB"),
+    (ill(journal=journal(0.0, room="none")), "failed", "disk_full", "no state change"),
     (ill(tasks=[*WELL.tasks, STUCK]), "failed", "task_stuck", "'reference watch'"),
     (ill(nodes=[GIVEN_UP]), "failed", "node_given_up", "tracker"),
     (ill(devices=[GONE]), "degraded", "device_not_connected", "Nothing listens there."),

@@ -29,6 +29,12 @@ COMMANDS = 5
 STALL = 2.0
 """The disk keeps a synchronisation waiting so long, s of the machine."""
 POWER_CUTS = 3
+NO_LEAST = "journal.least_free_mb=0"
+"""The disk fails, and the daemon has not refused anything before."""
+IN_TIME = 10.0
+"""So long commands may be accepted on a disk that is nearly full, s of the machine."""
+LEAST_MB = 4
+"""Of a small disk, kept free."""
 
 
 @fault("T1", how="a real ext4 disk, full", needs=loopdisk.NEEDS, deadline=SEVERAL)
@@ -41,10 +47,23 @@ async def the_disk_is_full(lab: Lab) -> Evidence:
         return await _afterwards(lab, asked, details)
 
 
+@fault("T1", how="a real ext4 disk, nearly full", needs=loopdisk.NEEDS, deadline=SEVERAL)
+async def the_disk_is_nearly_full(lab: Lab) -> Evidence:
+    """State changes are refused while there is still room for Stop, and the journal never fails."""
+    async with _on_disk(lab, least=f"journal.least_free_mb={LEAST_MB}") as (disk, asked):
+        disk.fill(leaving=LEAST_MB * 10**6 // 2)
+        details = await _refused_in_time(asked)
+        disk.release()
+        evidence = await _afterwards(lab, asked, details)
+        failed = [row for row in asked.cell.rows() if row.operation == "journal_reopened"]
+        expect(not failed, "The journal had to be reopened: the refusal came too late.")
+        return evidence
+
+
 @fault("T1", how="a real ext4 disk with journal and log of the daemon, full", needs=loopdisk.NEEDS, deadline=SEVERAL)
 async def the_disk_of_the_log_is_full(lab: Lab) -> Evidence:
     """What cannot be logged is lost; no command fails for it, and none waits."""
-    async with loop_disk(lab.folder) as disk, lab.daemon(folder=disk.path / "cell") as cell:
+    async with loop_disk(lab.folder) as disk, lab.daemon(NO_LEAST, folder=disk.path / "cell") as cell:
         asked = await _asked(cell)
         disk.fill()
         details = await _refused_sooner_or_later(asked)
@@ -205,11 +224,11 @@ async def a_foreign_lock(lab: Lab) -> Evidence:
 
 
 @asynccontextmanager
-async def _on_disk(lab: Lab, name: str = "mounted") -> AsyncIterator[tuple[LoopDisk, Asked]]:
+async def _on_disk(lab: Lab, name: str = "mounted", least: str = NO_LEAST) -> AsyncIterator[tuple[LoopDisk, Asked]]:
     """A daemon whose folder is on a disk of its own, with some rows in its journal."""
     place = lab.folder / name
     place.mkdir()
-    async with loop_disk(place) as disk, lab.daemon(f"cell.folder={disk.path}", folder=place) as cell:
+    async with loop_disk(place) as disk, lab.daemon(f"cell.folder={disk.path}", least, folder=place) as cell:
         yield disk, await _asked(cell)
         await _killed(cell)
 
@@ -239,6 +258,18 @@ async def _refused_sooner_or_later(asked: Asked) -> dict[str, object]:
     raise Unmet("Forty commands were accepted although nothing can be written.")
 
 
+async def _refused_in_time(asked: Asked) -> dict[str, object]:
+    """Response D, by the watch of the free space, which looks every second."""
+    clock = asyncio.get_running_loop().time
+    end = clock() + IN_TIME
+    while clock() < end:
+        verdict = await asked.ask("registration.plan_landmarks", **landmarks())
+        if verdict is not None and verdict.reason is not None and verdict.reason.code == "disk_full":
+            return await asked.degraded()
+        await asyncio.sleep(0.05)
+    raise Unmet(f"Commands were accepted for {IN_TIME:g} s although the disk is nearly full.")
+
+
 async def _afterwards(lab: Lab, asked: Asked, details: dict[str, object]) -> Evidence:
     """The fault has ended: the daemon goes on, or its successor does; nothing acknowledged is lost."""
     cell = asked.cell
@@ -251,7 +282,7 @@ async def _afterwards(lab: Lab, asked: Asked, details: dict[str, object]) -> Evi
 
 async def _successor(lab: Lab, cell: LabCell) -> None:
     """The next daemon on the folder begins as all do, and decides again."""
-    async with lab.daemon(f"cell.folder={cell.ready.folder}", folder=cell.folder) as successor:
+    async with lab.daemon(f"cell.folder={cell.ready.folder}", NO_LEAST, folder=cell.folder) as successor:
         _expect_initial(await successor.client.state())
         await accept(successor.client, "registration.plan_landmarks", **landmarks())
 
