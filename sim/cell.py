@@ -74,7 +74,7 @@ class Cell:
             "robot": self._robot,
             "tracker": self._tracker,
             "pointer": pointer,
-            "scene": SimScene(self.world, pointer, partial(inject, self)),
+            "scene": SimScene(self.world, pointer, partial(inject, self), self.watched),
             "stimulator": self._stimulator,
             "emg": SimEmg(self.world, clock),
         }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ import numpy as np
 from pcmrs.errors import DeviceError
 from pcmrs.messages import HeadMotion, SceneTruth
 from pcmrs.spatial import Transform
+from sim.arm import Arm
+from sim.kinematic_arm import KinematicArm
 from sim.motion import check_motion
 from sim.pointer import SimPointer
 from sim.settings import Triple
@@ -24,12 +27,28 @@ class SimScene:
         world: Holds the truth.
         pointer: Its touches can be displaced.
         inject: Brings about a fault of `sim.faults` by name with its arguments, or ends it.
+        watched: Calls a watcher whenever time has passed, as long as its context lasts.
+
+    Attributes:
+        watched: See above.
     """
 
-    def __init__(self, world: World, pointer: SimPointer, inject: Callable[[str, dict[str, Any]], None]) -> None:
+    def __init__(
+        self,
+        world: World,
+        pointer: SimPointer,
+        inject: Callable[[str, dict[str, Any]], None],
+        watched: Callable[[Callable[[], None]], AbstractContextManager[None]],
+    ) -> None:
+        self.watched = watched
         self._world = world
         self._pointer = pointer
         self._inject = inject
+
+    @property
+    def arm(self) -> Arm | KinematicArm:
+        """The simulated arm as it truly is."""
+        return self._world.arm
 
     async def truth(self) -> SceneTruth:
         return self._world.truth()

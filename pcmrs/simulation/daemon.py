@@ -95,10 +95,12 @@ class SimulatedDaemon:
         await self.link.ended()
         await self.journal.close()
 
-    def receive(self, port: int, data: bytes, answer: Callable[[str], None]) -> None:
-        """A datagram has arrived at the planner link."""
+    def receive(
+        self, port: int, data: bytes, answer: Callable[[str], None], acknowledge: Callable[[str], None] | None
+    ) -> None:
+        """A datagram has arrived at the planner link; see `SimulatedGateway.receive`."""
         if self._gateway is not None:
-            self._gateway.receive(port, data, answer)
+            self._gateway.receive(port, data, answer, acknowledge)
 
     def lose(self, devices: list[str]) -> None:
         """It notices that the process which serves these devices has ended."""

@@ -40,9 +40,11 @@ class SimulatedGateway:
         self._intake = Intake(Services(uuid4().hex, core, clock, streams, records, refusals), self._jobs, (HOST,))
         core.on_stop(self._intake.halt)
 
-    def receive(self, port: int, data: bytes, answer: Callable[[str], None]) -> None:
-        """A datagram of the planner at `port`; its verdict goes to `answer`."""
-        self._intake.receive(LINK, (HOST, port), False, data, Answer(verdict=answer, acknowledge=None))
+    def receive(
+        self, port: int, data: bytes, answer: Callable[[str], None], acknowledge: Callable[[str], None] | None
+    ) -> None:
+        """Takes a datagram of the planner at `port`; its verdict goes to `answer`, what old clients expect to the other."""
+        self._intake.receive(LINK, (HOST, port), False, data, Answer(verdict=answer, acknowledge=acknowledge))
 
     async def close(self) -> None:
         """Ends what runs."""

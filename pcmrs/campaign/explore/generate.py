@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 
+from pcmrs.campaign.explore.aiming import draw_aimed
 from pcmrs.campaign.explore.faults import FAULTS
 from pcmrs.campaign.explore.plans import GARBAGE, arbitrary
 from pcmrs.campaign.explore.script import Act, Physics, Script
@@ -16,6 +17,10 @@ FEWEST, MOST = 12, 30
 """Acts of a session."""
 CODED = 0.25
 """Part of the sessions in which every message is packed and unpacked."""
+AIMED = 0.6
+"""Part of the sessions that are aimed at windows."""
+SLOW = (0.0, 0.0, 0.1, 0.3)
+"""Parts of the windows that take time by themselves; one for each session."""
 IN_THE_MIDDLE = 0.3
 """Part of the commands that are not waited for: what comes next comes while they run."""
 
@@ -38,11 +43,14 @@ def draw_script(blueprint: Blueprint, workflow: str, seed: int, physics: Physics
         physics: Of the simulated arm.
     """
     draw = random.Random(f"session {workflow} {seed}")
+    coded, slow = draw.random() < CODED, draw.choice(SLOW)
+    if draw.random() < AIMED:
+        return Script(seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=draw_aimed(draw))
     trouble = draw.choice((0.0, 0.1, 0.25, 0.4))
     acts: list[Act] = []
     for _ in range(draw.randint(FEWEST, MOST)):
         acts.append(_act(blueprint, draw, trouble, hurry=bool(acts) and not acts[-1].waits))
-    return Script(seed=seed, workflow=workflow, physics=physics, coded=draw.random() < CODED, acts=acts)
+    return Script(seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=acts)
 
 
 def _act(blueprint: Blueprint, draw: random.Random, trouble: float, *, hurry: bool) -> Act:

@@ -11,7 +11,8 @@ from pcmrs.campaign.explore.faults import HOST, NETWORK, SCENE
 from pcmrs.campaign.explore.operators import Operators
 from pcmrs.campaign.explore.witness import Witness
 from pcmrs.errors import DeviceError, PcmrsError
-from pcmrs.simulation.cell import SimulatedCell
+from pcmrs.messages import Verdict
+from pcmrs.simulation.cell import NODE, SimulatedCell
 
 BY_HAND = 3.0
 """So long an arm moves that somebody moves from outside, s."""
@@ -127,6 +128,7 @@ class Faults:
     async def _mend_host(self, name: str) -> None:
         if name == "crash_node":
             self._cell.start_node()
+            self._witness.watcher.node_is_back(asyncio.get_running_loop().time())
         elif name in ("crash_daemon", "end_daemon"):
             await self.start_daemon()
         elif name == "failing_disk":
@@ -151,23 +153,28 @@ class Faults:
         else:
             self._witness.break_("the_daemon_starts_again", why)
         if self._cell.daemon is not None:
-            self._witness.reader = self._cell.daemon.journal.reader
+            reader = self._witness.reader = self._cell.daemon.journal.reader
+            self._witness.watcher.check_rows(lambda source, command: _decision(reader.verdict_of(source, command)))
 
     async def _crash_daemon(self, _arguments: dict[str, Any]) -> None:
-        self._witness.lose_daemon()
+        self._witness.lose_daemon(crash=self._cell.daemon is not None)
         self._operators.snapshot = None
         await self._cell.crash_daemon()
 
     async def _end_daemon(self, _arguments: dict[str, Any]) -> None:
         await self._cell.end_daemon()
-        self._witness.lose_daemon()
+        self._witness.lose_daemon(crash=False)
         self._operators.snapshot = None
 
     async def _crash_node(self, _arguments: dict[str, Any]) -> None:
+        self._witness.watcher.excuse_node(float("inf"))
         await self._cell.crash_node()
 
     async def _hold_up(self, arguments: dict[str, Any]) -> None:
-        self._cell.hold_up(str(arguments["process"]), float(arguments["seconds"]))
+        process, seconds = str(arguments["process"]), float(arguments["seconds"])
+        if process == NODE:
+            self._witness.watcher.excuse_node(asyncio.get_running_loop().time() + seconds)
+        self._cell.hold_up(process, seconds)
 
     async def _slow_disk(self, arguments: dict[str, Any]) -> None:
         self._cell.disk.delay = float(arguments["seconds"])
@@ -184,3 +191,7 @@ class Faults:
 
     async def _skew(self, arguments: dict[str, Any]) -> None:
         self._operators.clock.ahead = float(arguments["seconds"])
+
+
+def _decision(verdict: Verdict | None) -> str | None:
+    return None if verdict is None else verdict.decision

@@ -7,13 +7,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from pcmrs.campaign.explore.watcher import Watcher
 from pcmrs.errors import PayloadError, PcmrsError
-from pcmrs.gateway.commands import Value
+from pcmrs.gateway.commands import COMMANDS, Value
 from pcmrs.gateway.grammar import format_command
 from pcmrs.messages import Beat, Command, Snapshot, Verdict
 from pcmrs.planner import PlannerVerdict, parse_reply
 from pcmrs.simulation.cell import SimulatedCell
 from pcmrs.simulation.clock import SimulatedClock
+from pcmrs.simulation.daemon import SimulatedDaemon
 
 PATIENCE = 60.0
 """Nobody waits longer for a verdict, s."""
@@ -24,6 +26,8 @@ TTL = 20.0
 
 PORTS = {"anna": 40001, "ben": 40002}
 """The operators and the ports they send datagrams from."""
+OLD_PORT = 40003
+"""Of a client that only knows acknowledgements."""
 
 
 @dataclass
@@ -33,12 +37,14 @@ class Operators:
     Attributes:
         cell: They work with.
         acknowledged: Told of every verdict that reached an operator.
+        watcher: Told what arrives at the daemon's links, and what is sent back late.
         clock: Of their machine.
         snapshot: As they were shown last; None before the first and after the daemon was lost.
     """
 
     cell: SimulatedCell
     acknowledged: Callable[[Command, Verdict], None]
+    watcher: Watcher
     clock: SimulatedClock = field(init=False)
     snapshot: Snapshot | None = None
 
@@ -65,6 +71,36 @@ class Operators:
         )
         self._last[who] = lambda: self._ask(who, command)
         await self._ask(who, command)
+
+    async def reuse(self, who: str, name: str, arguments: dict[str, Any]) -> None:
+        """Asks for another operation under the id of the last command of this operator on the bus."""
+        self._number -= bool(self._number)
+        await self.operate(who, name, arguments)
+
+    def old_client(self, name: str, tokens: Sequence[Value]) -> None:
+        """Sends a string command without an id, as clients do that only know acknowledgements."""
+        daemon = self.cell.daemon
+        if daemon is None:
+            return
+        try:
+            data = format_command(name, *tokens)
+        except PayloadError:
+            return
+        loop = asyncio.get_running_loop()
+        acknowledged: list[float] = []
+
+        def answer(_text: str) -> None:
+            if acknowledged:
+                self.watcher.second(loop.time() - acknowledged[0])
+            acknowledged.append(loop.time())
+
+        self._link.send(daemon.link, self._arrive_old, name, daemon, data, answer)
+
+    def _arrive_old(self, name: str, daemon: SimulatedDaemon, data: bytes, answer: Callable[[str], None]) -> None:
+        spec = COMMANDS.get(name)
+        for step in () if spec is None else spec.steps:
+            self.watcher.arrived(f"{step.branch}.{step.operation}", asyncio.get_running_loop().time())
+        daemon.receive(OLD_PORT, data, _nowhere, answer)
 
     async def wire(self, who: str, name: str, tokens: Sequence[Value]) -> None:
         """Sends a string command, again and again until it is answered."""
@@ -111,7 +147,7 @@ class Operators:
         if daemon is None:
             return
         receive, link, port = daemon.receive, daemon.link, PORTS[who]
-        self._link.send(link, receive, port, data, lambda text: link.send(self._link, self._answered, text))
+        self._link.send(link, receive, port, data, lambda text: link.send(self._link, self._answered, text), None)
 
     def _answered(self, text: str) -> None:
         try:
@@ -124,3 +160,7 @@ class Operators:
 
     def _see(self, _key: str, snapshot: Snapshot) -> None:
         self.snapshot = snapshot
+
+
+def _nowhere(_text: str) -> None:
+    """Such a client does not listen for verdicts."""

@@ -120,8 +120,9 @@ async def _play(script: Script, path: Path, seconds: float) -> Session:
     ) as cell:
         cell.network.windows.share = script.slow
         session = Session(cell, witness, script)
-        await session.faults.start_daemon()
-        await session.play(seconds)
+        with witness.watching(cell.devices["scene"]):
+            await session.faults.start_daemon()
+            await session.play(seconds)
     return session
 
 
@@ -137,7 +138,7 @@ class Session:
         self.witness = witness
         self._cell = cell
         self._script = script
-        self._operators = Operators(cell, witness.answered)
+        self._operators = Operators(cell, witness.answered, witness.watcher)
         self.faults = Faults(cell, self._operators, witness)
         self._under_way: dict[asyncio.Task[None], None] = {}
 
@@ -195,6 +196,10 @@ class Session:
             operators.stop(who)
         elif name == "repeat":
             await operators.repeat(who)
+        elif name.startswith("reuse:"):
+            await operators.reuse(who, name.removeprefix("reuse:"), act.arguments)
+        elif name.startswith("old:"):
+            operators.old_client(name.removeprefix("old:"), tuple(act.arguments.get("tokens", ())))
         elif name == "datagram":
             operators.datagram(who, GARBAGE[int(act.arguments["number"]) % len(GARBAGE)])
         else:

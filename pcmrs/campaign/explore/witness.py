@@ -3,15 +3,30 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 from pcmrs.campaign.explore.invariants import INVARIANTS
+from pcmrs.campaign.explore.settings import DEADMAN
 from pcmrs.campaign.explore.view import Answered, Event, Fired, Moved, View
+from pcmrs.campaign.explore.watcher import Watcher
+from pcmrs.devices.motion.press import Relief
 from pcmrs.fsm import Blueprint
 from pcmrs.journal import JournalReader
-from pcmrs.messages import Command, DeviceEvent, FiredPulse, JointState, Snapshot, Verdict
+from pcmrs.messages import (
+    Command,
+    DeviceEvent,
+    FiredPulse,
+    JointState,
+    JointTrajectory,
+    MotionResult,
+    PressRequest,
+    ServoSession,
+    Snapshot,
+    Verdict,
+)
 from pcmrs.simulation.cell import Devices
 from pcmrs.simulation.daemon import ProcedureDispatcher
 
@@ -36,6 +51,7 @@ class Witness:
 
     Attributes:
         view: What is known.
+        watcher: Of the physical side.
         violation: The first one; None while there is none.
         violated: Set with it.
         reader: Of the journal, while a daemon runs.
@@ -43,6 +59,7 @@ class Witness:
 
     def __init__(self, blueprint: Blueprint) -> None:
         self.view = View(blueprint)
+        self.watcher = Watcher(self.view, self.break_, DEADMAN)
         self.violation: Violation | None = None
         self.violated = asyncio.Event()
         self.reader: JournalReader | None = None
@@ -55,11 +72,13 @@ class Witness:
         self.view.begin_run()
         self._run = run = self.view.run
         dispatcher.on_publish(lambda message: self._published(run, message))
+        self.watcher.begin_run(dispatcher.snapshot())
         self._published(run, dispatcher.snapshot())
 
-    def lose_daemon(self) -> None:
+    def lose_daemon(self, *, crash: bool) -> None:
         """The daemon is gone: what it still says to itself while it is cleared away counts no more."""
         self.view.now = self._loop.time()
+        self.watcher.lose_daemon(self.view.now, crash=crash)
         self.view.end_run()
         self.reader = None
         self._run = 0
@@ -76,7 +95,25 @@ class Witness:
     def answered(self, command: Command, verdict: Verdict) -> None:
         """A verdict has reached the operator who asked."""
         self._take_rows()
+        self.watcher.answered(command, verdict)
         self.judge(Answered(command, verdict))
+
+    @contextmanager
+    def watching(self, scene: Any) -> Iterator[None]:
+        """Looks at the simulated arm after every step, as long as the context lasts."""
+
+        def look() -> None:
+            arm = scene.arm
+            self.watcher.step(
+                self._loop.time(),
+                arm.positions,
+                at_rest=arm.at_rest,
+                braking=arm.stopped is not None,
+                relieving=isinstance(arm.reference, Relief),
+            )
+
+        with scene.watched(look):
+            yield
 
     def judge(self, event: Event) -> None:
         """Holds an event against all invariants that are about such events."""
@@ -98,8 +135,12 @@ class Witness:
         self.view.now = self._loop.time()
         if isinstance(message, Snapshot):
             self.view.take_snapshot(message)
+            self.watcher.take_snapshot(message, self.view.now)
         if isinstance(message, Verdict):
             self.view.take_verdict(message)
+            self.watcher.take_verdict(message)
+        if isinstance(message, DeviceEvent):
+            self.watcher.take_event(message, self.view.now)
         if not isinstance(message, DeviceEvent):
             self._take_rows()
         self.judge(message)
@@ -120,6 +161,29 @@ class _Watched:
 
 
 class _WatchedRobot(_Watched):
+    async def follow(self, trajectory: JointTrajectory) -> MotionResult:
+        self._begins("follow")
+        result: MotionResult = await self._device.follow(trajectory)
+        return result
+
+    async def press(self, request: PressRequest) -> MotionResult:
+        self._begins("press")
+        result: MotionResult = await self._device.press(request)
+        return result
+
+    async def begin_servo(self) -> ServoSession:
+        self._begins("begin_servo")
+        session: ServoSession = await self._device.begin_servo()
+        return session
+
+    async def hold(self) -> JointState:
+        self._witness.watcher.held(asyncio.get_running_loop().time())
+        state: JointState = await self._device.hold()
+        return state
+
+    def _begins(self, method: str) -> None:
+        self._witness.watcher.begins(method, asyncio.get_running_loop().time())
+
     async def states(self) -> AsyncIterator[JointState]:
         async for state in self._device.states():
             self._witness.judge(Moved(state))
