@@ -43,7 +43,7 @@ class SimulatedGateway:
     def receive(
         self, port: int, data: bytes, answer: Callable[[str], None], acknowledge: Callable[[str], None] | None
     ) -> None:
-        """Takes a datagram of the planner at `port`; its verdict goes to `answer`, what old clients expect to the other."""
+        """Takes a datagram of the planner at `port`; its verdict goes to `answer`, old clients want the other."""
         self._intake.receive(LINK, (HOST, port), False, data, Answer(verdict=answer, acknowledge=acknowledge))
 
     async def close(self) -> None:

@@ -78,11 +78,20 @@ def draw_aimed(draw: random.Random) -> list[Act]:
 def _meeting(draw: random.Random) -> list[Act]:
     """Something begins, others act inside its windows, and somebody goes on."""
     acts = [draw.choice((_move, _move, _move, _old, _event))(draw)]
+    if draw.random() < 0.25:
+        acts = _retreat_after_stop(draw)
     for _ in range(draw.randint(1, 3)):
         act = draw.choice((_stop, _change, _change, _event, _host, _move, _old, _go_on, _reuse))(draw)
         acts.append(_inside(draw, act) if draw.random() < 0.6 else act)
     acts += [_go_on(draw) for _ in range(draw.randint(0, 3))]
     return acts
+
+
+def _retreat_after_stop(draw: random.Random) -> list[Act]:
+    """What began is stopped and taken back, as people do it, to where its plan is in force again."""
+    retreat = Act(_pause(draw), draw.choice(("placement.back_off", "placement.to_initial")), "anna", {}, waits=False)
+    acknowledged = Act(1.0 + _pause(draw), "robot.acknowledge", "ben")
+    return [_move(draw), _stop(draw), acknowledged, retreat, *(_inside(draw, _change(draw)) for _ in range(2))]
 
 
 def _inside(draw: random.Random, act: Act) -> Act:

@@ -18,8 +18,8 @@ class Act(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         after: Since the act before was begun, or ended where it is waited for, s.
         what: ``go_on`` (do what leads on from here), ``stop``, ``repeat``, ``datagram``, ``wire:<command>``,
-            ``<branch>.<operation>``, ``reuse:<branch>.<operation>`` (under the id of the last command), ``old:<command>``
-            (without an id, as clients do that only know acknowledgements), or ``fault:<name>``.
+            ``<branch>.<operation>``, ``reuse:<branch>.<operation>`` (under the id of the last command),
+            ``old:<command>`` (without an id, as clients do that only know acknowledgements), or ``fault:<name>``.
         who: The operator; for faults nobody.
         arguments: Of the operation, the command or the fault.
         waits: Whether the next act comes only after its verdict.

@@ -52,7 +52,6 @@ class View:
         outcomes: Journalled verdicts by (source, id).
         by_id: The same by id alone, which is all that a published verdict has.
         accounts: Verdicts that operators got by (source, id).
-        registered: The registration in force rests on a journalled accepted verdict.
         danger: The last event was danger, and no snapshot has been published since.
         released: Journalled accepted verdicts that release the latch, which have not released it yet.
         excused: The daemon's disk has failed in this run: what it then refuses is not journalled.
@@ -73,21 +72,29 @@ class View:
     outcomes: dict[tuple[str, str], Verdict] = field(default_factory=dict)
     by_id: dict[str, Verdict] = field(default_factory=dict)
     accounts: dict[tuple[str, str], Verdict] = field(default_factory=dict)
-    registered: bool = False
     danger: bool = False
     released: int = 0
     excused: bool = False
     seen: Counter[str] = field(default_factory=Counter)
-    _registration: str = ""
+    _registered_by: int = 0
+    _unregistered: int = -1
     _rows: int = 0
+
+    @property
+    def registered(self) -> bool:
+        """Whether the registration in force rests on a journalled accepted verdict.
+
+        What the disk has may be more than was published: a registration counts until its end is published.
+        """
+        return self._registered_by > self._unregistered
 
     def begin_run(self) -> None:
         """A daemon has started: the latch of before and all states are gone, or as it says now."""
         self.run += 1
         self.snapshot = self.before = None
-        self.registered = self.excused = self.danger = False
-        self.released = 0
-        self._registration = ""
+        self.excused = self.danger = False
+        self.released = self._registered_by = 0
+        self._unregistered = -1
 
     def end_run(self) -> None:
         """The daemon is gone: nothing allows anything any more."""
@@ -98,6 +105,8 @@ class View:
     def take_snapshot(self, snapshot: Snapshot) -> None:
         """It was published."""
         self.before, self.snapshot = self.snapshot, snapshot
+        if snapshot.branches.get("registration") != "111":
+            self._unregistered = snapshot.sequence
         running = [f"{each.branch}.{each.operation}" for each in snapshot.running]
         branches = snapshot.branches
         near = branches.get("placement") in ("placed", "following") and branches.get("stimulation") == "armed"
@@ -113,13 +122,8 @@ class View:
                 self.outcomes[row.source or "", row.command_id or ""] = row.verdict
                 self.by_id[row.command_id or ""] = row.verdict
                 self.released += self._releases(row.verdict)
-            if row.kind == "outcome" and row.branch == "registration" and row.operation in REGISTERING:
-                accepted = row.verdict is not None and row.verdict.decision == "accepted"
-                self.registered = self.registered or accepted
-            state = (row.states or {}).get("registration", self._registration)
-            if state != "111" and row.kind in ("outcome", "device", "event"):
-                self.registered = False
-            self._registration = state
+                if row.verdict.decision == "accepted" and row.branch == "registration" and row.operation in REGISTERING:
+                    self._registered_by = row.verdict.sequence
 
     def take_verdict(self, verdict: Verdict) -> None:
         """It was published."""

@@ -1,4 +1,4 @@
-"""Watches the physical side of a session: where the arm is at every step, what its driver was told, what was acknowledged.
+"""Watches the physical side of a session: the arm at every step, what its driver was told, what was acknowledged.
 
 It shares no code with the dispatcher and asks it nothing. It compares the arm, the calls that reach the driver, and the
 answers that reach people with what was published and journalled.
@@ -72,7 +72,8 @@ class Watcher:
                 self._break("the_arm_stays", text)
         elif at_rest and not self._in_doubt:
             self._posture = tuple(positions)
-        if self._gone is not None and not (at_rest or braking) and now > self._held_by(self._gone):
+        asked = not (at_rest or braking) and now >= self._view.by_hand
+        if self._gone is not None and asked and now > self._held_by(self._gone):
             text = f"The daemon ended {now - self._gone:.3f} s ago, and the arm moves."
             self._break("silence_is_held", text)
         self._look_for_undecided(now)
