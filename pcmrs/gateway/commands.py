@@ -89,6 +89,11 @@ class Spec:
     settles: Plan | None = None
 
     @property
+    def moves(self) -> bool:
+        """Whether it moves the arm; such a command begins in time or never."""
+        return any(step.branch == "placement" for step in self.steps)
+
+    @property
     def approaches(self) -> bool:
         """Whether it may move the tool towards the plan; such a command waits for an accepted plan."""
         return any(step.branch == "placement" and step.operation in APPROACHES for step in self.steps)

@@ -92,14 +92,15 @@ class Intake:
             data: The bytes.
             answer: Where answers go.
         """
+        arrived = self._clock.monotonic()
         self.counters.received += 1
         signed = split(data)
         try:
             if signed is not None:
-                self._receive_signed(link, signed, answer)
+                self._receive_signed(link, signed, answer, arrived)
             else:
                 self._check_unsigned(peer[0], exposed)
-                self._receive_unsigned(link, peer, data, answer)
+                self._receive_unsigned(link, peer, data, answer, arrived)
         except (PayloadError, RefusalError) as error:
             self.refuse(link, peer, error)
 
@@ -128,32 +129,34 @@ class Intake:
         if host not in self._unsigned_peers:
             raise PayloadError(f"Unsigned commands from {host} are refused; list it in unsigned_peers.", host=host)
 
-    def _receive_unsigned(self, link: str, peer: tuple[str, int], data: bytes, answer: Answer) -> None:
+    def _receive_unsigned(self, link: str, peer: tuple[str, int], data: bytes, answer: Answer, arrived: float) -> None:
         points_mm = parse_tool_points(data)
         if points_mm is not None:
             self._services.streams.relay_tool_points(points_mm)
             return
         request = _as_meant(link, parse(data))
-        self._session(source_of(link, peer), peer[0], ON_SITE).receive(request, answer)
+        self._session(source_of(link, peer), peer[0], ON_SITE).receive(request, answer, arrived)
 
-    def _receive_signed(self, link: str, signed: Signed, answer: Answer) -> None:
+    def _receive_signed(self, link: str, signed: Signed, answer: Answer, arrived: float) -> None:
         """What is known to be a peer's is answered, refused or not; what is not raises, and nobody learns of it."""
         if self._admission is None:
             raise RefusalError(UNKNOWN_PEER, "No peer has a key; make one with: pcmrs peers new NAME.")
         peer = self._admission.identify(signed)
         request = _as_meant(link, parse(signed.command))
-        enter = partial(self._enter, peer, request, answer)
+        enter = partial(self._enter, peer, request, answer, arrived)
         objection = peer.objection(request.spec)
         if objection is not None or request.spec.action is Action.STOP:
             self._admission.enter_at_once(peer, signed.counter, enter, objection)
         else:
             self._admission.enter_when_kept(peer, signed.counter, enter)
 
-    def _enter(self, peer: SignedPeer, request: Request, answer: Answer, refusal: RefusalError | None) -> None:
+    def _enter(
+        self, peer: SignedPeer, request: Request, answer: Answer, arrived: float, refusal: RefusalError | None
+    ) -> None:
         """Begins a peer's command; its session, lock and ids are its own, whatever address it sends from."""
         if refusal is not None:
             self._count(refusal.refusal_code)
-        self._session(peer.source, peer.source, peer.asker).receive(request, answer, refusal)
+        self._session(peer.source, peer.source, peer.asker).receive(request, answer, arrived, refusal)
 
     def _session(self, source: str, holder: str, asker: Asker) -> Session:
         """The session of a source, moved to the end of the order in which idle ones are forgotten."""

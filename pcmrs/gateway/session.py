@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import structlog
@@ -20,15 +21,19 @@ from pcmrs.gateway.tasks import Tasks
 
 ACKNOWLEDGEMENT = "ack"
 SECOND_WITHIN = 0.35
-"""Seconds from the acknowledgement to the second datagram: clients wait 0.4 s."""
+"""Seconds that a second datagram waits for its result; then it says that there is none."""
+SECOND_BEFORE = 0.38
+"""Seconds after the acknowledgement from which no second datagram is sent: clients wait 0.4 s, and it has to arrive."""
+BEGIN_WITHIN = 0.1
+"""Seconds from the arrival of a command that moves to its checks; later it is refused."""
 MAX_WAITING = 64
 """Commands of one peer that wait or run; more are refused."""
 QUEUE_FULL = "queue_full"
+BUSY = "busy"
 
 _log = structlog.get_logger(__name__)
 
 Send = Callable[[str], None]
-Queued = tuple[Request, Job, "asyncio.Future[Outcome]"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +49,30 @@ class Answer:
     acknowledge: Send | None
 
 
+@dataclass(eq=False, slots=True)
+class Turn:
+    """A command that runs, or waits for its turn.
+
+    Attributes:
+        job: What is left to do.
+        ended: Its outcome.
+        arrived: When it came, s of the machine's clock.
+        stops: How often the session had been halted by then.
+    """
+
+    request: Request
+    job: Job
+    ended: asyncio.Future[Outcome]
+    arrived: float
+    stops: int
+
+
 class Session:
-    """Commands without an id are acknowledged at once and run one after the other; those with one run as they come.
+    """Commands without an id are acknowledged at once and begin in order; those with one begin as they come.
+
+    Nothing waits for the end of a motion: what comes behind it runs beside it, and the daemon decides on it. A motion
+    waits for what came before it, such as its plan, for at most `BEGIN_WITHIN`. One that comes while another motion of
+    this peer runs or waits is refused.
 
     Args:
         actions: What the commands do.
@@ -63,36 +90,47 @@ class Session:
         self._tasks = tasks
         self._memory = memory
         self._on_overflow = on_overflow
-        self._queue: deque[Queued] = deque()
+        self._queue: deque[Turn] = deque()
         self._draining = False
         self._running = 0
+        self._stops = 0
+        self._motion: asyncio.Future[Outcome] | None = None
 
     @property
     def idle(self) -> bool:
         """Whether nothing waits or runs."""
         return not self._queue and self._running == 0
 
-    def receive(self, request: Request, answer: Answer, refusal: RefusalError | None = None) -> None:
-        """Begins a command, or rejects it with `refusal`, unless it was begun before; never waits."""
+    def receive(self, request: Request, answer: Answer, arrived: float, refusal: RefusalError | None = None) -> None:
+        """Begins a command, or rejects it with `refusal`, unless it was begun before; never waits.
+
+        Args:
+            request: The command.
+            answer: Where answers go.
+            arrived: When it came, s of the machine's clock.
+            refusal: Why it is refused already.
+        """
         if request.id is not None:
-            self._receive_identified(request, request.id, answer.verdict, refusal)
+            self._receive_identified(request, request.id, answer.verdict, arrived, refusal)
             return
+        acknowledged = self._clock.monotonic()
         if answer.acknowledge is not None:
             answer.acknowledge(ACKNOWLEDGEMENT)
-        ended = self._begin(request, refusal)
+        ended = self._begin(request, arrived, refusal)
         ended.add_done_callback(lambda done: _report(request, done))
         if request.spec.second is not None and answer.acknowledge is not None:
-            self._tasks.spawn(self._send_second(request.spec.second, ended, answer.acknowledge))
+            self._tasks.spawn(self._send_second(request.spec.second, ended, answer.acknowledge, acknowledged))
 
     def halt(self) -> None:
         """Rejects what waits and ends what has steps to come, as Stop demands."""
+        self._stops += 1
         self._actions.halt()
         while self._queue:
-            request, _, ended = self._queue.popleft()
-            ended.set_result(self._actions.rejected(request, "stopped"))
+            turn = self._queue.popleft()
+            turn.ended.set_result(self._actions.rejected(turn.request, "stopped"))
 
     def _receive_identified(
-        self, request: Request, client_id: str, verdict: Send, refusal: RefusalError | None
+        self, request: Request, client_id: str, verdict: Send, arrived: float, refusal: RefusalError | None
     ) -> None:
         # Stop is honoured every time, whatever its id.
         repeatable = request.spec.action is Action.STOP
@@ -100,43 +138,82 @@ class Session:
         if ended is not None and not ended.done():
             return  # attached: the reply under way goes to this same sender
         if ended is None:
-            ended = self._begin(request, refusal)
+            ended = self._begin(request, arrived, refusal)
             self._memory.keep(self._actions.source, client_id, ended)
         ended.add_done_callback(lambda done: None if done.cancelled() else verdict(done.result().reply(client_id)))
 
-    def _begin(self, request: Request, refusal: RefusalError | None) -> asyncio.Future[Outcome]:
+    def _begin(self, request: Request, arrived: float, refusal: RefusalError | None) -> asyncio.Future[Outcome]:
         prepared = self._actions.prepare(request) if refusal is None else self._actions.deny(request, refusal)
         ended: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
         if isinstance(prepared, Outcome):
             ended.set_result(prepared)
-        elif request.spec.action is Action.STOP:
-            self._tasks.spawn(self._run(request, prepared, ended))
+            return ended
+        turn = Turn(request, prepared, ended, arrived, self._stops)
+        if request.spec.action is Action.STOP:
+            self._start(turn)
+        elif request.spec.moves and self._motion is not None and not self._motion.done():
+            text = (
+                "another motion of the same client runs or waits, and motions are not queued; send it when that ended."
+            )
+            ended.set_result(self._actions.rejected(request, BUSY, text))
         elif len(self._queue) + self._running >= MAX_WAITING:
             self._on_overflow()
             ended.set_result(self._actions.rejected(request, QUEUE_FULL))
-        elif request.id is not None:
-            self._tasks.spawn(self._run(request, prepared, ended))
         else:
-            self._enqueue((request, prepared, ended))
+            self._motion = ended if request.spec.moves else self._motion
+            self._take_turn(turn)
         return ended
 
-    def _enqueue(self, queued: Queued) -> None:
-        self._queue.append(queued)
+    def _take_turn(self, turn: Turn) -> None:
+        if turn.request.id is not None:
+            self._start(turn)
+            return
+        self._queue.append(turn)
         if not self._draining:
             self._draining = True
             self._tasks.spawn(self._drain())
+        elif turn.request.spec.moves:
+            self._tasks.spawn(self._give_up(turn))
 
     async def _drain(self) -> None:
         while self._queue:
-            await self._run(*self._queue.popleft())
+            turn = self._queue.popleft()
+            # A task each, so that they begin in this order though nothing waits for the end of a motion.
+            running = self._start(turn)
+            if not turn.request.spec.moves:
+                await asyncio.wait([running])
         self._draining = False
 
-    async def _run(self, request: Request, job: Job, ended: asyncio.Future[Outcome]) -> None:
+    async def _give_up(self, turn: Turn) -> None:
+        """Refuses a motion that still waits when its time is up."""
+        with suppress(TimeoutError):
+            async with self._clock.timeout(BEGIN_WITHIN):
+                await asyncio.wait([turn.ended])
+        if turn in self._queue:
+            self._queue.remove(turn)
+            text = f"what came before it still runs after {BEGIN_WITHIN:g} s; send it when that has ended."
+            turn.ended.set_result(self._actions.rejected(turn.request, BUSY, text))
+
+    def _start(self, turn: Turn) -> asyncio.Task[None]:
         self._running += 1
+        return self._tasks.spawn(self._run(turn))
+
+    async def _run(self, turn: Turn) -> None:
         try:
-            ended.set_result(await self._perform(request, job))
+            turn.ended.set_result(self._too_late(turn) or await self._perform(turn.request, turn.job))
         finally:
             self._running -= 1
+
+    def _too_late(self, turn: Turn) -> Outcome | None:
+        """The refusal of a command that does not begin any more: Stop came, or the loop did not answer in time."""
+        request = turn.request
+        if turn.stops != self._stops and request.spec.action is not Action.STOP:
+            return self._actions.rejected(request, "stopped")
+        waited = self._clock.monotonic() - turn.arrived
+        if request.spec.moves and waited > BEGIN_WITHIN:
+            text = f"it came {waited:.3f} s ago and has not begun, the limit is {BEGIN_WITHIN:g} s; send it again."
+            return self._actions.rejected(request, "expired", text)
+        return None
 
     async def _perform(self, request: Request, job: Job) -> Outcome:
         """Every way a job can end, as an outcome: a client must not wait for ever."""
@@ -150,14 +227,19 @@ class Session:
             _log.exception("command_broke", command=request.spec.name)
             return self._actions.failed(request, "internal_error")
 
-    async def _send_second(self, kind: Second, ended: asyncio.Future[Outcome], send: Send) -> None:
-        """A late result is never sent: the client would take it for its next acknowledgement."""
+    async def _send_second(self, kind: Second, ended: asyncio.Future[Outcome], send: Send, acknowledged: float) -> None:
+        """A late datagram is never sent: the client would take it for its next acknowledgement."""
         try:
             async with self._clock.timeout(SECOND_WITHIN):
                 text = (await asyncio.shield(ended)).second(kind)
         except TimeoutError:
             text = NO_DATA
-        send(text)
+        # The loop may have stalled since: the time counts at which the datagram leaves.
+        late = self._clock.monotonic() - acknowledged
+        if late < SECOND_BEFORE:
+            send(text)
+        else:
+            _log.warning("second_datagram_not_sent", after=round(late, 3), limit=SECOND_BEFORE)
 
 
 def _report(request: Request, ended: asyncio.Future[Outcome]) -> None:

@@ -9,6 +9,7 @@ from typing import Any, Self, cast
 
 import numpy as np
 
+from pcmrs.gateway.refusals import PERIOD
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Snapshot, Verdict
 from pcmrs.spatial import Floats, Transform
 
@@ -135,7 +136,7 @@ def _open_gate() -> asyncio.Event:
 
 
 class ManualClock:
-    """Sleeping advances it; its timeouts pass when the test says so."""
+    """Sleeping advances it, but for waits between two reports; its timeouts pass when the test says so."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -148,6 +149,8 @@ class ManualClock:
         return 1.7e9 + self.now
 
     async def sleep(self, seconds: float) -> None:
+        if seconds >= PERIOD:
+            await asyncio.Event().wait()
         self.now += max(0.0, seconds)
         await asyncio.sleep(0)
 

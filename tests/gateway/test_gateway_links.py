@@ -74,6 +74,20 @@ async def test_a_late_result_is_never_sent(cell: Any) -> None:
     assert await cell.replies.received.get() == "1.000000"
 
 
+async def test_after_a_stall_of_the_loop_no_second_datagram_is_sent(cell: Any) -> None:
+    cell.core.results["register"] = {"residual": 0.002}
+    cell.core.gates["register"].clear()
+    assert await cell.tell("start_registrati;") == "ack"
+    await cell.core.arrived.wait()
+    cell.clock.now += 0.679  # the loop stands still, and the timeout of 0.35 s is noticed after that
+    cell.clock.expire(0.4)
+    await settle(cell)
+    cell.core.gates["register"].set()
+    await settle(cell)
+    assert await cell.tell("rob_conn_onxxxxx;") == "ack"  # the next that comes is this acknowledgement
+    assert cell.replies.received.empty()
+
+
 async def test_reads_pass_a_running_command(cell: Any) -> None:
     cell.core.gates["digitize_all"].clear()
     await cell.tell("start_autodigitz;")
@@ -194,14 +208,14 @@ async def test_a_stop_that_is_not_confirmed_is_no_success(cell: Any) -> None:
 
 async def test_commands_of_one_peer_run_in_the_order_of_their_arrival(cell: Any) -> None:
     cell.core.gates["connect"].clear()
-    for command in ("rob_conn_onxxxxx", "execute_motionxx", "execute_homexxxx", "rob_conn_offxxxx"):
+    for command in ("rob_conn_onxxxxx", "start_autodigitz", "rob_conn_offxxxx"):
         await cell.tell(f"{command};")
     assert cell.core.operations == ["connect"]
     cell.core.gates["connect"].set()
     cell.core.results["register"] = {"residual": 0.001}
     await cell.tell("start_registrati;")
     await cell.replies.received.get()
-    assert cell.core.operations == ["connect", "approach", "home", "disconnect", "register"]
+    assert cell.core.operations == ["connect", "digitize_all", "disconnect", "register"]
 
 
 async def test_a_full_queue_refuses_and_counts(cell: Any) -> None:

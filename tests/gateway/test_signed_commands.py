@@ -321,6 +321,15 @@ async def test_what_the_disk_kept_waiting_too_long_never_begins(disk: Disk, room
     assert room.core.commands == []
 
 
+async def test_a_motion_that_waited_long_for_the_disk_never_begins(disk: Disk, room: Room) -> None:
+    with disk.hanging():
+        await room.hear(room.sign("execute_homexxxx_#1;"))
+        await settle()
+        await room.clock.advance(0.2)
+    assert await room.client.received.get() == "1_rejected_placement_retracted_expired;"
+    assert room.core.commands == []
+
+
 async def test_so_many_of_a_peer_wait_for_the_disk(disk: Disk, room: Room) -> None:
     with disk.hanging():
         for number in range(70):
