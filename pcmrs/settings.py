@@ -100,7 +100,7 @@ class RobotSettings(DeviceSettings, frozen=True, forbid_unknown_fields=True):
         force_limit: The driver stops the arm when the force on the tool exceeds this, N.
         relief_mm: Before that it draws the tool back along its axis by so much at most, to relieve the force.
         deadman: Its node holds the moving arm by itself when it has not heard the daemon for so long, s of the machine;
-            a servo session ends so long after its last set point, s of the cell.
+            a servo session ends so long after its last set point.
     """
 
     model: str = "iiwa14"

@@ -8,6 +8,7 @@ from contextlib import asynccontextmanager, contextmanager
 from functools import partial
 from typing import Any
 
+import msgspec
 import structlog
 
 from pcmrs.background import meanwhile
@@ -184,6 +185,8 @@ async def running_cell(settings: Mapping[str, Any], clock: Clock) -> AsyncIterat
 def _force_settings(settings: Mapping[str, Any]) -> ForceSettings:
     """When the arm itself yields to a force: never, behind a driver that guards the force as on a real arm."""
     force = read_table(settings, "robot", ForceSettings)
+    # In a cell that is faster than real time set points come as often as ever, by the machine's clock.
+    force = msgspec.structs.replace(force, deadman=force.deadman * settings.get("cell", {}).get("rate", 1.0))
     if settings.get("robot", {}).get("driver", "sim") == "sim":
         return force
     return ForceSettings(force_limit=math.inf)

@@ -70,10 +70,22 @@ def experiment_options(
 
 def _rate(given: float | None, drivers: Drivers, default: float) -> float:
     if drivers == "builtin":
-        return default if given is None else given
+        return _kept(default if given is None else given)
     if given not in (None, REAL_TIME):
         raise click.UsageError(f"--drivers virtual runs in real time: leave out --rate {given:g}.")
     return REAL_TIME
+
+
+def _kept(rate: float) -> float:
+    """The rate that the machine can do; says so where that is less."""
+    if rate <= REAL_TIME:
+        return rate
+    from pcmrs.experiment.speed import kept_speed, processor_share
+
+    speed = kept_speed(rate, processor_share())
+    if speed.why:
+        click.echo(speed.why, err=True)
+    return speed.rate
 
 
 def _options(workflow: str | None, rate: float) -> tuple[Callable[..., Any], ...]:

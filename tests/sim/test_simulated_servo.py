@@ -20,6 +20,7 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.trajectory import brake
 from pcmrs.messages import DeviceEvent, JointSetpoint
 from pcmrs.spatial import Floats
+from sim.cell import open_devices
 from sim.plant import STEP
 from sim.settings import ArmSettings
 
@@ -148,6 +149,16 @@ async def test_a_session_follows_and_ends_at_rest(cell: Devices, clock: Clock, e
     assert np.allclose(joints.positions, HOME + 0.08, atol=2e-4)
     assert events == []
     assert robot.sessions.dropped == 0
+
+
+@pytest.mark.parametrize("rate", [1.0, 5.0])
+async def test_a_cell_that_is_faster_than_real_time_waits_as_long_by_the_machines_clock(
+    clock: Clock, rate: float
+) -> None:
+    async with open_devices(("robot",), {"cell": {"rate": rate}, "robot": {"deadman": 0.2}}, clock) as devices:
+        robot = devices["robot"]
+        await robot.connect()
+        assert (await robot.begin_servo()).deadman == pytest.approx(0.2 * rate), "s of the cell"
 
 
 async def test_without_set_points_the_arm_brakes_and_reports_danger(
