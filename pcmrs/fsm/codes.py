@@ -57,6 +57,8 @@ DESIGN = {
     "step_unknown": "A step depends on one that does not exist.",
     "step_cycle": "Steps depend on each other in a circle.",
     "step_branch": "Steps are said to be in a branch to which they cannot belong.",
+    "step_undeclared": "A step does not say whether it moves the robot, affects the patient or can be undone.",
+    "step_hazard": "A step that reaches the patient or cannot be undone stands where that cannot be kept track of.",
     "step_refinement": "A step is refined in a way that cannot be meant.",
 }
 EXCHANGE = {

@@ -78,7 +78,7 @@ def _random_steps(rng: Random, names: Iterator[str], levels: int, most: int) -> 
             below = _random_steps(rng, names, levels - 1, 3)
             step |= {"operation": f"signal_{name}", "refined_by": {"branch": f"inside_{name}", "steps": below}}
         else:
-            step |= {"reopened_by": [f"undo_{name}"]}
+            step |= {"moves": False, "reopened_by": [f"undo_{name}"]}
             step |= {"alternatives": [{"operation": f"try_{name}", "partial": True}]} if rng.random() < 0.3 else {}
         made.append(step)
     # The table need not name what a step depends on before the step.

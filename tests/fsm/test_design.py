@@ -27,6 +27,9 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 WORKFLOWS = Path(pcmrs.__file__).parent / "workflows"
 RATMS_STEPS = (EXAMPLES / "ratms_steps.toml").read_bytes()
 GRID_STEPS = (EXAMPLES / "grid_steps.toml").read_bytes()
+HEEDED = {"safety": "watched"}
+"""State of the branch that releases Stop, where a table has steps that it bars."""
+
 CLEARED_BEFORE = {("registration", "clear_landmarks", "000"), ("toolplan", "clear", "0")}
 """What ratms.toml also accepts where nothing is there to be cleared."""
 
@@ -42,7 +45,12 @@ def table(*steps: dict[str, Any], **keys: Any) -> bytes:
 
 
 def step(name: str, *needs: str, **keys: Any) -> dict[str, Any]:
-    return {"name": name, "operation": f"do_{name}", "depends_on": list(needs)} | keys
+    return {"name": name, "operation": f"do_{name}", "depends_on": list(needs)} | declared(keys)
+
+
+def declared(keys: dict[str, Any]) -> dict[str, Any]:
+    """The keys, with a declaration unless they have one or the step is done by the steps that refine it."""
+    return keys if "steps" in keys.get("refined_by", {}) else {"moves": False} | keys
 
 
 def accepted(engine: Engine, branches: list[str]) -> dict[tuple[str, ...], dict[tuple[str, str], set[tuple[str, ...]]]]:
@@ -110,37 +118,42 @@ def test_a_step_needs_all_it_depends_on_and_a_grid_is_gone_through_in_order() ->
     for _ in range(8):
         assert engine.joint()["preparation"] == "11110"
         engine.perform("grid", "skip")
-    assert engine.joint() == {"preparation": "11111", "digitization": "1", "grid": "done"}
+    assert engine.joint() == {"preparation": "11111", "digitization": "1", "grid": "done", **HEEDED}
 
 
 def test_doing_a_step_again_begins_what_rests_on_it_again() -> None:
     blueprint = blueprint_of(GRID_STEPS)
     engine = Engine(blueprint)
-    start = {"preparation": "11110", "digitization": "1"}
+    start = {"preparation": "11110", "digitization": "1", **HEEDED}
     for operation in ("register", "plan"):
         engine.place(start | {"grid": "point_5_stopped"})
         engine.perform("preparation", operation)
         assert engine.joint() == start | {"grid": "point_1"}
     engine.place({"preparation": "11111", "digitization": "1", "grid": "done"})
     engine.perform("digitization", "digitize_all")
-    assert engine.joint() == {"preparation": "11010", "digitization": "1", "grid": "point_1"}
+    assert engine.joint() == {"preparation": "11010", "digitization": "1", "grid": "point_1", **HEEDED}
 
 
 def test_independent_chains_are_parallel_branches() -> None:
     blueprint = blueprint_of(table(step("a"), step("x"), step("b", "a", title="Bee"), step("y", "x", branch="other")))
     assert {name: list(branch.states) for name, branch in blueprint.branches.items()} == {
-        "a": ["00", "10", "11"],
+        "procedure": ["00", "10", "11"],
         "other": ["00", "10", "11"],
     }
-    assert blueprint.branches["a"].flags == ["a", "b"]
-    assert blueprint.branches["a"].states["11"] == "a, Bee"
-    assert blueprint.goal == {"a": ["11"], "other": ["11"]}
+    assert blueprint.branches["procedure"].flags == ["a", "b"]
+    assert blueprint.branches["procedure"].states["11"] == "a, Bee"
+    assert blueprint.goal == {"procedure": ["11"], "other": ["11"]}
+
+
+def test_no_branch_takes_the_name_of_a_step() -> None:
+    blueprint = blueprint_of(table(step("a"), step("x"), step("b", "a")))
+    assert list(blueprint.branches) == ["procedure", "procedure_2"]
 
 
 def test_roles_criteria_and_deadlines_arrive_at_the_operation() -> None:
     keys = {"roles": ["operator"], "checks": ["c"], "steps": ["s"], "payload": "p", "timeout_s": 7}
     blueprint = blueprint_of(table(step("a", reopened_by=["undo"], **keys)))
-    operations = blueprint.branches["a"].operations
+    operations = blueprint.branches["procedure"].operations
     made = operations["do_a"]
     assert (made.roles, made.checks, made.steps, made.payload, made.timeout_s) == (["operator"], ["c"], ["s"], "p", 7)
     assert operations["undo"].roles == ["operator"]
@@ -149,9 +162,9 @@ def test_roles_criteria_and_deadlines_arrive_at_the_operation() -> None:
 def test_one_operation_may_reopen_several_steps() -> None:
     raw = table(step("a", reopened_by=["clear"]), step("b", "a"), step("c", "a", reopened_by=["clear"]), step("d", "c"))
     engine = Engine(blueprint_of(raw))
-    engine.place({"a": "1111"})
-    engine.perform("a", "clear")
-    assert engine.joint() == {"a": "0000"}
+    engine.place({"procedure": "1111"})
+    engine.perform("procedure", "clear")
+    assert engine.joint() == {"procedure": "0000"}
 
 
 def test_many_steps_are_counted_without_being_listed() -> None:
@@ -218,6 +231,52 @@ FAULTS: dict[str, tuple[bytes, str, str]] = {
     "python word": (table(step("a", operation="class")), "reserved_name", "steps.0.operation"),
     "bad id": (table(step("a"), id="x.y"), "bad_name", "id"),
     "bad deadline": (table(step("a", timeout_s=-1)), "bad_operation", "steps.0.operation"),
+    "says nothing of the patient": (
+        tomli_w.dumps({"id": "x", "version": "1", "steps": [{"name": "a", "operation": "do_a"}]}).encode(),
+        "step_undeclared",
+        "steps.0",
+    ),
+    "taken back by steps that say nothing": (
+        table(step("a", reopened_by=[{"operation": "undo", "steps": ["s"]}])),
+        "step_undeclared",
+        "steps.0.reopened_by.0",
+    ),
+    "refined, and moves itself": (table(step("b", moves=True, refined_by=REFINED)), "step_hazard", "steps.0"),
+    "moves below": (
+        table(step("b", refined_by={"branch": "in_b", "steps": [step("p", moves=True)]})),
+        "step_hazard",
+        "steps.0.refined_by.steps.0",
+    ),
+    "irreversible by points": (
+        table(step("b", irreversible=True, steps=["s"], refined_by={"branch": "in_b", "points": 2})),
+        "step_hazard",
+        "steps.0",
+    ),
+    "irreversible in several goes": (
+        table(step("b", irreversible=True, alternatives=[{"operation": "try_b", "partial": True}])),
+        "step_hazard",
+        "steps.0.alternatives.0",
+    ),
+    "irreversible, and takes it back": (
+        table(step("b", reopened_by=[{"operation": "undo", "irreversible": True}])),
+        "step_hazard",
+        "steps.0.reopened_by.0",
+    ),
+    "refined twice behind a motion": (
+        table(
+            step("a", moves=True),
+            step(
+                "b",
+                "a",
+                refined_by={
+                    "branch": "in_b",
+                    "steps": [step("p", refined_by={"branch": "in_p", "steps": [step("q")]})],
+                },
+            ),
+        ),
+        "step_hazard",
+        "steps.1.refined_by",
+    ),
     "unknown key": (table(step("a", colour="red")), "bad_value", "steps.0.colour"),
     "not TOML": (b'id = "x"\nsteps = [', "not_toml", ""),
     "not UTF-8": (b'id = "\xff"', "not_utf8", ""),
@@ -258,6 +317,10 @@ ANY_STEP = st.fixed_dictionaries(
             optional={"points": st.integers(-1, 3) | st.lists(st.sampled_from(["p", "done", "q"]), max_size=2)},
         ),
         "steps": st.just(["s"]),
+        "moves": st.sampled_from([True, False, "retreat"]),
+        "affects_patient": st.booleans(),
+        "irreversible": st.booleans(),
+        "confirm": st.booleans(),
     },
 )
 MUTATION = st.tuples(st.integers(0, len(RATMS_STEPS)), st.integers(0, 12), st.binary(max_size=6))
@@ -342,7 +405,7 @@ def refined(number: int, points: int) -> list[dict[str, Any]]:
         ),
         (
             table(step("root"), *(step(f"s{i}", "root") for i in range(10))),
-            "Most is from root, with 1025 states.",
+            "Most is from procedure, with 1025 states.",
             b"[[steps]]",
         ),
     ],

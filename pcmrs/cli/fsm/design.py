@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import click
@@ -19,6 +20,7 @@ from pcmrs.cli.progress import search_bar
 def design(steps: str, output: Path | None, as_json: bool) -> None:
     """Design a workflow from the critical operations in STEPS, a TOML file or - for standard input.
 
+    Asks what an operation does to the patient where STEPS does not say it; without a terminal that is a finding.
     Says how many of the 2^N combinations of N steps are possible and why the others are not, on standard error
     where the blueprint goes to standard output. Nothing is written unless the blueprint is sound. With --json, standard
     output gets one object that says all this, and the blueprint is written with -o only. Exit status 0: sound,
@@ -28,11 +30,31 @@ def design(steps: str, output: Path | None, as_json: bool) -> None:
 
     check_json_output(output, as_json=as_json)
     raw, origin, _ = read(steps)
-    with search_bar(origin) as progress:
-        result = design_blueprint(raw, origin=origin, progress=progress)
+    with search_bar(origin) as progress:  # appears after the questions
+        result = design_blueprint(raw, origin=origin, progress=progress, ask=_ask if _can_ask(steps) else None)
     if result.combinations is not None and not as_json:
         click.echo(str(result.combinations), err=output is None)
     if result.text and (output is not None or not as_json):
         write(result.text, output)
     combinations = result.combinations
     conclude(origin, result.findings, readable=result.readable, as_json=as_json, combinations=combinations)
+
+
+QUESTIONS = {
+    "moves": "Does {} move the robot?",
+    "affects_patient": "Does {} act on the patient otherwise, as an insertion or a pulse does?",
+    "irreversible": "Is what {} does irreversible?",
+    "confirm": "Must somebody confirm {} each time?",
+}
+
+
+def _can_ask(steps: str) -> bool:
+    return steps != "-" and sys.stdin is not None and sys.stdin.isatty()
+
+
+def _ask(operation: str) -> list[str]:
+    """Asks, and shows what to write into the table, so that it is asked once only."""
+    true = [key for key, question in QUESTIONS.items() if click.confirm(question.format(operation), err=True)]
+    keys = ", ".join(f"{key} = true" for key in true) or "moves = false"
+    click.echo(f"  for the table, at {operation}: {keys}", err=True)
+    return true

@@ -126,6 +126,12 @@ def scripted(blueprint: Blueprint, script: Script, *, outside: bool) -> Workflow
     return Workflow(blueprint, registry, ProcedureData(), lambda data, _states, _effects: data)
 
 
+def scripted_dispatcher(blueprint: Blueprint, script: Script, *, outside: bool) -> Dispatcher[None, ProcedureData]:
+    """A dispatcher of such a workflow, which keeps nothing; see `scripted`."""
+    workflow = scripted(blueprint, script, outside=outside)
+    return Dispatcher(workflow, None, LeapingClock(), Forgetful(), _hold, lambda _: None)
+
+
 async def rehearse(blueprint: Blueprint, tour: Tour, *, outside: bool) -> AsyncIterator[tuple[Move, Deviation | None]]:
     """Takes the dispatcher through a tour.
 
@@ -139,8 +145,7 @@ async def rehearse(blueprint: Blueprint, tour: Tour, *, outside: bool) -> AsyncI
     """
     for stretch in tour.stretches:
         script = Script()
-        workflow = scripted(blueprint, script, outside=outside)
-        dispatcher = Dispatcher(workflow, None, LeapingClock(), Forgetful(), _hold, lambda _: None)
+        dispatcher = scripted_dispatcher(blueprint, script, outside=outside)
         for number, move in enumerate(stretch):
             script.move = move
             verdict = await dispatcher.submit(_command(number, move))

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import msgspec
 
 from pcmrs.errors import BlueprintError
-from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.blueprint import Blueprint, Requirement
+from pcmrs.fsm.design.asking import Ask, answer
 from pcmrs.fsm.design.branches import Designed, root_branches
 from pcmrs.fsm.design.check import check_table, paths_of
 from pcmrs.fsm.design.count import Combinations, Impossible, count_combinations
 from pcmrs.fsm.design.excess import excess_of
 from pcmrs.fsm.design.grouping import Group, UndesignableError, root_groups
+from pcmrs.fsm.design.hazards import GuardedOrder, hazards_in
+from pcmrs.fsm.design.safety import ROBOT, SAFETY, robot_branch, safety_branch
 from pcmrs.fsm.design.table import StepTable
 from pcmrs.fsm.files.dump import blueprint_toml
 from pcmrs.fsm.files.load import examine
@@ -22,7 +25,7 @@ from pcmrs.fsm.files.toml import convert, read_toml
 from pcmrs.fsm.finding import Finding, Path
 from pcmrs.fsm.verify import MAX_JOINT_STATES
 
-__all__ = ["Combinations", "Design", "Impossible", "design"]
+__all__ = ["Ask", "Combinations", "Design", "Impossible", "design"]
 
 HEAD = "Designed from a step table by `pcmrs fsm design`: change the table, not this file."
 
@@ -44,17 +47,28 @@ class Design:
     readable: bool = True
 
 
-def design(raw: bytes, *, origin: str = "steps", progress: Callable[[int, int], None] | None = None) -> Design:
+def design(
+    raw: bytes,
+    *,
+    origin: str = "steps",
+    progress: Callable[[int, int], None] | None = None,
+    ask: Ask | None = None,
+) -> Design:
     """Designs the blueprint of a step table and verifies it.
 
     Args:
         raw: The file.
         origin: How findings call it.
+        ask: Asked for what an operation does to the patient, where the table does not say it: gets the operation and
+            returns the keys that are true. Without it such a table is refused.
         progress: See `pcmrs.fsm.verify.verify`.
     """
     try:
         content, places = read_toml(raw, origin)
         table = convert(content, StepTable, places)
+        if ask is not None:
+            answer(content, table, ask)
+            table = convert(content, StepTable, places)
     except BlueprintError as error:
         return Design(findings=error.fields["findings"], readable=False)
     faults = list(check_table(table))
@@ -72,6 +86,7 @@ def _design(table: StepTable, places: Places, progress: Callable[[int, int], Non
     combinations = count_combinations([group.order for group in groups])
     _check_count(combinations)
     branches = [branch for group in groups for branch in root_branches(group, paths)]
+    branches += _added(table, groups)
     _check_names(branches)
     text = blueprint_toml(_blueprint(table, groups, branches), comment=HEAD)
     examination = examine(text.encode(), origin="blueprint", progress=progress)
@@ -98,7 +113,7 @@ def _check_names(branches: Iterable[Designed]) -> None:
         seen.add(branch.name)
 
 
-def _blueprint(table: StepTable, groups: Iterable[Group], branches: Iterable[Designed]) -> Blueprint:
+def _blueprint(table: StepTable, groups: Sequence[Group], branches: Iterable[Designed]) -> Blueprint:
     return Blueprint(
         id=table.id,
         version=table.version,
@@ -106,6 +121,21 @@ def _blueprint(table: StepTable, groups: Iterable[Group], branches: Iterable[Des
         goal={group.name: [group.order.state(group.order.all)] for group in groups},
         branches={branch.name: branch.spec for branch in branches},
     )
+
+
+def _added(table: StepTable, groups: Iterable[Group]) -> Iterator[Designed]:
+    """The connection of the robot where anything moves it, and the release of Stop where that bars anything."""
+    hazards = list(hazards_in(step for _, step in paths_of(table.steps)))
+    if any(hazard.moves for hazard in hazards):
+        orders = {group.name: group.order for group in groups}
+        safe: Requirement = {
+            name: [order.state(each) for each in order.combinations if not order.unsafe(each)]
+            for name, order in orders.items()
+            if isinstance(order, GuardedOrder) and order.moving
+        }
+        yield Designed(ROBOT, robot_branch(safe), ("steps",))
+    if any(hazard.counts or hazard.confirm for hazard in hazards):
+        yield Designed(SAFETY, safety_branch(), ("steps",))
 
 
 def _traced(findings: Iterable[Finding], branches: Iterable[Designed]) -> list[Finding]:

@@ -7,11 +7,14 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
-from pcmrs.fsm.blueprint import BranchSpec, Requirement
+from pcmrs.fsm.blueprint import BranchSpec, Requirement, RevocationSpec
 from pcmrs.fsm.design.commands import REINIT, Command, check_commands, commands_of
 from pcmrs.fsm.design.grouping import Group, UndesignableError
+from pcmrs.fsm.design.hazards import GuardedOrder
 from pcmrs.fsm.design.operations import Operations, reinit_of
+from pcmrs.fsm.design.order import Order
 from pcmrs.fsm.design.refinement import Refinement, emits_of, parent_of, refinements_of, resting_on
+from pcmrs.fsm.design.safety import lost
 from pcmrs.fsm.finding import Path
 
 
@@ -55,13 +58,22 @@ def _branches(
         level=level,
         title=group.title,
         states={order.state(each): order.meaning(each) for each in order.combinations},
-        flags=[step.name for step in order.steps],
+        flags=order.flags,
         operations=Operations(order, refinements, above, refines=level > 1).made(commands),
+        revocations=_when_lost(order),
     )
     yield Designed(group.name, spec, paths[order.steps[0].name], commands)
     for refinement in refinements:
         calm = above | resting_on(refinement.step, refinements, order, signalled=True)
         yield from _refining(refinement, group, paths, calm, level + 1)
+
+
+def _when_lost(order: Order) -> list[RevocationSpec]:
+    """Where the robot was at the patient when it is lost, nobody knows that any more."""
+    if not isinstance(order, GuardedOrder):
+        return []
+    moved = (each for each in order.combinations if each & order.moving)
+    return lost({order.state(each): order.state(order.interrupted(each)) for each in moved})
 
 
 def _refining(

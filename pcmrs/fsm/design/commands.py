@@ -7,14 +7,18 @@ from dataclasses import dataclass
 from typing import Literal
 
 from pcmrs.fsm.design.grouping import Group
+from pcmrs.fsm.design.hazards import NONE, GuardedOrder, Hazard, hazard_of
 from pcmrs.fsm.design.table import ActionSpec, StepSpec
 from pcmrs.fsm.finding import Finding, Path
 
 REINIT = "reinit"
 """The re-initiation operation (RIO) that every designed branch has."""
 
-Kind = Literal["achieve", "partial", "reopen", "signal", "unsignal"]
-"""What an operation does to its step; the last two are called by the branch that refines it (IIO)."""
+MAKE_SAFE = "make_safe"
+"""The operation with which people say that nothing is at the patient any more."""
+
+Kind = Literal["achieve", "partial", "reopen", "signal", "unsignal", "make_safe", "allow"]
+"""What an operation does to its step, or to all; signals are called by the branch that refines it (IIO)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +31,8 @@ class Command:
         step: Index of the step.
         action: What is done, checked and given.
         path: Where the table asks for it.
+        hazard: What it does to the patient.
+        title: What it does, in words; empty where its name says enough.
     """
 
     name: str
@@ -34,6 +40,8 @@ class Command:
     step: int
     action: ActionSpec
     path: Path
+    hazard: Hazard = NONE
+    title: str = ""
 
 
 def commands_of(group: Group, paths: Mapping[str, Path]) -> Iterator[Command]:
@@ -42,7 +50,11 @@ def commands_of(group: Group, paths: Mapping[str, Path]) -> Iterator[Command]:
         path = paths[step.name]
         yield from _signals(i, step, path) if step.refined_by else _ways(i, step, path)
         for j, reopener in enumerate(step.reopeners()):
-            yield Command(reopener.operation, "reopen", i, reopener, (*path, "reopened_by", str(j)))
+            yield Command(
+                reopener.operation, "reopen", i, reopener, (*path, "reopened_by", str(j)), hazard_of(reopener)
+            )
+    if isinstance(group.order, GuardedOrder):
+        yield from _reports(group.order, paths)
 
 
 def _signals(index: int, step: StepSpec, path: Path) -> Iterator[Command]:
@@ -52,10 +64,23 @@ def _signals(index: int, step: StepSpec, path: Path) -> Iterator[Command]:
 
 
 def _ways(index: int, step: StepSpec, path: Path) -> Iterator[Command]:
-    yield Command(step.operation, "achieve", index, step, (*path, "operation"))
+    yield Command(step.operation, "achieve", index, step, (*path, "operation"), hazard_of(step))
     for j, other in enumerate(step.alternatives):
         kind: Kind = "partial" if other.partial else "achieve"
-        yield Command(other.operation, kind, index, other, (*path, "alternatives", str(j)))
+        yield Command(other.operation, kind, index, other, (*path, "alternatives", str(j)), hazard_of(other, step))
+
+
+def _reports(order: GuardedOrder, paths: Mapping[str, Path]) -> Iterator[Command]:
+    """What the operator, who sees the patient, says of it."""
+    if order.exposed or order.stopped:
+        action = ActionSpec(operation=MAKE_SAFE, roles=["operator"])
+        title = "Nothing is at or in the patient any more, and nothing moves"
+        yield Command(MAKE_SAFE, "make_safe", 0, action, paths[order.steps[0].name], title=title)
+    for i in order.once:
+        step = order.steps[i]
+        action = ActionSpec(operation=f"allow_{step.operation}_again", roles=["operator"])
+        title = f"Allow once more, though it cannot be undone: {step.operation.replace('_', ' ')}"
+        yield Command(action.operation, "allow", i, action, paths[step.name], title=title)
 
 
 def check_commands(group: Group, commands: Sequence[Command]) -> Iterator[Finding]:

@@ -50,10 +50,10 @@ def count_combinations(orders: Sequence[Order]) -> Combinations:
     """
     impossible: list[Impossible] = []
     for i, order in enumerate(orders):
-        others = prod(len(each.combinations) for each in orders[:i]) * 2 ** sum(map(len, orders[i + 1 :]))
+        others = prod(len(each.ideals) for each in orders[:i]) * 2 ** sum(map(len, orders[i + 1 :]))
         broken = [Impossible(step, missing, count * others) for step, missing, count in _broken(order)]
         impossible += [each for each in broken if each.count]
-    possible = prod(len(order.combinations) for order in orders)
+    possible = prod(len(order.ideals) for order in orders)
     return Combinations(sum(map(len, orders)), possible, tuple(impossible))
 
 
@@ -65,7 +65,7 @@ def _broken(order: Order) -> Iterator[tuple[str, str, int]]:
     """
     before = 0
     for place, step in enumerate(order.sequence):
-        kept = [each for each in order.combinations if not each & ~before]
+        kept = [each for each in order.ideals if not each & ~before]
         for name in dict.fromkeys(order.steps[step].depends_on):
             bit = 1 << order.index[name]
             lacking = sum(1 for each in kept if not each & bit)

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 
 from pcmrs.fsm.design.check import MAX_STEPS_OF_A_BRANCH
+from pcmrs.fsm.design.hazards import GuardedOrder, is_hazardous
 from pcmrs.fsm.design.order import MAX_COMBINATIONS, Order, TooManyCombinationsError
 from pcmrs.fsm.design.table import StepSpec
 from pcmrs.fsm.finding import Finding, Path
+
+UNNAMED = "procedure"
+"""Name of the branch of steps that name none; followed by a number where there are several."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +45,10 @@ def root_groups(steps: Sequence[StepSpec], paths: Mapping[str, Path]) -> list[Gr
     Raises:
         UndesignableError: Connected steps name different branches, or are too many for one.
     """
-    return [group(_branch_name(part, paths), "", part, paths) for part in _connected(steps)]
+    parts = _connected(steps)
+    names = [_branch_name(part, paths) for part in parts]
+    unnamed = (UNNAMED if number == 1 else f"{UNNAMED}_{number}" for number in count(1))
+    return [group(name or next(unnamed), "", part, paths) for name, part in zip(names, parts, strict=True)]
 
 
 def group(name: str, title: str, steps: Sequence[StepSpec], paths: Mapping[str, Path]) -> Group:
@@ -50,10 +58,17 @@ def group(name: str, title: str, steps: Sequence[StepSpec], paths: Mapping[str, 
         text = f"{name} would have {len(steps)} connected steps; the limit is {MAX_STEPS_OF_A_BRANCH}. Refine some."
         raise UndesignableError(Finding(code="step_count", text=text, path=where))
     try:
-        return Group(name, title, Order(steps))
+        order = GuardedOrder(name, steps) if is_hazardous(steps) else Order(steps)
     except TooManyCombinationsError:
         text = f"The {len(steps)} steps of {name} allow over {MAX_COMBINATIONS} combinations: refine some of them."
         raise UndesignableError(Finding(code="step_count", text=text, path=where)) from None
+    if len(order.flags) > MAX_STEPS_OF_A_BRANCH:
+        text = (
+            f"The states of {name} would have {len(order.flags)} digits, one for each step and one more for each that "
+        )
+        text += f"is irreversible; the limit is {MAX_STEPS_OF_A_BRANCH}. Refine some."
+        raise UndesignableError(Finding(code="step_count", text=text, path=where))
+    return Group(name, title, order)
 
 
 def _connected(steps: Sequence[StepSpec]) -> list[list[StepSpec]]:
@@ -72,4 +87,4 @@ def _branch_name(part: Sequence[StepSpec], paths: Mapping[str, Path]) -> str:
         (first, _), (second, step) = list(named.items())[:2]
         text = f"{step.name} is to be in {second}, but steps connected with it in {first}: they share one branch."
         raise UndesignableError(Finding(code="step_branch", text=text, path=(*paths[step.name], "branch")))
-    return next(iter(named), part[0].name)
+    return next(iter(named), "")

@@ -25,7 +25,9 @@ class Order:
         steps: In the order of the table.
         needs: For each step, the steps it directly depends on, as bits.
         dependents: For each step, all that depend on it, directly or not, as bits.
-        combinations: The possible ones, the empty one first.
+        ideals: The possible combinations, the empty one first.
+        combinations: The states of the branch, the start first.
+        flags: What the digits of a state stand for.
 
     Args:
         steps: Without cycles; all they depend on is among them.
@@ -40,7 +42,9 @@ class Order:
         self.needs = [sum(1 << self.index[name] for name in set(step.depends_on)) for step in steps]
         self.sequence = list(self._sorted())
         self.dependents = self._dependents()
-        self.combinations = self._combinations()
+        self.ideals = self._ideals()
+        self.flags = [step.name for step in steps]
+        self.combinations = self.ideals
 
     def __len__(self) -> int:
         return len(self.steps)
@@ -48,20 +52,28 @@ class Order:
     @property
     def all(self) -> int:
         """The combination of all steps."""
-        return (1 << len(self)) - 1
+        return self._every
 
     def state(self, combination: int) -> str:
         """Its digits in the order of the table, 1 for each step achieved."""
-        return "".join("1" if combination >> i & 1 else "0" for i in range(len(self)))
+        return "".join("1" if combination >> i & 1 else "0" for i in range(len(self.flags)))
 
     def meaning(self, combination: int) -> str:
         """What is achieved, in words."""
         achieved = [step.meaning for i, step in enumerate(self.steps) if combination >> i & 1]
         return ", ".join(achieved) or "nothing achieved yet"
 
+    def possible(self, step: int, combination: int) -> bool:
+        """Whether all that the step depends on is achieved."""
+        return not self.needs[step] & ~combination
+
     def possible_at(self, step: int) -> Iterator[int]:
-        """Combinations in which all that the step depends on is achieved."""
-        return (each for each in self.combinations if not self.needs[step] & ~each)
+        """Combinations in which the step can be done."""
+        return (each for each in self.combinations if self.possible(step, each))
+
+    def reopenable(self, step: int, combination: int) -> bool:
+        """Whether the step can be taken back."""
+        return bool(combination >> step & 1)
 
     def achieve(self, step: int, combination: int) -> int:
         """The combination after doing the step: what depends on it is open again."""
@@ -79,10 +91,14 @@ class Order:
                 closed |= self.needs[i]
         return closed
 
+    @property
+    def _every(self) -> int:
+        return (1 << len(self)) - 1
+
     def _sorted(self) -> Iterator[int]:
         """Steps after all they depend on, else in the order of the table."""
         done = 0
-        while done != self.all:
+        while done != self._every:
             step = next(i for i, needs in enumerate(self.needs) if not done >> i & 1 and not needs & ~done)
             done |= 1 << step
             yield step
@@ -95,7 +111,7 @@ class Order:
                     found[i] |= 1 << step | found[step]
         return found
 
-    def _combinations(self) -> list[int]:
+    def _ideals(self) -> list[int]:
         """Each step in turn joins those combinations that hold all it depends on."""
         found = [0]
         for step in self.sequence:

@@ -8,7 +8,9 @@ from typing import Any
 
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, ParentSpec, Requirement, SequenceSpec
 from pcmrs.fsm.design.grouping import Group, UndesignableError, group
+from pcmrs.fsm.design.hazards import hazard_of
 from pcmrs.fsm.design.order import Order
+from pcmrs.fsm.design.safety import CONNECTED, ROBOT, UNCONNECTED
 from pcmrs.fsm.design.table import ActionSpec, RefinementSpec, StepSpec
 from pcmrs.fsm.files.sequence import DONE, SequenceError, expand
 from pcmrs.fsm.finding import Finding, Path
@@ -84,6 +86,8 @@ def _sequence(step: StepSpec, spec: RefinementSpec) -> SequenceSpec:
     plain = ActionSpec(operation=step.operation)
     keys = ("payload", "checks", "steps", "timeout_s")
     given = {key: getattr(step, key) for key in keys if getattr(step, key) != getattr(plain, key)}
+    hazard = hazard_of(step)
+    given |= hazard.keys | ({"requires": {ROBOT: [CONNECTED]}, "refusal": UNCONNECTED} if hazard.moves else {})
     return SequenceSpec(
         count=spec.points if isinstance(spec.points, int) else None,
         items=spec.points if isinstance(spec.points, list) else [],

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import msgspec
 
 from pcmrs.messages.roles import Role
+
+DECLARATIONS = ("moves", "affects_patient", "irreversible", "confirm")
+"""Keys that say what an action does to the patient; one that is not given is false where another is."""
 
 
 class ActionSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -17,6 +22,10 @@ class ActionSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         steps: Registered names of what is done, in order.
         roles: Who of those who may ask for operations may do it; empty for all of them.
         timeout_s: Deadline of all steps together, in s of the cell's clock.
+        moves: It moves the robot; ``"retreat"`` where it moves it away from the patient only.
+        affects_patient: It acts on the patient without moving the robot.
+        irreversible: What it does cannot be undone.
+        confirm: Somebody has to confirm it each time.
     """
 
     operation: str
@@ -25,10 +34,19 @@ class ActionSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     steps: list[str] = []
     roles: list[Role] = []
     timeout_s: float = 5.0
+    moves: bool | Literal["approach", "retreat"] | None = None
+    affects_patient: bool | None = None
+    irreversible: bool | None = None
+    confirm: bool | None = None
+
+    @property
+    def declared(self) -> bool:
+        """Whether anything is said of what it does to the patient."""
+        return any(getattr(self, key) is not None for key in DECLARATIONS)
 
 
 class AlternativeSpec(ActionSpec, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Another way to achieve a step.
+    """Another way to achieve a step; what it does not say of the patient is as the step says.
 
     Attributes:
         partial: It may take several goes: its last step ends as ``partial`` or ``complete``.

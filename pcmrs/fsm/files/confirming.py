@@ -17,9 +17,10 @@ REFUSAL = "not_confirmed"
 """Code of the rejection of an operation that nobody has confirmed."""
 
 
-def confirmation_of(operation: str) -> str:
-    """Name of the branch in which an operation is confirmed."""
-    return f"{operation}_confirmation"
+def confirmation_of(blueprint: Blueprint, branch: str, operation: str) -> str:
+    """Name of the branch in which an operation is confirmed: by its own name where no other branch has that."""
+    shared = any(operation in spec.operations for name, spec in blueprint.branches.items() if name != branch)
+    return f"{branch}_{operation}_confirmation" if shared else f"{operation}_confirmation"
 
 
 def expand_confirmations(blueprint: Blueprint) -> Blueprint:
@@ -32,7 +33,7 @@ def expand_confirmations(blueprint: Blueprint) -> Blueprint:
     """
     branches = dict(blueprint.branches)
     for name, key, operation in _confirmed(blueprint):
-        made = confirmation_of(key)
+        made = confirmation_of(blueprint, name, key)
         if made in branches or operation.iio or operation.event or operation.rio:
             continue
         operations = branches[name].operations | {key: _requiring(operation, made)}

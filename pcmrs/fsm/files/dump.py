@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 import msgspec
@@ -30,12 +31,17 @@ def blueprint_toml(blueprint: Blueprint, *, comment: str = "") -> str:
 
 def _without_defaults(value: Any) -> Any:
     if isinstance(value, msgspec.Struct):
-        fields = msgspec.structs.fields(value)
+        fields = _fields(type(value))
         given = {field.encode_name: getattr(value, field.name) for field in fields if not _is_default(value, field)}
         return {key: _without_defaults(inner) for key, inner in given.items()}
     if isinstance(value, dict):
         return {key: _without_defaults(inner) for key, inner in value.items()}
     return [_without_defaults(inner) for inner in value] if isinstance(value, list) else value
+
+
+@cache
+def _fields(kind: type[msgspec.Struct]) -> tuple[msgspec.structs.FieldInfo, ...]:
+    return msgspec.structs.fields(kind)
 
 
 def _is_default(value: msgspec.Struct, field: msgspec.structs.FieldInfo) -> bool:

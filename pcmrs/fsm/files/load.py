@@ -171,6 +171,8 @@ def content_hash(blueprint: Blueprint) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
+OPERATION_FIELDS = msgspec.structs.fields(OperationSpec)
+
 FIRST_NAMES = {"affects_patient": "acts"}
 """Keys that were renamed: journals name the hash, which must stay what it was where only a key is called otherwise."""
 
@@ -183,7 +185,7 @@ def _hashed(operation: OperationSpec) -> msgspec.Raw:
     """An operation under the first names of its keys, without those that came later and say nothing here."""
     said: dict[str, msgspec.Raw] = {}
     implied = operation.implied
-    for each in msgspec.structs.fields(operation):
+    for each in OPERATION_FIELDS:
         value = getattr(operation, each.name)
         if each.name not in implied or value != implied[each.name]:
             name = FIRST_NAMES.get(each.encode_name, each.encode_name)

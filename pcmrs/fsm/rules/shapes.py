@@ -116,7 +116,7 @@ def _hazards(spec: BranchSpec, operation: OperationSpec) -> Iterator[str]:
     if operation.allows_again and (operation.iio or operation.event or operation.rio or operation.irreversible):
         yield "has `allows_again`: it must be one that a user asks for, neither a re-initiation nor irreversible."
     if operation.confirm:
-        yield "cannot be confirmed: users must ask for it, and <operation>_confirmation be no other branch's name."
+        yield "cannot be confirmed: users must ask for it, and <operation>_confirmation be no branch yet."
     for key in operation.allows_again:
         if not spec.operations[key].irreversible:
             yield f"allows {key} again, which is not irreversible: mark that, or leave it out."

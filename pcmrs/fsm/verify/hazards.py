@@ -34,10 +34,8 @@ def ways_back(space: Space) -> Iterator[Finding]:
         safe[name] = [state for state in branch.states if state in seen and state not in exposed]
         if not safe[name]:
             key = next(iter(_hazards(branch)))
-            text = (
-                f"{name} has no state that is safe: one that it can be in before {name}.{key} is first performed, and "
-            )
-            text += "in which nothing ends that moves or affects the patient, but for a retreat."
+            text = f"{name} has no state that is safe: one in which it can be before {name}.{key} is first performed, "
+            text += "and in which no motion ends but a retreat."
             yield Finding(code="no_way_back", text=text, path=("branches", name))
             return
     wanted = space.reached.which(lambda batch: batch.matching(safe))
