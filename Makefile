@@ -10,7 +10,7 @@ WORKFLOW := ratms
 INSTALLED := $(VENV)/installed.stamp
 EXTRAS := sim hardware console imaging ros2 docs dev
 
-.PHONY: help install demo test mutants tools browser mono screenshots docs lint lock clean
+.PHONY: help install demo test mutants tools spin browser mono screenshots docs lint lock clean
 
 help: ## List these targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  make \1\t\2/p' Makefile
@@ -26,8 +26,12 @@ test: install ## Run the whole test suite; a running daemon does not disturb it
 mutants: install ## Take guards out of the product, one at a time, and count how many the tests miss; tens of minutes
 	$(BIN)/python tests/mutants/run_removed_guards.py
 
-tools: ## Install what faults are injected with (Debian packages, as root); without them such faults are not run
+tools: spin ## Install SPIN and what faults are injected with (Debian packages, as root); without them such tests and faults are not run
 	apt-get install --yes --no-install-recommends e2fsprogs faketime iproute2 mount nftables strace
+
+spin: ## Install the model checker SPIN and a C compiler (Debian packages, as root); without them its tests are skipped
+	apt-get update -qq
+	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends spin gcc libc6-dev >/dev/null
 
 browser: ## Install the browser that the console is tested in (Debian packages, as root); without it those tests are skipped
 	apt-get update -qq

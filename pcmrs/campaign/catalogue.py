@@ -12,7 +12,7 @@ import msgspec
 
 from pcmrs.errors import ConfigurationError
 
-FaultClass = Literal["operator", "sensor", "robot", "network", "process", "storage", "clock", "adversary"]
+FaultClass = Literal["operator", "sensor", "robot", "network", "process", "storage", "clock", "adversary", "order"]
 CLASSES: tuple[FaultClass, ...] = get_args(FaultClass)
 
 RESPONSES: Mapping[str, str] = {

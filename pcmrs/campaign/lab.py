@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pcmrs.bus import Bus, BusSettings
+from pcmrs.campaign.delays import Delays
 from pcmrs.campaign.driving import calmed, start_anew
 from pcmrs.campaign.fault import Unmet
 from pcmrs.client import Client
@@ -61,6 +62,7 @@ class LabCell:
         planner: Over UDP.
         bus: As a device node or a console has it.
         scene: Truth and faults of the simulation.
+        delays: Of the transport of daemon and nodes.
     """
 
     process: asyncio.subprocess.Process
@@ -72,6 +74,7 @@ class LabCell:
     planner: Planner
     bus: Bus
     scene: RemoteScene
+    delays: Delays
 
     @property
     def name(self) -> str:
@@ -122,6 +125,7 @@ class Lab:
         folder: Path | None = None,
         prefix: Sequence[str] = (),
         environment: Mapping[str, str] | None = None,
+        delayed: bool = False,
     ) -> AsyncIterator[LabCell]:
         """A fresh daemon for the length of the context.
 
@@ -130,6 +134,7 @@ class Lab:
             folder: The cell's folder: that of an earlier daemon for its successor; a new one by default.
             prefix: Words before the daemon's command line, such as ``strace`` and its options.
             environment: Variables that it has besides those of this process.
+            delayed: The rules of its `LabCell.delays` are obeyed.
 
         Raises:
             DeviceError: It did not start; the text has its last words.
@@ -137,11 +142,11 @@ class Lab:
         self._daemons += 1
         place = folder or self.folder / f"cell{self._daemons}"
         settings = (f"sim.seed={self.seed}", *overrides)
-        async with open_cell(place, settings, prefix=prefix, environment=environment) as cell:
+        async with open_cell(place, settings, prefix=prefix, environment=environment, delayed=delayed) as cell:
             yield cell
 
     @asynccontextmanager
-    async def cell(self, *overrides: str, anew: bool = True) -> AsyncIterator[LabCell]:
+    async def cell(self, *overrides: str, anew: bool = True, delayed: bool = False) -> AsyncIterator[LabCell]:
         """A daemon that an earlier fault may have used.
 
         It is kept for the next fault when the context ends without an error, so what was broken must have been mended.
@@ -149,8 +154,9 @@ class Lab:
         Args:
             overrides: Settings besides `QUICK`, ``key=value`` each.
             anew: Every branch is in its initial state; otherwise the head may be registered, and the tool at it.
+            delayed: The rules of its `LabCell.delays` are obeyed.
         """
-        async with self._pool.borrow(overrides, self.seed, anew=anew) as cell:
+        async with self._pool.borrow(overrides, self.seed, anew=anew, delayed=delayed) as cell:
             yield cell
 
     async def ending(self, *overrides: str, folder: Path | None = None) -> tuple[int, str]:
@@ -190,30 +196,32 @@ class Pool:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._kept: tuple[tuple[str, ...], LabCell] | None = None
+        self._kept: tuple[tuple[tuple[str, ...], bool], LabCell] | None = None
         self._stack = AsyncExitStack()
         self._daemons = 0
 
     @asynccontextmanager
-    async def borrow(self, overrides: tuple[str, ...], seed: int, *, anew: bool) -> AsyncIterator[LabCell]:
+    async def borrow(
+        self, overrides: tuple[str, ...], seed: int, *, anew: bool, delayed: bool = False
+    ) -> AsyncIterator[LabCell]:
         """The kept daemon, or a new one where the settings are others; ended when the context ends with an error."""
-        cell = await self._ready(overrides, seed, anew=anew)
+        cell = await self._ready(overrides, seed, anew=anew, delayed=delayed)
         try:
             yield cell
         except BaseException:
             await self.close()
             raise
 
-    async def _ready(self, overrides: tuple[str, ...], seed: int, *, anew: bool) -> LabCell:
-        if self._kept is not None and self._kept[0] == overrides:
+    async def _ready(self, overrides: tuple[str, ...], seed: int, *, anew: bool, delayed: bool) -> LabCell:
+        if self._kept is not None and self._kept[0] == (overrides, delayed):
             with suppress(PcmrsError):  # what an earlier fault has left must not fail this one
                 await _prepare(self._kept[1], seed, anew=anew)
                 return self._kept[1]
         await self.close()
         self._daemons += 1
         place = self._folder / f"shared{self._daemons}"
-        cell = await self._stack.enter_async_context(open_cell(place, overrides))
-        self._kept = overrides, cell
+        cell = await self._stack.enter_async_context(open_cell(place, overrides, delayed=delayed))
+        self._kept = (overrides, delayed), cell
         await _prepare(cell, seed, anew=anew)
         return cell
 
@@ -239,6 +247,7 @@ async def open_cell(
     *,
     prefix: Sequence[str] = (),
     environment: Mapping[str, str] | None = None,
+    delayed: bool = False,
 ) -> AsyncIterator[LabCell]:
     """A daemon in a folder, with a client, a planner and a bus.
 
@@ -246,6 +255,9 @@ async def open_cell(
         DeviceError: It did not start; the text has its last words.
     """
     settings, log = (*own_settings(_made(folder), folder.name), *QUICK, *overrides), folder / "log"
+    delays = Delays(folder / "delays")
+    if delayed:
+        environment = {**(environment or {}), **delays.environment}
     async with (
         running_daemon(settings, log, prefix=prefix, environment=environment) as daemon,
         AsyncExitStack() as stack,
@@ -263,6 +275,7 @@ async def open_cell(
             planner=await stack.enter_async_context(await Planner.open(*ready.links["planner"])),
             bus=bus,
             scene=RemoteScene(bus, SystemClock()),
+            delays=delays,
         )
 
 

@@ -9,7 +9,7 @@ from pcmrs.campaign.catalogue import choose
 from pcmrs.campaign.fault import injections
 from pcmrs.campaign.run import run_campaign
 
-CLASSES = ("network", "process", "storage", "clock", "adversary")
+CLASSES = ("network", "process", "storage", "clock", "adversary", "order")
 ROWS = choose(CLASSES)
 QUICK = ("N5", "A7")
 """On one daemon, in seconds."""

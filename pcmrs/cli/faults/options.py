@@ -24,7 +24,7 @@ def choosing(function: F) -> F:
             "classes",
             multiple=True,
             metavar="CLASS",
-            help="Only operator, sensor, robot, network, process, storage, clock or adversary; may be repeated.",
+            help="Only operator, sensor, robot, network, process, storage, clock, adversary or order; may be repeated.",
         ),
     ):
         function = option(function)
