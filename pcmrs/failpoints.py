@@ -28,7 +28,10 @@ FAILPOINTS: Final = (
     "dispatcher.before_reply",
     "service.before_publish",
 )
-"""Every name there is, in the order in which one command that touches the world passes them."""
+"""In the order in which one command that touches the world passes them."""
+
+OF_GROWTH: Final = ("journal.before_next_file", "journal.after_next_file", "journal.after_next_head")
+"""In the order in which a journal that goes on in a new file passes them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +58,8 @@ def arm(text: str) -> None:
     """
     global _armed
     name, _, count = text.partition(":")
-    if text and (name not in FAILPOINTS or not (count.isascii() and count.isdigit() and int(count))):
-        known = ", ".join(FAILPOINTS)
+    if text and (name not in FAILPOINTS + OF_GROWTH or not (count.isascii() and count.isdigit() and int(count))):
+        known = ", ".join(FAILPOINTS + OF_GROWTH)
         raise ConfigurationError(
             f"{VARIABLE}={text} arms nothing: give name:N with N from 1 and one of the names {known}.", value=text
         )

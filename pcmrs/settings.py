@@ -145,11 +145,13 @@ class JournalSettings(Table, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         durable: Without it decisions survive a kill but not a power cut: for benchmarks.
+        largest_mb: Beyond this size the journal goes on in a new file, MB.
         warn_free_mb: With less free space on its disk the daemon warns, MB.
         least_free_mb: With less it accepts no state change any more; Stop, events and what runs still have room, MB.
     """
 
     durable: bool = True
+    largest_mb: Annotated[float, msgspec.Meta(gt=0.0)] = 256.0
     warn_free_mb: Annotated[float, msgspec.Meta(ge=0.0)] = 1000.0
     least_free_mb: Annotated[float, msgspec.Meta(ge=0.0)] = 100.0
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -65,6 +66,39 @@ def follow_chain(connection: sqlite3.Connection, path: Path, after: Place | int 
             yield stored
     except DATABASE_ERRORS as error:
         raise _damaged(path, expected + 1, f"cannot be read ({error})") from error
+
+
+def follow_files(files: Iterable[tuple[Path, sqlite3.Connection]], after: Place | int = START) -> Iterator[StoredRow]:
+    """All rows of several files after a place in the first of them; see `follow_chain`."""
+    for path, connection in files:
+        for stored in follow_chain(connection, path, after):
+            after = Place(stored.sequence, stored.hash)
+            yield stored
+
+
+def starts_of(files: Sequence[tuple[Path, sqlite3.Connection]]) -> list[Place]:
+    """For each file the place after which its rows go on, which is the end of the file before it.
+
+    Raises:
+        JournalError: A file does not begin where the one before it ends.
+    """
+    starts = [START]
+    for (earlier, before), (path, connection) in pairwise(files):
+        end = _edge(earlier, before, "SELECT sequence, hash FROM journal ORDER BY sequence DESC LIMIT 1")
+        start = _edge(path, connection, "SELECT sequence - 1, previous_hash FROM journal ORDER BY sequence LIMIT 1")
+        if start != end:
+            text = f"does not follow from the end of {earlier.name}, which is row {end.sequence}"
+            raise _damaged(path, start.sequence + 1, text)
+        starts.append(start)
+    return starts
+
+
+def _edge(path: Path, connection: sqlite3.Connection, query: str) -> Place:
+    try:
+        found = connection.execute(query).fetchone()
+    except DATABASE_ERRORS as error:
+        raise _damaged(path, 0, f"cannot be read ({error})") from error
+    return START if found is None else Place(*found)
 
 
 def _check_found(connection: sqlite3.Connection, path: Path, row: JournalRow, record: tuple[Any, ...]) -> None:

@@ -1,4 +1,4 @@
-"""Copying a journal as one database file, with the head that belongs to it and the key that proves it."""
+"""Copying a journal as database files without logs, with the head that belongs to it and the key that proves it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from pcmrs.errors import JournalError
+from pcmrs.journal.files import journal_files, numbered
 from pcmrs.journal.head import head_path, read_head
 from pcmrs.journal.keys import PUBLIC, public_key
 from pcmrs.journal.schema import DATABASE_ERRORS, HEADLESS, last_sequence, open_for_reading, version_of
@@ -17,7 +18,9 @@ _TRIES: Final = 20
 
 
 def copy_journal(source: Path, target: Path) -> None:
-    """Copies a journal, also one that is being written, so that `verify` finds the copy as good as the original.
+    """Copies a journal with all its files so that `verify` finds the copy as good as the original.
+
+    It may be written meanwhile.
 
     Args:
         source: The journal.
@@ -53,10 +56,14 @@ def _head_bytes(journal: Path) -> bytes | None:
 
 def _copy_database(source: Path, target: Path) -> tuple[int, int]:
     """Returns the version and the last sequence of the copy."""
+    version = last = 0
     try:
-        with closing(open_for_reading(source)) as written, closing(sqlite3.connect(target)) as copy:
-            written.backup(copy)
-            copy.execute("PRAGMA journal_mode = DELETE")  # one file, which nobody writes any more
-            return version_of(copy), last_sequence(copy, target)
+        for number, file in enumerate(journal_files(source), start=1):
+            path = numbered(target, number)
+            with closing(open_for_reading(file)) as written, closing(sqlite3.connect(path)) as copy:
+                written.backup(copy)
+                copy.execute("PRAGMA journal_mode = DELETE")  # no log beside it, since nobody writes it any more
+                version, last = version_of(copy), last_sequence(copy, path)
+        return version, last
     except DATABASE_ERRORS as error:
         raise JournalError(f"{source} cannot be copied to {target}: {error}.", path=str(source)) from error

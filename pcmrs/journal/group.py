@@ -97,7 +97,7 @@ class GroupCommit:
                 job = None if group else self._queue.popleft()
             if group:
                 self._commit(group)
-                self._writer.checkpoint_when_due()
+                self._writer.maintain()
                 if self._writer.error is not None:
                     group[0].durable.get_loop().call_soon_threadsafe(self._failed)
             elif isinstance(job, _Reopening):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from pcmrs.errors import JournalError
 from pcmrs.failpoints import failpoint
+from pcmrs.journal.files import LARGEST
 from pcmrs.journal.group import GroupCommit
 from pcmrs.journal.reader import JournalReader
 from pcmrs.journal.rows import JournalRow, encode_row
@@ -17,7 +18,7 @@ from pcmrs.journal.writer import JournalWriter
 
 
 class Journal:
-    """An append-only SQLite file of facts, chained by hashes, with a signed head beside it. Use `Journal.open`.
+    """Append-only SQLite files of facts, chained by hashes, with a signed head beside them. Use `Journal.open`.
 
     Attributes:
         reader: Reads what has been committed.
@@ -31,20 +32,21 @@ class Journal:
         self._failure_listeners: list[Callable[[JournalError], object]] = []
 
     @classmethod
-    def open(cls, path: Path, *, durable: bool = True) -> Journal:
+    def open(cls, path: Path, *, durable: bool = True, largest: float = LARGEST) -> Journal:
         """Opens the journal, or makes it with its head and, in a new folder, the key pair that signs it.
 
         Args:
-            path: Of the file; its folder exists.
+            path: Of the first file; its folder exists.
             durable: True: a thread commits, and an append ends when the disk has it. False, for simulated
                 time and benchmarks: an append commits at once in the calling thread and survives a kill,
                 but not a power cut.
+            largest: Size beyond which the journal goes on in a new file, bytes.
 
         Raises:
             JournalError: The file cannot be opened, is no journal or one of another version, is open elsewhere,
                 or does not hold all that its signed head names. Nothing in it was changed then.
         """
-        writer = JournalWriter(path, durable=durable)
+        writer = JournalWriter(path, durable=durable, largest=largest)
         return cls(writer, JournalReader(path), durable=durable)
 
     @property
@@ -93,7 +95,7 @@ class Journal:
             return self._group.append(encoded)
         committed: asyncio.Future[int] = asyncio.get_running_loop().create_future()
         sequence = self._writer.write(encoded)
-        self._writer.checkpoint_when_due()
+        self._writer.maintain()
         self._tell_of_failure()
         failpoint("journal.before_acknowledge")
         committed.set_result(sequence)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pcmrs.clock import SystemClock
 from pcmrs.errors import JournalError
-from pcmrs.journal.rows import JournalRow
+from pcmrs.journal.rows import JournalRow, Place
 from pcmrs.journal.schema import HEADLESS
 from pcmrs.journal.soundness import Found
 
 SOURCE = "journal"
 """Source of rows that the journal writes about itself."""
+CONTINUED = "continued"
+"""Of the first row of every file but the first."""
 
 
 def note_rows(found: Found) -> list[JournalRow]:
@@ -36,6 +38,19 @@ def reopened_rows(found: Found, why: JournalError | None) -> list[JournalRow]:
         return []
     text = f"The journal was reopened, and what the disk has was read again. {why.text if why is not None else ''}"
     return [_note(found.last.row, "reopened", {"text": text.rstrip()})]
+
+
+def continued_row(before: JournalRow, earlier: str, place: Place) -> JournalRow:
+    """The row with which a new file continues an earlier one.
+
+    Args:
+        before: The last row of that file.
+        earlier: Its name.
+        place: Of that row.
+    """
+    text = f"The journal has grown and goes on in this file, after row {place.sequence} of {earlier}."
+    result = {"text": text, "earlier": earlier, "rows": place.sequence, "hash": place.hash.hex()}
+    return _note(before, CONTINUED, result)
 
 
 def _note(before: JournalRow, operation: str, result: dict[str, object]) -> JournalRow:

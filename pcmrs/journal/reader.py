@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Iterator, Sequence
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Self
 
 from pcmrs.errors import JournalError
-from pcmrs.journal.chain import COLUMNS, follow_chain, stored_row
+from pcmrs.journal.chain import COLUMNS, follow_files, stored_row
+from pcmrs.journal.files import journal_files, numbered
 from pcmrs.journal.rows import Kind, StoredRow
 from pcmrs.journal.schema import DATABASE_ERRORS, last_sequence, open_for_reading
 from pcmrs.messages import Verdict
 
+_File = tuple[Path, sqlite3.Connection]
+
 
 class JournalReader:
-    """A read-only view of a journal file, also while a daemon writes it.
+    """A read-only view of a journal with all its files, also while a daemon writes it.
 
     Args:
-        path: Of the file.
+        path: Of the first file.
 
     Attributes:
-        path: Of the file; a second reader of it may work in another thread.
+        path: Of the first file; a second reader of it may work in another thread.
 
     Raises:
         JournalError: From the constructor: there is no such journal. From all methods: it cannot be read, or a row
@@ -65,18 +70,21 @@ class JournalReader:
         filters = {column: value for column, value in wanted.items() if value is not None}
         bounds = {"sequence > ?": after} | ({} if before is None else {"sequence < ?": before})
         where = " AND ".join([*bounds, *(f"{column} = ?" for column in filters)])
-        query, values = f"SELECT {COLUMNS} FROM journal WHERE {where}", [*bounds.values(), *filters.values()]
+        values = [*bounds.values(), *filters.values()]
         if last is not None:
-            query, values = f"SELECT * FROM ({query} ORDER BY sequence DESC LIMIT ?)", [*values, last]
-        # A negative limit is none.
-        values.append(-1 if first is None else first)
-        yield from self._rows(f"{query} ORDER BY sequence LIMIT ?", values)
+            found = self._last(where, values, last)
+        else:
+            limit = -1 if first is None else first  # a negative limit is none
+            query = f"SELECT {COLUMNS} FROM journal WHERE {where} ORDER BY sequence LIMIT ?"
+            found = chain.from_iterable(self._rows(file, query, [*values, limit]) for file in self._followed())
+        yield from islice(found, first)
 
     def verdict_of(self, source: str, command_id: str) -> Verdict | None:
         """The recorded verdict on a command, so that a repeat runs nothing; None when there is none."""
         query = f"SELECT {COLUMNS} FROM journal WHERE kind = 'outcome' AND source = ? AND command_id = ?"
-        for stored in self._rows(query, (source, command_id)):
-            return stored.row.verdict
+        for file in reversed(self._followed()):
+            for stored in self._rows(file, query, (source, command_id)):
+                return stored.row.verdict
         return None
 
     def read_whole(self) -> Iterator[StoredRow]:
@@ -85,23 +93,46 @@ class JournalReader:
         Raises:
             JournalError: Its field ``sequence`` is the first row that is bad.
         """
-        return follow_chain(self._connection, self.path)
+        return follow_files(self._followed())
 
     def last_sequence(self) -> int:
         """Sequence of the last row; 0 when there is none."""
-        return last_sequence(self._connection, self.path)
+        path, newest = self._followed()[-1]
+        return last_sequence(newest, path)
 
     def open(self) -> None:
-        """Opens the file again after `close`, as it is now."""
-        self._connection = open_for_reading(self.path)
+        """Opens the files again after `close`, as they are now."""
+        self._files: list[_File] = []
+        try:
+            for path in journal_files(self.path):
+                self._files.append((path, open_for_reading(path)))
+        except JournalError:
+            self.close()
+            raise
 
     def close(self) -> None:
-        """Closes the file."""
-        self._connection.close()
+        """Closes the files."""
+        for _, connection in self._files:
+            connection.close()
 
-    def _rows(self, query: str, values: Sequence[Any]) -> Iterator[StoredRow]:
+    def _followed(self) -> Sequence[_File]:
+        """All files in their order, with those in which the journal has gone on meanwhile."""
+        while (path := numbered(self.path, len(self._files) + 1)).exists():
+            self._files.append((path, open_for_reading(path)))
+        return self._files
+
+    def _last(self, where: str, values: Sequence[Any], last: int) -> Iterator[StoredRow]:
+        query = f"SELECT {COLUMNS} FROM journal WHERE {where} ORDER BY sequence DESC LIMIT ?"
+        found: list[StoredRow] = []
+        for file in reversed(self._followed()):
+            if len(found) < last:
+                found.extend(self._rows(file, query, [*values, last - len(found)]))
+        return reversed(found)
+
+    def _rows(self, file: _File, query: str, values: Sequence[Any]) -> Iterator[StoredRow]:
+        path, connection = file
         try:
-            for record in self._connection.execute(query, values):
-                yield stored_row(self.path, record)
+            for record in connection.execute(query, values):
+                yield stored_row(path, record)
         except DATABASE_ERRORS as error:
-            raise JournalError(f"{self.path} cannot be read: {error}.", path=str(self.path)) from error
+            raise JournalError(f"{path} cannot be read: {error}.", path=str(path)) from error

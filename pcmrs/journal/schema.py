@@ -42,14 +42,21 @@ _STATEMENTS: Final = {
 WHEN NEW.sequence IS NOT (SELECT coalesce(max(sequence), 0) + 1 FROM journal)
 BEGIN SELECT RAISE(ABORT, 'the sequence has no gaps'); END""",
 }
-_SCHEMA: Final = f"BEGIN IMMEDIATE; {'; '.join(_STATEMENTS.values())}; PRAGMA user_version = {VERSION}; COMMIT;"
+INSERT: Final = "INSERT INTO journal VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
+
+Record = tuple[object, ...]
+"""A row as the table has it."""
 
 DATABASE_ERRORS: Final = (sqlite3.Error, UnicodeDecodeError)
 """What reading a damaged database raises; the second where even SQLite's message quotes damaged text."""
 
 
-def make_database(path: Path) -> None:
-    """Makes an empty journal, which appears under its name only when it is whole.
+def make_database(path: Path, first: Record | None = None) -> None:
+    """Makes a file of a journal, which appears under its name only when it is whole.
+
+    Args:
+        path: Of the file.
+        first: The row with which it continues an earlier file; None for the first file of a journal, which is empty.
 
     Raises:
         JournalError: It cannot be made.
@@ -58,7 +65,15 @@ def make_database(path: Path) -> None:
     try:
         part.unlink(missing_ok=True)
         with closing(sqlite3.connect(part, isolation_level=None)) as connection:
-            connection.executescript(_SCHEMA)
+            connection.execute("BEGIN IMMEDIATE")
+            connection.execute(_STATEMENTS["journal"])
+            if first is not None:
+                connection.execute(INSERT, first)  # before there is a trigger that lets rows begin with 1 only
+            for name, statement in _STATEMENTS.items():
+                if name != "journal":
+                    connection.execute(statement)
+            connection.execute(f"PRAGMA user_version = {VERSION}")
+            connection.execute("COMMIT")
             connection.execute("PRAGMA journal_mode = WAL").fetchone()
         publish(part, path)
     except (OSError, sqlite3.Error) as error:

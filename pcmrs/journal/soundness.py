@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import closing
+from collections.abc import Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -10,7 +11,8 @@ from typing import Final
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from pcmrs.errors import JournalError
-from pcmrs.journal.chain import REMEDY, follow_chain
+from pcmrs.journal.chain import REMEDY, follow_files, starts_of
+from pcmrs.journal.files import journal_files
 from pcmrs.journal.head import Head, HeadState, head_path, read_head
 from pcmrs.journal.keys import signing_key
 from pcmrs.journal.rows import START, Place, StoredRow
@@ -25,6 +27,7 @@ class Found:
     """A journal that may be written on.
 
     Attributes:
+        file: The one to write on.
         key: Signs its head.
         version: Of the file; 0 when there is none yet.
         head: None when one is still to be begun.
@@ -32,6 +35,7 @@ class Found:
         damaged: How many slots of the head are damaged.
     """
 
+    file: Path
     key: Ed25519PrivateKey
     version: int
     head: Head | None
@@ -52,22 +56,24 @@ class Found:
 def examine(path: Path) -> Found:
     """Reads the journal from its last snapshot on, and the head; writes nothing into either.
 
-    The whole chain is followed where no snapshot begins a shorter part, and for a journal of version 1, which has
-    no head.
+    Where no snapshot begins a shorter part of the newest file, the chain is followed from the end of the file before it
+    on, or from its beginning; so it is for a journal of version 1, which has no head.
 
     Raises:
         JournalError: Rows are missing, changed, or not written by who has the key; the head or its key is missing
             or damaged; the file is no journal.
     """
-    version = 0 if not path.exists() or path.stat().st_size == 0 else _version(path)
+    files = journal_files(path)
+    newest = files[-1]
+    version = 0 if files == [path] and (not path.exists() or path.stat().st_size == 0) else _version(newest)
     headed = head_path(path).exists()
     key = signing_key(path.parent, make=not headed and version in (0, HEADLESS))
     state = read_head(head_path(path), key.public_key())
     head = require_head(path, state, version)
     last = None
     if version:
-        last = _read_end(path, version, head)
-    found = Found(key, version, head, last, 0 if state is None else state.damaged)
+        last = _read_end(files, version, head)
+    found = Found(newest, key, version, head, last, 0 if state is None else state.damaged)
     if head is not None:
         require_rows(path, head.place, found.place)
         require_named(path, found.unnamed, found.damaged)
@@ -135,16 +141,21 @@ def _version(path: Path) -> int:
         return version_of(connection)
 
 
-def _read_end(path: Path, version: int, head: Head | None) -> StoredRow | None:
+def _read_end(files: Sequence[Path], version: int, head: Head | None) -> StoredRow | None:
     last = None
-    with closing(open_for_reading(path)) as connection:
-        check_schema(connection, path)
-        snapshot = last_sequence(connection, path, kind="snapshot")
+    with ExitStack() as stack:
+        opened = [(path, stack.enter_context(closing(open_for_reading(path)))) for path in files]
+        path, newest = opened[-1]
+        check_schema(newest, path)
+        snapshot = last_sequence(newest, path, kind="snapshot")
         if version == HEADLESS and snapshot:
             text = f"{path} says that it is of version {version}, and holds rows of a later one. {REMEDY}"
             raise JournalError(text, path=str(path))
-        first = min(snapshot, head.place.sequence if head is not None else 0)
-        for last in follow_chain(connection, path, first - 1 if first > 1 else START):
+        starts = starts_of(opened)
+        first = min(snapshot or starts[-1].sequence + 1, head.place.sequence if head is not None else 0)
+        number = max(number for number, start in enumerate(starts) if start.sequence < max(first, 1))
+        after = first - 1 if first - 1 > starts[number].sequence else starts[number]
+        for last in follow_files(opened[number:], after):
             if head is not None and last.sequence == head.place.sequence and last.hash != head.place.hash:
                 raise another_row(path, head.place)
     return last

@@ -12,6 +12,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from pcmrs.errors import JournalError
 from pcmrs.journal.chain import follow_chain
+from pcmrs.journal.files import journal_files
 from pcmrs.journal.head import HeadState, head_path, read_head
 from pcmrs.journal.keys import PUBLIC, public_key
 from pcmrs.journal.rows import START, Place
@@ -131,21 +132,28 @@ class _Reading:
 
     def read(self, progress: Progress) -> None:
         """Reads all rows and pages. Raises `JournalError` at the first bad row."""
-        if not self._path.exists() or self._path.stat().st_size == 0:
+        files = journal_files(self._path)
+        if files == [self._path] and (not self._path.exists() or self._path.stat().st_size == 0):
             return
-        with closing(open_for_reading(self._path)) as connection:
-            self._version = version_of(connection)
-            self.attempt(lambda: check_schema(connection, self._path))
-            connection.execute("BEGIN")  # one view of rows and indexes
-            total = last_sequence(connection, self._path)
-            progress("rows", 0, total)
-            for stored in follow_chain(connection, self._path):
-                self._end = Place(stored.sequence, stored.hash)
-                if self._end in self._named:
-                    self.reached.add(self._end)
-                if stored.sequence % 1000 == 0 or stored.sequence == total:
-                    progress("rows", stored.sequence, total)
-            self._check_pages(connection)
+        with closing(open_for_reading(files[-1])) as newest:
+            total = last_sequence(newest, files[-1])
+        progress("rows", 0, total)
+        for path in files:
+            with closing(open_for_reading(path)) as connection:
+                self._read_file(path, connection, lambda done: progress("rows", done, max(done, total)))
+
+    def _read_file(self, path: Path, connection: sqlite3.Connection, done: Callable[[int], None]) -> None:
+        self._version = version_of(connection)
+        self.attempt(lambda: check_schema(connection, path))
+        connection.execute("BEGIN")  # one view of rows and indexes
+        end = last_sequence(connection, path)
+        for stored in follow_chain(connection, path, self._end):
+            self._end = Place(stored.sequence, stored.hash)
+            if self._end in self._named:
+                self.reached.add(self._end)
+            if stored.sequence % 1000 == 0 or stored.sequence == end:
+                done(stored.sequence)
+        self._check_pages(path, connection)
 
     def compare(self, before: HeadState | None, after: HeadState | None) -> None:
         """Compares the rows with the head as it was before they were read, and after. Raises `JournalError`."""
@@ -176,11 +184,11 @@ class _Reading:
             problems=tuple(self.problems),
         )
 
-    def _check_pages(self, connection: sqlite3.Connection) -> None:
+    def _check_pages(self, path: Path, connection: sqlite3.Connection) -> None:
         """SQLite's own check of pages and indexes."""
         try:
             found = [line for (line,) in connection.execute("PRAGMA integrity_check(10)")]
         except DATABASE_ERRORS as error:
             found = [str(error)]
         if found != ["ok"]:
-            self.problems.append(f"The database is damaged: {'; '.join(map(str, found))}.")
+            self.problems.append(f"The database is damaged, {path.name}: {'; '.join(map(str, found))}.")

@@ -10,13 +10,13 @@ from typing import Final
 from pcmrs.errors import JournalError
 from pcmrs.failpoints import failpoint
 from pcmrs.files import settle_on_disk
+from pcmrs.journal.files import LARGEST, journal_files, numbered
 from pcmrs.journal.head import Head, HeadFile, begin_head, head_path
-from pcmrs.journal.notes import note_rows, reopened_rows
+from pcmrs.journal.notes import continued_row, note_rows, reopened_rows
 from pcmrs.journal.rows import START, JournalRow, Place, chain_hash, encode_row
-from pcmrs.journal.schema import DATABASE_ERRORS, HEADLESS, VERSION, make_database, open_for_writing
+from pcmrs.journal.schema import DATABASE_ERRORS, HEADLESS, INSERT, VERSION, Record, make_database, open_for_writing
 from pcmrs.journal.soundness import Found, examine
 
-_INSERT: Final = "INSERT INTO journal VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
 _CHECKPOINT_AFTER: Final = 200
 """Commits after which the log is carried over into the database, about 1000 pages."""
 
@@ -25,14 +25,15 @@ Encoded = tuple[JournalRow, bytes]
 
 
 class JournalWriter:
-    """The one writer of a journal file, used by one thread at a time.
+    """The one writer of a journal, used by one thread at a time.
 
     After an error it writes nothing more, since what is acknowledged afterwards could not be trusted, until
     `reopen` has found out what the disk has.
 
     Args:
-        path: Of the file; its folder exists.
+        path: Of the first file; its folder exists.
         durable: Whether a commit waits until the disk has it.
+        largest: Size beyond which it goes on in a new file, bytes.
 
     Attributes:
         place: Of the last row that was written, and that the head names.
@@ -43,11 +44,15 @@ class JournalWriter:
             its head names; see `examine`.
     """
 
-    def __init__(self, path: Path, *, durable: bool) -> None:
+    def __init__(self, path: Path, *, durable: bool, largest: float = LARGEST) -> None:
         self._path = path
         self._durable = durable
+        self._largest = largest
         self.error: JournalError | None = None
         self.place = START
+        self._file = path
+        self._connection: sqlite3.Connection
+        self._last: JournalRow | None = None
         self._failed: Place | None = None
         self._attempts: set[Place] = set()
         self._commits = 0
@@ -64,14 +69,22 @@ class JournalWriter:
             raise JournalError(self.error.text, sequence=None)
         return self._append(rows, upgrade=False)
 
-    def checkpoint_when_due(self) -> None:
-        """Carries the log over into the database when it has become long; what fails is in `error` then."""
+    def maintain(self) -> None:
+        """Carries a long log over into the database, and goes on in a new file when that has grown.
+
+        Nobody waits for it: what fails is in `error` then.
+        """
         if self.error is not None or self._commits < _CHECKPOINT_AFTER:
             return
         self._commits = 0
         try:
             self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
-        except sqlite3.Error as error:
+            (pages,), (size,) = (
+                self._connection.execute(f"PRAGMA {name}").fetchone() for name in ("page_count", "page_size")
+            )
+            if pages * size > self._largest:
+                self._begin_next_file()
+        except (OSError, sqlite3.Error, JournalError) as error:
             self.error = _unwritable(error, None)
 
     def reopen(self) -> int:
@@ -96,6 +109,7 @@ class JournalWriter:
             self.error = error if isinstance(error, JournalError) else _unwritable(error, None)
             raise self.error from error
         self.place = found.place
+        self._last = None if found.last is None else found.last.row
         try:
             # A commit, which also writes over what a reader elsewhere may keep of the failed one in the log.
             self._append([(row, encode_row(row)) for row in reopened_rows(found, why)], upgrade=False)
@@ -110,9 +124,40 @@ class JournalWriter:
         self._connection.close()
         self._head.close()
 
+    def _begin_next_file(self) -> None:
+        """Has the journal go on in a new file, which gets its name only when its first row is in it.
+
+        That one rename moves the journal on. A crash before it leaves a part without a name, which nobody reads; one
+        between it and the writing of the head leaves a row that the head does not name yet, as after any commit. After
+        an error only `reopen` finds out in which file the journal goes on. Raises as a commit does.
+        """
+        if self._last is None:
+            return
+        earlier, path = self._file, numbered(self._path, len(journal_files(self._path)) + 1)
+        row = continued_row(self._last, earlier.name, self.place)
+        (record,), place = self._chain([(row, encode_row(row))])
+        self._failed = place
+        self._attempts.add(place)
+        failpoint("journal.before_next_file")
+        make_database(path, record)
+        failpoint("journal.after_next_file")
+        connection = open_for_writing(path, durable=self._durable)
+        self._connection.close()
+        self._connection = connection
+        self._file = path
+        self._head.write(place)
+        failpoint("journal.after_next_head")
+        self._written(place, row)
+
+    def _written(self, place: Place, last: JournalRow | None) -> None:
+        self.place, self._last, self._failed = place, last, None
+        self._attempts.clear()
+
     def _read_again(self) -> Found:
         self.close()
-        settle_on_disk(self._path.with_name(self._path.name + suffix) for suffix in ("", "-wal", ".head"))
+        suffixes = ("", "-wal")
+        parts = [path.with_name(path.name + suffix) for path in journal_files(self._path)[-2:] for suffix in suffixes]
+        settle_on_disk([*parts, head_path(self._path), self._path.parent])
         found = self._open()
         if found.place not in {self.place, *self._attempts}:
             raise _foreign(self._path, self.place, found.place)
@@ -137,7 +182,8 @@ class JournalWriter:
         head = found.head or Head(1, found.place)
         self._head = HeadFile(head_path(self._path), found.key, head, durable=self._durable)
         try:
-            self._connection = open_for_writing(self._path, durable=self._durable)
+            self._file = found.file
+            self._connection = open_for_writing(found.file, durable=self._durable)
         except JournalError:
             self._head.close()
             raise
@@ -146,6 +192,7 @@ class JournalWriter:
     def _take_up(self, found: Found) -> None:
         """Names in the head what a crash left unnamed there, and journals that, and that a head was begun."""
         self.place = found.place
+        self._last = None if found.last is None else found.last.row
         rows = [(row, encode_row(row)) for row in note_rows(found)]
         try:
             if rows or found.version == HEADLESS:
@@ -161,7 +208,7 @@ class JournalWriter:
             self._attempts.add(attempted)
             failpoint("journal.before_begin")
             self._connection.execute("BEGIN IMMEDIATE")
-            self._connection.executemany(_INSERT, records)
+            self._connection.executemany(INSERT, records)
             if upgrade:
                 self._connection.execute(f"PRAGMA user_version = {VERSION}")
             failpoint("journal.before_commit")
@@ -173,14 +220,13 @@ class JournalWriter:
             self._failed = self._failed or attempted
             self.error = _unwritable(error, attempted.sequence)
             raise self.error from error
-        self.place, self._failed = attempted, None
-        self._attempts.clear()
+        self._written(attempted, rows[-1][0] if rows else self._last)
         self._commits += 1
         return attempted.sequence
 
-    def _chain(self, rows: Sequence[Encoded]) -> tuple[list[tuple[object, ...]], Place]:
+    def _chain(self, rows: Sequence[Encoded]) -> tuple[list[Record], Place]:
         sequence, previous = self.place.sequence, self.place.hash
-        records: list[tuple[object, ...]] = []
+        records: list[Record] = []
         for row, body in rows:
             sequence += 1
             own = chain_hash(previous, sequence, body)

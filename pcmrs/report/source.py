@@ -14,7 +14,7 @@ import msgspec
 from pcmrs.errors import JournalError
 from pcmrs.experiment.session.export import README
 from pcmrs.experiment.session.folder import JOURNAL, SUMS
-from pcmrs.journal import JournalReader, StoredRow, verify
+from pcmrs.journal import JournalReader, StoredRow, journal_files, verify
 from pcmrs.journal.head import head_path
 from pcmrs.journal.keys import PUBLIC
 from pcmrs.recording.series import SUFFIX, all_files
@@ -91,7 +91,7 @@ def files_of(source: Source, sessions: Sequence[str], calibrations: Mapping[str,
     folder = source.path.parent
     if source.exported is not None:
         return tuple(_listed(folder))
-    beside = [source.path, head_path(source.path), folder / PUBLIC]
+    beside = [*journal_files(source.path), head_path(source.path), folder / PUBLIC]
     recordings = [
         path
         for path in all_files(folder / FOLDER)

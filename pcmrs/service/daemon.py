@@ -38,7 +38,7 @@ from pcmrs.service.recorder import JournalRecorder
 from pcmrs.service.recording import open_recorder
 from pcmrs.service.recovery import conclude, keep_journal, recover
 from pcmrs.service.showing import setup_of
-from pcmrs.service.space import SpaceWatch
+from pcmrs.service.space import MEGABYTE, SpaceWatch
 from pcmrs.service.stall import StallWatch
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.settings import Settings
@@ -104,7 +104,11 @@ class Daemon:
             bus = await Bus.open(settings.bus("router"))
             stack.push_async_callback(bus.close)
             blueprint = workflow.blueprint
-            journal = Journal.open(settings.cell.journal(blueprint.id), durable=settings.journal.durable)
+            journal = Journal.open(
+                settings.cell.journal(blueprint.id),
+                durable=settings.journal.durable,
+                largest=settings.journal.largest_mb * MEGABYTE,
+            )
             stack.push_async_callback(journal.close)
             earlier = journal.reader.last_sequence()
             tag = BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash)

@@ -165,9 +165,9 @@ async def test_the_first_rows_cost_the_same_in_a_long_journal_as_in_a_short_one(
     def cost() -> int:
         """Steps of SQLite's machine for five rows."""
         steps: list[None] = []
-        journal.reader._connection.set_progress_handler(lambda: steps.append(None), 1)
+        journal.reader._files[-1][1].set_progress_handler(lambda: steps.append(None), 1)
         assert [stored.sequence for stored in journal.reader.read(after=3, first=5)] == [4, 5, 6, 7, 8]
-        journal.reader._connection.set_progress_handler(None, 1)
+        journal.reader._files[-1][1].set_progress_handler(None, 1)
         return len(steps)
 
     await journal.append([row()] * 20)

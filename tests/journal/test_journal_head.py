@@ -96,7 +96,7 @@ def test_an_edited_journal_is_told_with_the_first_bad_row(path: Path, statement:
     guards = [f"DROP TRIGGER {name}" for name in ("no_update", "no_delete")]
     with JournalReader(path) as reader:
         select = "SELECT sql FROM sqlite_schema WHERE name IN ('no_update', 'no_delete')"
-        again = [sql for (sql,) in reader._connection.execute(select)]
+        again = [sql for (sql,) in reader._files[-1][1].execute(select)]
     alter(path, *guards, statement)
     with pytest.raises(JournalError, match="no_delete, no_update"):
         Journal.open(path)
@@ -232,7 +232,7 @@ def test_only_the_end_is_read_when_a_snapshot_is_near(path: Path) -> None:
         writer.write([(row(kind), encode_row(row(kind)))])
     writer.close()
     with JournalReader(path) as reader:
-        (guard,) = reader._connection.execute("SELECT sql FROM sqlite_schema WHERE name = 'no_update'").fetchone()
+        (guard,) = reader._files[-1][1].execute("SELECT sql FROM sqlite_schema WHERE name = 'no_update'").fetchone()
     alter(path, "DROP TRIGGER no_update", "UPDATE journal SET body = x'00' WHERE sequence = 3", guard)
     JournalWriter(path, durable=False).close()
     assert verify(path).first_bad == 3

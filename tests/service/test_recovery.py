@@ -19,7 +19,8 @@ from pcmrs.dispatcher import Dispatcher
 from pcmrs.dispatcher.events import NOT_CONFIRMED, SHUTDOWN
 from pcmrs.errors import ConfigurationError, JournalError
 from pcmrs.fsm.blueprint import MigrationSpec
-from pcmrs.journal import Journal, JournalRow
+from pcmrs.journal import Journal, JournalRow, journal_files
+from pcmrs.journal import writer as writer_module
 from pcmrs.messages import BlueprintTag, Command, Decision, DeviceEvent, PoseMessage, Reason, Verdict
 from pcmrs.service import recorder as recorder_module
 from pcmrs.service.ledger import Kept, Ledger
@@ -276,6 +277,30 @@ async def test_a_snapshot_shares_the_commit_of_the_thousandth_row_and_is_read_on
     kept = recorder_of(journal, "s2").read_back(RATMS)
     assert [each.command for each in kept.begun] == ["c77"]
     assert list(kept.taken_back) == ["previous_plan"]
+
+
+async def test_what_counts_is_taken_over_from_an_earlier_file_of_a_journal_that_has_grown(
+    tmp_path: Path, configured: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writer_module, "_CHECKPOINT_AFTER", 4)
+    path = tmp_path / "grown.sqlite"
+    journal = Journal.open(path, durable=False, largest=1.0)
+    recorder = recorder_of(journal)
+    await recover(journal, recorder, WORKFLOW, configured)
+    await write(recorder, "toolplan.plan", previous_plan=PLANNED)
+    await recorder.event(DeviceEvent(device="robot", code="force_limit", text="", danger=True), {})
+    await recorder.intent(command("robot.connect", 77), {"robot": "0"})
+    for _ in range(10):
+        await write(recorder, "registration.clear_landmarks", "rejected")
+    await journal.close()
+    assert len(journal_files(path)) > 2
+
+    again = Journal.open(path, durable=False)
+    recovered = await recover(again, recorder_of(again, "s2"), WORKFLOW, configured)
+    await again.close()
+    assert recovered.latched
+    assert [each.command for each in recovered.unknown] == ["c77"]
+    assert recovered.workflow.initial.previous_plan == PLANNED
 
 
 async def test_an_orderly_end_leaves_a_snapshot_as_the_last_row(journal: Journal, configured: Settings) -> None:

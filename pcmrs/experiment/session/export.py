@@ -15,7 +15,7 @@ import msgspec
 from pcmrs.config import as_table
 from pcmrs.errors import ConfigurationError, JournalError
 from pcmrs.experiment.session.folder import JOURNAL, make_folder, write_configuration, write_sums
-from pcmrs.journal import JournalReader, JournalRow, copy_journal, verify
+from pcmrs.journal import JournalReader, JournalRow, copy_journal, journal_files, verify
 from pcmrs.journal.head import head_path
 from pcmrs.messages import Message
 from pcmrs.recording.series import all_files
@@ -93,7 +93,7 @@ def export_session(
         missing.append(f"recordings of the session in {settings.cell.path() / FOLDER}")
     if found.settings is None:
         missing.append("the configuration of the session in the journal: the present one is here in its place")
-    _check_room(folder, [journal, *recordings, *calibrations.values()])
+    _check_room(folder, [*journal_files(journal), *recordings, *calibrations.values()])
     make_folder(folder)
     copy_journal(journal, folder / JOURNAL)
     verification = verify(folder / JOURNAL, progress=progress)
