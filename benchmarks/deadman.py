@@ -111,7 +111,7 @@ class Bench:
         if (await self.client.state()).branches["robot"] == "0":
             await self.call("robot.connect")
         if (await self.client.state()).latched:
-            await self.call("robot.acknowledge")
+            await self.client.acknowledge()
         if (await self.client.state()).branches["placement"] == "unknown":
             await self.call("placement.locate")
         if (await self.client.state()).branches["placement"] == "held":

@@ -63,7 +63,7 @@ class Echo(asyncio.DatagramProtocol):
         self.transport.sendto(data, address)
 
 
-async def nothing_to_hold() -> None:
+async def nothing_to_hold(_latch: bool) -> None:
     """There is no arm: the Stop with which the dispatcher ends need not wait for one."""
 
 

@@ -220,7 +220,7 @@ class Nowhere:
 
 
 def dispatching(recorder: Any) -> AsyncSend:
-    async def hold() -> None:
+    async def hold(_latch: bool) -> None:
         """There is no robot."""
 
     blueprint = parse_blueprint(BLUEPRINT)

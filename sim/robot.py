@@ -221,6 +221,7 @@ class SimRobot:
             torques=arm.torques.tolist(),
             moving=not arm.at_rest,
             flange_force=arm.sensor.flange_force,
+            relieving=arm.relieving,
         )
 
 

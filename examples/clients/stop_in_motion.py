@@ -17,8 +17,8 @@ async def main() -> None:
         await cell.stop()
         print(f"approach: {(await moving).decision}")
         print(f"meanwhile: {(await cell.call('placement.approach')).decision}, Stop is latched")
-        for operation in ("robot.acknowledge", "placement.back_off"):
-            print(f"{operation}: {(await cell.call(operation)).decision}")
+        print(f"acknowledge: {(await cell.acknowledge()).decision}")
+        print(f"back_off: {(await cell.call('placement.back_off')).decision}")
 
 
 asyncio.run(main())

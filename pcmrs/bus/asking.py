@@ -8,20 +8,26 @@ from functools import partial
 
 import zenoh
 
-from pcmrs.bus.qos import COMMANDS
+from pcmrs.bus.qos import DataClass
 from pcmrs.bus.reasons import error_from
 from pcmrs.errors import PcmrsError, UnknownOutcomeError
 
 
-async def ask(session: zenoh.Session, pool: Executor, key: str, payload: bytes, timeout: float) -> bytes:
+async def ask(
+    session: zenoh.Session, pool: Executor, key: str, payload: bytes, timeout: float, data: DataClass
+) -> bytes:
     """Sends a query and returns the payload of its first reply.
+
+    A caller that is cancelled before the query was sent recalls it; afterwards nobody can.
 
     Args:
         session: Through which to ask.
-        pool: Sends the query, since a link whose queue is full blocks its sender.
+        pool: Sends the query, since a link whose queue is full blocks its sender; one with a single thread keeps the
+            order of its queries.
         key: Absolute key.
         payload: The request.
         timeout: Seconds of the machine.
+        data: In which of the link's queues it waits.
 
     Raises:
         UnknownOutcomeError: The query ended without a reply.
@@ -47,8 +53,8 @@ async def ask(session: zenoh.Session, pool: Executor, key: str, payload: bytes, 
         timeout=timeout,
         payload=payload,
         congestion_control=zenoh.CongestionControl.BLOCK,
-        priority=COMMANDS.priority,
-        express=COMMANDS.express,
+        priority=data.priority,
+        express=data.express,
     )
     await loop.run_in_executor(pool, send)
     outcome = await answered

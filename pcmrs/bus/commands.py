@@ -38,7 +38,7 @@ class CommandEdge:
         )
 
     @classmethod
-    async def open(cls, bus: Bus, submit: Submit, refused: Refused, stop: Callable[[str], None]) -> CommandEdge:
+    async def open(cls, bus: Bus, submit: Submit, refused: Refused, stop: Callable[[str], int | None]) -> CommandEdge:
         """Starts taking commands.
 
         Args:

@@ -30,6 +30,8 @@ class DataClass:
 
 
 COMMANDS: Final = DataClass(Priority.REAL_TIME, newest=0, express=True)
+# A sender that blocks holds the queue of its priority: holds must have another one than what they end.
+REQUESTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest=0, express=True)
 SNAPSHOTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest=1, kept=1, history=1)
 EVENTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest=0, kept=256, urgent=True)
 # So many signals lie over each other on a display.

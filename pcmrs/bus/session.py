@@ -19,7 +19,7 @@ from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
 from pcmrs.bus.ignored import Ignored
 from pcmrs.bus.keys import cell_prefix
-from pcmrs.bus.qos import class_of
+from pcmrs.bus.qos import COMMANDS, REQUESTS, class_of
 from pcmrs.bus.reasons import busy
 from pcmrs.bus.serving import Refuse, Service, payload_of
 from pcmrs.bus.settings import BusSettings, open_session
@@ -43,6 +43,7 @@ class Bus:
         self._bridge = Bridge(self._loop)
         self._ignored = Ignored()
         self._pool = ThreadPoolExecutor(4, thread_name_prefix="pcmrs-bus")
+        self._senders: dict[str, ThreadPoolExecutor] = {}
         self._publishers: dict[str, zenoh.Publisher | ext.AdvancedPublisher] = {}
         self._declaring = threading.Lock()
         self._receivers: list[Any] = []
@@ -183,7 +184,9 @@ class Bus:
         self._receivers.append(queryable)
         return partial(self._end, queryable)
 
-    async def request(self, key: str, message: Any, reply: type[T], timeout: float) -> T:
+    async def request(
+        self, key: str, message: Any, reply: type[T], timeout: float, sender: str = "", *, urgent: bool = False
+    ) -> T:
         """Asks the process that serves `key`, and returns its reply.
 
         Args:
@@ -191,13 +194,19 @@ class Bus:
             message: The request.
             reply: Type of the reply.
             timeout: Seconds of the machine.
+            sender: Requests of one sender leave in the order in which they are made. It has its own thread, so that
+                they wait for no other sender; empty for a request whose order does not matter.
+            urgent: It has a queue of the link to itself, ahead of requests that are not urgent and may block theirs.
 
         Raises:
             UnknownOutcomeError: Nobody answered in time, or the answering process ended before it did.
             DeviceError: It answered with an error; field ``reason`` holds its code.
             PayloadError: The request cannot be sent, or the reply is no `reply`.
         """
-        answer = await ask(self._session, self._pool, self._absolute(key), pack(message), timeout)
+        pool = self._sender(sender) if sender else self._pool
+        answer = await ask(
+            self._session, pool, self._absolute(key), pack(message), timeout, COMMANDS if urgent else REQUESTS
+        )
         return unpack(answer, reply)
 
     def alive(self, component: str) -> Any:
@@ -229,7 +238,14 @@ class Bus:
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await self._in_pool(_undeclare, [*self._tokens, *self._publishers.values()])
         await self._in_pool(self._session.close)
+        for sender in self._senders.values():
+            sender.shutdown(cancel_futures=True)
         self._pool.shutdown()
+
+    def _sender(self, name: str) -> ThreadPoolExecutor:
+        if name not in self._senders:
+            self._senders[name] = ThreadPoolExecutor(1, thread_name_prefix=f"pcmrs-bus-{name}")
+        return self._senders[name]
 
     def _publisher(self, key: str) -> zenoh.Publisher | ext.AdvancedPublisher:
         with self._declaring:

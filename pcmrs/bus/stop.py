@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import zenoh
@@ -18,19 +18,29 @@ from pcmrs.messages import Message
 
 
 class Stopping(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """The answer to a query on ``stop/<user>``: the daemon has begun to stop for `source`."""
+    """The answer to a query on ``stop/<user>``.
+
+    Attributes:
+        source: Who has stopped.
+        number: Of the Stop.
+        stage: ``begun``: the latch is set and the holds are sent. That the robot stands is not confirmed yet: the
+            snapshot's ``stop`` says when it is.
+    """
 
     source: str
+    number: int
+    stage: Literal["begun"] = "begun"
 
 
 class StopLane:
     """Calls `stop(source)` for every put and query on ``stop/<user>``, whatever its payload.
 
+    A query is answered with the number that `stop` returns; without a number it is left to another process to answer.
     Zenoh's thread hands the call straight to the loop, past the queue of the other messages. Use
     `StopLane.open`.
     """
 
-    def __init__(self, session: zenoh.Session, prefix: str, stop: Callable[[str], None]) -> None:
+    def __init__(self, session: zenoh.Session, prefix: str, stop: Callable[[str], int | None]) -> None:
         self._session: Any = session
         self._prefix = prefix
         self._stop = stop
@@ -42,7 +52,7 @@ class StopLane:
         )
 
     @classmethod
-    async def open(cls, settings: BusSettings, stop: Callable[[str], None]) -> StopLane:
+    async def open(cls, settings: BusSettings, stop: Callable[[str], int | None]) -> StopLane:
         """Opens the lane as a client of the router that `settings` names.
 
         Raises:
@@ -75,17 +85,19 @@ class StopLane:
 
     def _answer(self, query: zenoh.Query, source: str) -> None:
         try:
-            self._stop(source)
+            number = self._stop(source)
         except BaseException:
             with query:
                 raise
-        self._loop.run_in_executor(self._pool, _reply, query, Stopping(source=source))
+        stopping = None if number is None else Stopping(source=source, number=number)
+        self._loop.run_in_executor(self._pool, _reply, query, stopping)
 
     def _source(self, key: str) -> str:
         return f"bus:{key.removeprefix(f'{self._prefix}/stop/')}"
 
 
-def _reply(query: zenoh.Query, stopping: Stopping) -> None:
+def _reply(query: zenoh.Query, stopping: Stopping | None) -> None:
     encode = pack_text if is_text(payload_of(query)) else pack
     with query:
-        query.reply(query.key_expr, encode(stopping))
+        if stopping is not None:
+            query.reply(query.key_expr, encode(stopping))

@@ -52,13 +52,16 @@ def tool_pose(number: int = 0) -> dict[str, Any]:
     return pose
 
 
+ACKNOWLEDGE = "robot.acknowledge"
+
+
 async def accept(client: Client, name: str, **arguments: object) -> Verdict:
     """Calls an operation that must be accepted.
 
     Raises:
         Unmet: It was not.
     """
-    verdict = await client.call(name, arguments)
+    verdict = await (client.acknowledge() if name == ACKNOWLEDGE else client.call(name, arguments))
     if verdict.decision != "accepted":
         raise Unmet(f"{name} was {verdict.decision}: {said(verdict)}")
     return verdict

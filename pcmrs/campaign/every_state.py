@@ -104,5 +104,5 @@ def _command(move: Move) -> Command:
     return Command(id=uuid.uuid4().hex, branch=move.branch, operation=move.operation, source=source)
 
 
-async def _hold() -> None:
+async def _hold(_latch: bool) -> None:
     """There is nothing to hold."""

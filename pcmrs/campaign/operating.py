@@ -69,7 +69,7 @@ class Operator:
         if branches["robot"] == "0":
             return "robot.connect", {}
         if snapshot.latched:
-            return "robot.acknowledge", {}
+            return "robot.acknowledge", {"stop": snapshot.stop.number}
         if branches["placement"] in WAY_OUT:
             return WAY_OUT[branches["placement"]], {}
         if branches["registration"] != "111":

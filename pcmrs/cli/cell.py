@@ -85,7 +85,10 @@ def keys(as_json: bool, address: Address) -> None:
 @readable_errors
 def stop(address: Address) -> None:
     """Stop every motion and latch: nothing moves until somebody acknowledges it, as by robot.acknowledge in RATMS."""
-    run(_stop(address))
+    number, stands = run(_stop(address))
+    if not stands:
+        click.echo(f"Stop {number} has begun, but it is not confirmed that the robot stands: look at it.", err=True)
+        raise SystemExit(1)
     click.echo("stopped, and latched until it is acknowledged (ratms: pcmrs call robot.acknowledge)")
 
 
@@ -120,9 +123,10 @@ async def _keys(address: Address) -> KeyTable:
         return await client.keys()
 
 
-async def _stop(address: Address) -> None:
+async def _stop(address: Address) -> tuple[int, bool]:
     async with address.connect() as client:
-        await client.stop()
+        number = (await client.stop()).number
+        return number, await client.standstill(number)
 
 
 def _arguments(text: str) -> dict[str, Any]:

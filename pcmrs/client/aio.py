@@ -43,6 +43,7 @@ T = TypeVar("T")
 _TTL = 5.0
 """Seconds after which a command that was held up on its way is refused, not run late."""
 _RENEWED = 1.0
+_LOOK = 0.05
 """Between two renewals of the lease, s."""
 _PATIENCE, _FAR_PATIENCE = 1.5, 10.0
 """For what a daemon decides at once, s: on this machine, and over a network that loses packets."""
@@ -219,15 +220,53 @@ class Client:
         """
         return await self._bus.request("svc/journal", query, JournalPage, timeout or self._patience)
 
-    async def stop(self, timeout: float | None = None) -> None:
-        """Stops every motion: told to all listeners at once, and returns when the daemon has begun.
+    async def stop(self, timeout: float | None = None) -> Stopping:
+        """Stops every motion: sent to all listeners at once, and returns when the daemon has begun.
+
+        Whether the robot stands is not known then; see `standstill`.
 
         Raises:
             UnknownOutcomeError: The daemon did not answer within `timeout` (s).
         """
         key = f"stop/{self._user}"
         self._bus.publish(key, Empty())
-        await self._bus.request(key, Empty(), Stopping, timeout or self._patience)
+        return await self._bus.request(key, Empty(), Stopping, timeout or self._patience)
+
+    async def standstill(self, number: int, timeout: float = 2.0) -> bool:
+        """Waits for the robot's standstill after Stop `number`, or a newer one.
+
+        Args:
+            number: See `stop`.
+            timeout: s.
+
+        Returns:
+            Whether it was confirmed in that time.
+
+        Raises:
+            UnknownOutcomeError: The daemon does not answer.
+        """
+        end = self._clock.monotonic() + timeout
+        while True:
+            stop = (await self.state()).stop
+            if stop.number >= number and stop.confirmed:
+                return True
+            if self._clock.monotonic() >= end:
+                return False
+            await self._clock.sleep(_LOOK)
+
+    async def acknowledge(self, operation: str = "robot.acknowledge") -> Verdict:
+        """Acknowledges the newest Stop, by its number, as soon as nothing is pending that it has to wait for.
+
+        Args:
+            operation: Of the workflow, that releases the latch.
+
+        Raises:
+            UnknownOutcomeError: The daemon did not answer in time.
+        """
+        end = self._clock.monotonic() + self._patience
+        while (stop := (await self.state()).stop).pending and self._clock.monotonic() < end:
+            await self._clock.sleep(_LOOK)
+        return await self.call(operation, {"stop": stop.number})
 
     @property
     def user(self) -> str:

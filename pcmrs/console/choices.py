@@ -19,6 +19,7 @@ class Choice:
         why_not: Why it would be rejected now; empty if it would not, as far as a console can tell.
         payload: Registered name of its arguments' type; ``none`` for none.
         moves: Whether it moves the robot.
+        stop: Number of the Stop that an acknowledgement answers: the one that the person was shown. None of others.
     """
 
     branch: str
@@ -27,6 +28,7 @@ class Choice:
     why_not: str
     payload: str
     moves: bool
+    stop: int | None = None
 
     @property
     def name(self) -> str:
@@ -63,6 +65,7 @@ class Choices:
             why_not=self._why_not(branch, operation, spec, shown, setup),
             payload=spec.payload,
             moves=spec.moves,
+            stop=shown.stop.number if spec.unlatches else None,
         )
 
     def _why_not(self, branch: str, operation: str, spec: OperationSpec, shown: Snapshot, setup: Setup) -> str:

@@ -118,7 +118,7 @@ class WorkflowPanel:
             ui.notify(choice.why_not, type="warning", multi_line=True, position="bottom-left")
             return
         if choice.payload == "none":
-            await self._asking.ask(name, {})
+            await self._asking.ask(name, {"stop": choice.stop} if choice.stop is not None else {})
             return
         arguments = await self._arguments(choice)
         if arguments is not None:

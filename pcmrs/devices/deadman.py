@@ -115,6 +115,11 @@ class Deadman:
         self._alive = 0.0
 
     @property
+    def session(self) -> str:
+        """Of the daemon that is heard; empty before the first beat."""
+        return self._session
+
+    @property
     def silence(self) -> float:
         """Time since the last sign of life of the daemon's loop, s of the machine."""
         return self._clock.monotonic() - self._last_alive()

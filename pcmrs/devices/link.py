@@ -25,8 +25,26 @@ class Link(Protocol):
     def serve(self, key: str, kind: type[M], handler: Callable[[str, M], Awaitable[msgspec.Struct]]) -> None:
         """Answers requests on `key`, each in a task of its own, with the handler's message."""
 
-    async def request(self, key: str, message: msgspec.Struct, reply: type[M], timeout: float) -> M:
+    async def request(
+        self,
+        key: str,
+        message: msgspec.Struct,
+        reply: type[M],
+        timeout: float,
+        sender: str = "",
+        *,
+        urgent: bool = False,
+    ) -> M:
         """Asks and returns the reply.
+
+        Args:
+            key: On which somebody serves.
+            message: The request.
+            reply: Type of the reply.
+            timeout: s of the machine.
+            sender: Requests of one sender leave in the order in which they are made, and wait for no other sender;
+                empty for a request whose order does not matter.
+            urgent: It goes ahead of requests that are not.
 
         Raises:
             UnknownOutcomeError: Nobody answered within `timeout` (s of the machine), or the answering

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import inspect
+import uuid
 from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from math import inf
 from typing import Any, get_type_hints
 
@@ -16,6 +17,7 @@ import structlog
 from pcmrs.clock import Clock
 from pcmrs.devices.deadman import ALWAYS_SERVED, DEADMAN, Deadman, Scheduling, Silence, beat_period
 from pcmrs.devices.frame_sessions import FrameSessions
+from pcmrs.devices.gate import ACTS, HOLDS, RELEASE, Gate
 from pcmrs.devices.link import Link
 from pcmrs.devices.protocols import (
     Emg,
@@ -27,7 +29,9 @@ from pcmrs.devices.protocols import (
     StimulatorDriver,
     TrackerDriver,
 )
+from pcmrs.devices.remote import HOLD_TIME
 from pcmrs.devices.silences import daemon_silent, node_held_up
+from pcmrs.devices.standstill import Standstill
 from pcmrs.errors import DeviceError, PayloadError, PcmrsError
 from pcmrs.messages import (
     Beat,
@@ -35,6 +39,7 @@ from pcmrs.messages import (
     DeviceReply,
     DeviceRequest,
     JointSetpoint,
+    JointState,
     NodeBeat,
     Reason,
     StimulatorState,
@@ -68,14 +73,8 @@ PULSE_DELAY = 0.5
 REQUEST_DELAY = 1.0
 """A request to act that has been on its way for so long is refused, s of the machine."""
 
-BEGINS_MOTION = ("follow", "press", "begin_servo")
+MOTIONS = ACTS["robot"]
 """Methods of the robot that are refused when the daemon is not heard, too."""
-
-ACTS = (*BEGINS_MOTION, "connect", "set_intensity", "arm", "fire")
-"""Methods that are refused when they come late; the others make safe, or change nothing that matters."""
-
-HOLD_TIME = 1.0
-"""A robot stands still so long after it was told to hold, and a stimulator is disarmed, s of the machine."""
 
 
 class DeviceNode:
@@ -106,9 +105,11 @@ class DeviceNode:
         self._clock = clock
         self._scheduling = scheduling
         self._deadman = Deadman(deadman, self._at_risk, self._hold_for_silence, clock, self._tell_held_up, scheduling)
+        session = uuid.uuid4().hex
+        self._gates = {name: Gate(name, session) for name in devices if name in ACTS}
+        self._standstill = Standstill()
         self.late: Counter[str] = Counter()
         self._moving = False
-        self._made_safe = 0
         self._begun = self._awake = clock.monotonic()
         self._held_up = -inf
         self._heard: dict[str, float] = {}
@@ -126,6 +127,7 @@ class DeviceNode:
                 tasks.create_task(self._publish_frames(self._devices["tracker"]))
             if "robot" in self._devices or "stimulator" in self._devices:
                 self._link.listen(DAEMON_BEAT, Beat, lambda _, beat: self._deadman.hear(beat))
+                self._link.subscribe(DAEMON_BEAT, Beat, self._follow_daemon)
                 tasks.create_task(self._deadman.run())
             if "robot" in self._devices:
                 robot: RobotDriver = self._devices["robot"]
@@ -137,18 +139,33 @@ class DeviceNode:
 
     def stop(self, source: str) -> None:
         """Makes everything safe at once, whatever the daemon does; called on the lane of Stop."""
-        task = asyncio.get_running_loop().create_task(self.make_safe(f"stop by {source}"))
-        self._holds.add(task)
-        task.add_done_callback(self._holds.discard)
+        self._spawn(self.make_safe(f"stop by {source}"))
 
-    async def make_safe(self, why: str) -> None:
-        """Holds the robot and disarms the stimulator that are here; what is not confirmed is logged."""
-        self._made_safe += 1
+    def make_safe(self, why: str) -> Awaitable[None]:
+        """Holds the robot and disarms the stimulator that are here; what is not confirmed is logged.
+
+        Their gates are shut when this returns: what is awaited is only that they stand.
+        """
+        for name in HOLDS.keys() & self._gates.keys():
+            self._gates[name].hold(latch=True)
+        return self._make_safe(why)
+
+    async def _make_safe(self, why: str) -> None:
         async with asyncio.TaskGroup() as tasks:
             if "robot" in self._devices:
-                tasks.create_task(self._confirmed("hold", self._devices["robot"].hold, why))
+                tasks.create_task(self._confirmed("hold", self._hold_robot, why))
             if "stimulator" in self._devices:
                 tasks.create_task(self._confirmed("disarm", self._devices["stimulator"].disarm, why))
+
+    async def _hold_robot(self) -> JointState:
+        with self._standstill.moving():
+            state: JointState = await self._devices["robot"].hold()
+        return state
+
+    def _spawn(self, work: Awaitable[None]) -> None:
+        task = asyncio.ensure_future(work)
+        self._holds.add(task)
+        task.add_done_callback(self._holds.discard)
 
     async def _confirmed(self, what: str, ask: Callable[[], Awaitable[object]], why: str) -> None:
         try:
@@ -162,18 +179,73 @@ class DeviceNode:
             log.exception(f"{what}_failed", why=why)
 
     def _serve(self, name: str, device: Any) -> None:
-        methods = _methods(PROTOCOLS[name])
+        methods, gate = _methods(PROTOCOLS[name]), self._gates.get(name)
 
         async def answer(_key: str, request: DeviceRequest) -> DeviceReply:
-            self._made_safe += request.method == "hold"
+            result = failure = None
             try:
-                await self._check_fresh(name, request)
-                result = await _call(device, methods, request)
+                if gate is None:
+                    result = await _call(device, methods, request)
+                else:
+                    result = await self._ask_acting(name, gate, partial(_call, device, methods, request), request)
             except PcmrsError as error:
-                return DeviceReply(failure=Reason(code=error.code, text=error.text, fields=error.fields))
-            return DeviceReply(result=msgspec.to_builtins(result))
+                failure = Reason(code=error.code, text=error.text, fields=error.fields)
+            state = gate.state if gate is not None else None
+            return DeviceReply(result=msgspec.to_builtins(result), failure=failure, gate=state)
 
         self._link.serve(f"dev/{name}/cmd", DeviceRequest, answer)
+
+    async def _ask_acting(
+        self, name: str, gate: Gate, call: Callable[[], Awaitable[Any]], request: DeviceRequest
+    ) -> Any:
+        """Performs a request to a device that acts.
+
+        Raises:
+            DeviceError: It was made for another situation than the present one, or the device refuses.
+        """
+        if request.method == HOLDS[name]:
+            gate.hold(latch=request.latch, daemon=request.token.daemon if request.token is not None else "")
+        elif request.method == RELEASE:
+            await self._check_rest(name)
+            gate.release(request.token)
+            return None
+        if request.method in ACTS[name]:
+            gate.check(request.token)
+            await self._check_fresh(name, request)
+            gate.admit(request.token)  # after the last wait: a hold may have come meanwhile
+        elif request.method == "connect":
+            await self._check_fresh(name, request)
+        return await (self._ask_robot(request.method, call) if name == "robot" else call())
+
+    async def _ask_robot(self, method: str, call: Callable[[], Awaitable[Any]]) -> Any:
+        if method == "joints":
+            return await call()
+        with self._standstill.moving(streamed=method == "begin_servo"):
+            result = await call()
+        if method in ("connect", "disconnect"):
+            self._standstill.watch(method == "connect")
+        return result
+
+    def _follow_daemon(self, _key: str, beat: Beat) -> None:
+        """What an earlier daemon has asked for ends with the first beat of a new one."""
+        if beat.session == self._deadman.session and any(
+            gate.state.daemon not in ("", beat.session) for gate in self._gates.values()
+        ):
+            self._spawn(self.make_safe("another daemon has started"))
+            for gate in self._gates.values():
+                gate.forget_daemon()
+
+    async def _check_rest(self, name: str) -> None:
+        """Lets nobody release an arm that moves.
+
+        Raises:
+            DeviceError: It moves, or says nothing of itself.
+        """
+        if name != "robot":
+            return
+        state: JointState = await self._devices["robot"].joints()
+        if state.moving:
+            raise DeviceError("The robot still moves: it is released when it stands. Ask again.", code="moving")
 
     async def _beat(self) -> None:
         period, number = beat_period(self._deadman.limit), 0
@@ -181,7 +253,11 @@ class DeviceNode:
         while True:
             number += 1
             for name in self._devices:
-                self._link.publish(f"dev/{name}/beat", NodeBeat(number=number, sent=self._clock.monotonic()))
+                gate = self._gates.get(name)
+                state = gate.state if gate is not None else None
+                self._link.publish(
+                    f"dev/{name}/beat", NodeBeat(number=number, sent=self._clock.monotonic(), gate=state)
+                )
                 if number % health_every == 1 and (health := self._health(name)) is not None:
                     self._link.publish(f"dev/{name}/state", health)
             await self._clock.sleep(period)
@@ -201,7 +277,7 @@ class DeviceNode:
         """
         if (name, request.method) == ("stimulator", "fire"):
             self._check_not_held_up()
-        if request.sent is None or request.method not in ACTS:
+        if request.sent is None:
             return
         late = self._deadman.lateness.of(request.sent, self._clock.monotonic())
         if late > REQUEST_DELAY:
@@ -210,19 +286,16 @@ class DeviceNode:
                 f"{name}.{request.method} came {late:.1f} s late and was dropped, limit {REQUEST_DELAY:g} s: ask again."
             )
             raise DeviceError(text, late=late, limit=REQUEST_DELAY)
-        if name == "robot" and request.method in BEGINS_MOTION:
+        if name == "robot" and request.method in MOTIONS:
             await self._check_heard()
 
     async def _check_heard(self) -> None:
-        """Lets a motion begin only for a daemon that is there, and for none that was stopped while that was waited for.
+        """Lets a motion begin only for a daemon that is there.
 
         Raises:
-            DeviceError: The daemon is not heard, or the robot was held meanwhile.
+            DeviceError: The daemon is not heard.
         """
-        made_safe = self._made_safe
         heard, limit = await self._deadman.heard(), self._deadman.limit
-        if self._made_safe != made_safe:
-            raise DeviceError("The robot does not begin to move: it was held before it could begin. Ask again.")
         if not heard:
             text = f"The robot does not begin to move: its node has not heard the daemon for {limit:g} s. "
             text += "See that neither the network nor the machine is overloaded, and ask again."
@@ -230,6 +303,11 @@ class DeviceNode:
 
     def _pass_on(self, robot: RobotDriver, setpoint: JointSetpoint) -> None:
         """A set point that came too late is none: where the arm shall be now is not where it should have been."""
+        try:
+            self._gates["robot"].check(setpoint.token)
+        except DeviceError:
+            self.late["setpoints"] += 1  # of before a hold
+            return
         if self._deadman.lateness.of(setpoint.sent, self._clock.monotonic()) > self._deadman.limit:
             self.late["setpoints"] += 1
         else:
@@ -263,9 +341,16 @@ class DeviceNode:
             self._moving = state.moving
             self._heard["robot"] = self._clock.monotonic()
             self._link.publish("state/joints", state)
+            if (moved := self._standstill.take(state)) is not None:
+                self._spawn(self.make_safe(moved.text))
+                self._link.publish("dev/robot/event", moved)
 
     async def _publish_events(self, name: str, device: RobotDriver | StimulatorDriver) -> None:
         async for event in device.events():
+            if event.danger:
+                self._gates[name].hold(latch=True)  # the device has stopped by itself: what is on its way is too late
+            if event.code == "link_lost":
+                self._standstill.watch(False)
             self._link.publish(f"dev/{name}/event", event)
 
     async def _hold_for_silence(self, silence: Silence) -> None:

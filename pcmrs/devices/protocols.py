@@ -125,6 +125,40 @@ class Stimulator(Protocol):
         """
 
 
+class Latching(Protocol):
+    """A device that Stop latches, as the daemon has it; see `pcmrs.devices.gate`.
+
+    Attributes:
+        name: Of the device.
+    """
+
+    name: str
+
+    async def stop(self) -> object:
+        """Ends whatever acts and latches the device; returns when that is confirmed.
+
+        Raises:
+            DeviceError: The device answered with a failure.
+            UnknownOutcomeError: It has not confirmed that in time.
+        """
+
+    async def release_latch(self) -> None:
+        """Ends the latch, unless the device was stopped once more, or restarted, since it was last heard.
+
+        Raises:
+            DeviceError: It was; or it has not been heard yet.
+            UnknownOutcomeError: It does not answer.
+        """
+
+
+class LatchingRobot(Robot, Latching, Protocol):
+    """A robot as the daemon has it."""
+
+
+class LatchingStimulator(Stimulator, Latching, Protocol):
+    """A stimulator as the daemon has it."""
+
+
 class Emg(Protocol):
     """An electromyograph that knows the stimulator's pulses."""
 

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractAsyncContextManager
+import uuid
+from contextlib import AbstractAsyncContextManager, suppress
 from typing import Any, TypeVar
 
 import msgspec
 
 from pcmrs.clock import Clock
+from pcmrs.devices.gate import HOLDS, RELEASE
 from pcmrs.devices.link import Link
 from pcmrs.devices.protocols import ServoStream
 from pcmrs.devices.servo import servo_session
-from pcmrs.errors import DeviceError, UnknownOutcomeError
+from pcmrs.errors import DeviceError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import (
+    ActToken,
     DeviceReply,
     DeviceRequest,
     Epoch,
     FiredPulse,
+    GateState,
     HeadMotion,
     JointSetpoint,
     JointState,
@@ -33,6 +37,9 @@ T = TypeVar("T")
 
 ANSWER_TIME = 2.0
 """A device that is not moving answers within this, s."""
+
+HOLD_TIME = 1.0
+"""A robot stands so long after it was told to hold, and a stimulator is disarmed, s of the machine."""
 
 CONNECTING_TIME = 15.0
 """A robot that is not there is known not to be within this, s: longer than any driver waits for one."""
@@ -65,29 +72,135 @@ class RemoteDevice:
             DeviceError: The device answered with a failure; field ``code`` holds its code.
             UnknownOutcomeError: No answer came, or one that is no `kind`.
         """
-        request = DeviceRequest(method=method, arguments=msgspec.to_builtins(arguments), sent=self._clock.monotonic())
-        what = f"{self._device}.{method}"
+        return await self._ask(self._request(method, arguments), kind, timeout)
+
+    def _request(self, method: str, arguments: dict[str, Any]) -> DeviceRequest:
+        return DeviceRequest(method=method, arguments=msgspec.to_builtins(arguments), sent=self._clock.monotonic())
+
+    async def _ask(
+        self, request: DeviceRequest, kind: type[T], timeout: float, sender: str = "", *, urgent: bool = False
+    ) -> T:
+        what = f"{self._device}.{request.method}"
         try:
             async with self._clock.timeout(timeout):
-                reply = await self._link.request(f"dev/{self._device}/cmd", request, DeviceReply, timeout)
+                key = f"dev/{self._device}/cmd"
+                reply = await self._link.request(key, request, DeviceReply, timeout, sender, urgent=urgent)
         except TimeoutError:
             raise UnknownOutcomeError(f"{what} was not answered within {timeout:g} s.", method=what) from None
+        self._answered(reply)
         if reply.failure is not None:
             failure = reply.failure
             if failure.code == UnknownOutcomeError.code:
                 raise UnknownOutcomeError(failure.text, **failure.fields)
-            raise DeviceError(failure.text, **(failure.fields | {"code": failure.code}))
+            raise DeviceError(failure.text, **({"code": failure.code} | failure.fields))
         try:
             return msgspec.convert(reply.result, kind)
         except msgspec.ValidationError as error:
             raise UnknownOutcomeError(f"{what} answered with something unexpected: {error}.", method=what) from error
 
+    def _answered(self, reply: DeviceReply) -> None:
+        """Takes what every reply says beside its result."""
 
-class RemoteRobot(RemoteDevice):
+
+class ActingDevice(RemoteDevice):
+    """A device that acts, behind its node: its requests carry what `pcmrs.devices.gate` asks for.
+
+    Requests that act leave in the order in which they are made; a hold never waits behind one of them.
+
+    Args:
+        link: The bus.
+        device: A device of `gate.ACTS`.
+        clock: The machine's clock, by which calls time out.
+        daemon: Daemon session; one of its own where none is given.
+
+    Attributes:
+        name: Of the device.
+        gate: Newest report of what it acts for; None until its node was heard.
+        unreleased: Node session and epoch for which a release has failed: it is known to be latched.
+    """
+
+    def __init__(self, link: Link, device: str, clock: Clock, daemon: str | None = None) -> None:
+        super().__init__(link, device, clock)
+        self.name = device
+        self.gate: GateState | None = None
+        self.unreleased: tuple[str, int] | None = None
+        self._daemon = daemon or uuid.uuid4().hex
+        self._replaced: set[str] = set()
+        self._number = 0
+
+    @property
+    def foreign(self) -> bool:
+        """Whether the device acts for an earlier daemon."""
+        return self.gate is not None and self.gate.daemon not in ("", self._daemon)
+
+    def take(self, gate: GateState | None) -> bool:
+        """Takes a report of the device's node, from a beat or a reply; whether it is newer than the last one."""
+        known = self.gate
+        if gate is None or gate.node in self._replaced:
+            return False
+        if known is not None and known.node == gate.node and gate.changes <= known.changes:
+            return False
+        if known is not None and known.node != gate.node:
+            self._replaced.add(known.node)
+        self.gate = gate
+        return True
+
+    async def act(self, method: str, kind: type[T], timeout: float = ANSWER_TIME, **arguments: Any) -> T:
+        """Calls a method that acts, for the situation that is known now.
+
+        Raises:
+            DeviceError: See `call`. The device is latched, or was held or restarted meanwhile: nothing has happened.
+            UnknownOutcomeError: No answer came, or one that is no `kind`.
+        """
+        if self.gate is None:
+            raise DeviceError(f"The node of the {self._device} has not been heard yet: wait for it, then ask again.")
+        request = msgspec.structs.replace(self._request(method, arguments), token=self.token())
+        return await self._ask(request, kind, timeout, self._device)
+
+    async def end(self, kind: type[T], *, latch: bool = False) -> T:
+        """Ends whatever acts, whatever the situation, and latches the device if asked to.
+
+        Raises:
+            DeviceError: See `call`.
+            UnknownOutcomeError: It has not confirmed that in time.
+        """
+        request = msgspec.structs.replace(self._request(HOLDS[self._device], {}), token=self.token(), latch=latch)
+        return await self._ask(request, kind, HOLD_TIME, f"{self._device} hold", urgent=True)
+
+    async def release_latch(self) -> None:
+        """Releases the device for this daemon, unless it was held once more or restarted since its last report.
+
+        Raises:
+            DeviceError: It was; or it has not been heard yet.
+            UnknownOutcomeError: It does not answer.
+        """
+        if self.gate is None:
+            raise DeviceError(f"The node of the {self._device} has not been heard yet: wait for it, then ask again.")
+        self.unreleased = (self.gate.node, self.gate.epoch)
+        request = msgspec.structs.replace(self._request(RELEASE, {}), token=self.token())
+        await self._ask(request, type(None), HOLD_TIME, self._device)
+        self.unreleased = None
+
+    async def take_over(self) -> None:
+        """Ends whatever an earlier daemon has asked for; a device that does not confirm it stays as it is."""
+        with suppress(PcmrsError):
+            await self.end(object, latch=True)
+
+    def token(self) -> ActToken:
+        """What the next request carries; no device acts for it while none has been heard."""
+        self._number += 1
+        node, epoch = (self.gate.node, self.gate.epoch) if self.gate is not None else ("", -1)
+        return ActToken(daemon=self._daemon, node=node, epoch=epoch, number=self._number)
+
+    def _answered(self, reply: DeviceReply) -> None:
+        self.take(reply.gate)
+
+
+class RemoteRobot(ActingDevice):
     """A robot behind its node; see `Robot`."""
 
-    def __init__(self, link: Link, clock: Clock) -> None:
-        super().__init__(link, "robot", clock)
+    def __init__(self, link: Link, clock: Clock, daemon: str | None = None) -> None:
+        super().__init__(link, "robot", clock, daemon)
 
     async def connect(self) -> JointState:
         return await self.call("connect", JointState, CONNECTING_TIME)
@@ -100,13 +213,13 @@ class RemoteRobot(RemoteDevice):
 
     async def follow(self, trajectory: JointTrajectory) -> MotionResult:
         duration = trajectory.period * len(trajectory.positions)
-        return await self.call("follow", MotionResult, duration + MOTION_MARGIN, trajectory=trajectory)
+        return await self.act("follow", MotionResult, duration + MOTION_MARGIN, trajectory=trajectory)
 
     async def press(self, request: PressRequest) -> MotionResult:
-        return await self.call("press", MotionResult, request.timeout + MOTION_MARGIN, request=request)
+        return await self.act("press", MotionResult, request.timeout + MOTION_MARGIN, request=request)
 
     async def begin_servo(self) -> ServoSession:
-        return await self.call("begin_servo", ServoSession)
+        return await self.act("begin_servo", ServoSession)
 
     async def end_servo(self, session: int) -> MotionResult:
         return await self.call("end_servo", MotionResult, session=session)
@@ -115,49 +228,62 @@ class RemoteRobot(RemoteDevice):
         return servo_session(self, self._put, self._clock)
 
     async def hold(self) -> JointState:
-        return await self.call("hold", JointState)
+        return await self.end(JointState)
+
+    async def stop(self) -> JointState:
+        return await self.end(JointState, latch=True)
 
     def _put(self, setpoint: JointSetpoint) -> None:
-        self._link.publish("dev/robot/setpoint", setpoint)
+        self._link.publish("dev/robot/setpoint", msgspec.structs.replace(setpoint, token=self.token()))
 
 
-class RemotePointer(RemoteDevice):
+class RemotePointer(ActingDevice):
     """A pointer behind its node; see `Pointer`."""
 
-    def __init__(self, link: Link, clock: Clock, touch_timeout: float) -> None:
-        super().__init__(link, "pointer", clock)
+    def __init__(self, link: Link, clock: Clock, touch_timeout: float, daemon: str | None = None) -> None:
+        super().__init__(link, "pointer", clock, daemon)
         self._touch_timeout = touch_timeout
 
     async def touch(self, prompt: LandmarkPrompt) -> None:
-        await self.call("touch", type(None), self._touch_timeout, prompt=prompt)
+        await self._take_over()
+        await self.act("touch", type(None), self._touch_timeout, prompt=prompt)
 
     async def touch_surface(self) -> None:
-        await self.call("touch_surface", type(None), self._touch_timeout)
+        await self._take_over()
+        await self.act("touch_surface", type(None), self._touch_timeout)
 
     async def release(self) -> None:
-        await self.call("release", type(None))
+        await self.end(type(None))
+
+    async def _take_over(self) -> None:
+        """A hand has no latch to release: it acts for the daemon that has held it last."""
+        if self.gate is None or self.gate.daemon != self._daemon:
+            await self.release()
 
 
-class RemoteStimulator(RemoteDevice):
+class RemoteStimulator(ActingDevice):
     """A stimulator behind its node; see `Stimulator`."""
 
-    def __init__(self, link: Link, clock: Clock) -> None:
-        super().__init__(link, "stimulator", clock)
+    def __init__(self, link: Link, clock: Clock, daemon: str | None = None) -> None:
+        super().__init__(link, "stimulator", clock, daemon)
 
     async def state(self) -> StimulatorState:
         return await self.call("state", StimulatorState)
 
     async def set_intensity(self, percent: float) -> StimulatorState:
-        return await self.call("set_intensity", StimulatorState, percent=percent)
+        return await self.act("set_intensity", StimulatorState, percent=percent)
 
     async def arm(self) -> StimulatorState:
-        return await self.call("arm", StimulatorState, CHARGING_TIME)
+        return await self.act("arm", StimulatorState, CHARGING_TIME)
 
     async def disarm(self) -> StimulatorState:
-        return await self.call("disarm", StimulatorState)
+        return await self.end(StimulatorState)
+
+    async def stop(self) -> StimulatorState:
+        return await self.end(StimulatorState, latch=True)
 
     async def fire(self, number: int) -> FiredPulse:
-        return await self.call("fire", FiredPulse, number=number)
+        return await self.act("fire", FiredPulse, number=number)
 
 
 class RemoteEmg(RemoteDevice):

@@ -59,15 +59,18 @@ def check_role(command: Command, spec: OperationSpec) -> None:
 
 
 def read_payload(workflow: Workflow[Any, Any], command: Command, spec: OperationSpec) -> msgspec.Struct:
-    """The command's arguments as the operation's payload type.
+    """The command's arguments as the operation's payload type, without the Stop that an acknowledgement names.
 
     Raises:
         RefusalError: They do not fit the type, or a number is not finite.
     """
     kind = workflow.registry.payloads[spec.payload]
     what = f"{command.branch}.{command.operation}"
+    arguments = dict(command.arguments)
     try:
-        payload: msgspec.Struct = msgspec.convert(command.arguments, kind)
+        if spec.unlatches:
+            msgspec.convert(arguments.pop("stop", None), int | None)
+        payload: msgspec.Struct = msgspec.convert(arguments, kind)
     except msgspec.ValidationError as error:
         raise RefusalError("bad_arguments", f"{what}: {error}.", arguments=list(command.arguments)) from error
     for path, value in _numbers(command.arguments, ""):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import uuid
-from collections.abc import Awaitable, Callable, Container, Iterable
-from typing import Generic
+from collections.abc import Awaitable, Callable, Container, Iterable, Sequence
+from typing import Any, Generic
 
 import msgspec
 import structlog
@@ -27,6 +27,7 @@ from pcmrs.dispatcher.reconcile import Reconciliation
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.dispatcher.stage import Stage, performing
+from pcmrs.dispatcher.stops import STANDSTILL, Stops
 from pcmrs.dispatcher.tasks import Tasks
 from pcmrs.dispatcher.unsettled import Unsettled
 from pcmrs.dispatcher.workflow import Workflow
@@ -50,8 +51,11 @@ class Dispatcher(Generic[C, D]):
         cell: The devices and frames that its operations use.
         clock: The cell's clock.
         recorder: The journal.
-        hold: Holds the robot and returns when it stands still; raises when that is not confirmed.
+        hold: Holds the robot, latches it if told to, and returns when it stands still; raises when that is not
+            confirmed.
         publish: Called in the event loop with every new snapshot, verdict and device event.
+        release: Ends the latch of the devices for an operation that acknowledges a Stop, and returns the names of those
+            that stay latched; raises where the robot does not stand. None for devices that Stop does not latch.
         lease_required: Somebody has to hold the cell before commands are taken.
 
     Attributes:
@@ -65,9 +69,10 @@ class Dispatcher(Generic[C, D]):
         cell: C,
         clock: Clock,
         recorder: Recorder,
-        hold: Callable[[], Awaitable[object]],
+        hold: Callable[[bool], Awaitable[object]],
         publish: Callable[[Snapshot | Verdict | DeviceEvent], None],
         *,
+        release: Callable[[], Awaitable[Sequence[str]]] | None = None,
         lease_required: bool = False,
     ) -> None:
         self.lease = Lease(clock, required=lease_required)
@@ -78,7 +83,8 @@ class Dispatcher(Generic[C, D]):
         self._publishers = [publish]
         self._tasks = Tasks()
         self._hold = Hold(hold, self._tasks)
-        stage = Stage(workflow, self.procedure, cell, clock, self._hold, self._tasks, self._show_snapshot)
+        self._stops = Stops(clock)
+        stage = Stage(workflow, self.procedure, cell, clock, self._hold, self._tasks, self._show_snapshot, release)
         self._lanes = Lanes(workflow.blueprint.revokers)
         self._memory = Memory(recorder)
         self._decisions = Decisions(self.procedure, recorder, self._memory, self._settle, self._break)
@@ -100,7 +106,8 @@ class Dispatcher(Generic[C, D]):
     def snapshot(self) -> Snapshot:
         """The joint state of all branches, and what is running and going on."""
         running = [attempt.shown for attempt in self._lanes.running if attempt.begun and not attempt.verdict.done()]
-        return self.procedure.snapshot(running, self._activities.shown(), self._unsettled.shown(), self.lease.state)
+        activities, unknown = self._activities.shown(), self._unsettled.shown()
+        return self.procedure.snapshot(running, activities, unknown, self.lease.state, self._stops.state)
 
     @property
     def broken(self) -> Reason | None:
@@ -112,12 +119,29 @@ class Dispatcher(Generic[C, D]):
         """Commands that wait for others to end."""
         return len(self._lanes.waiting)
 
-    def take_up(self, *, latched: bool, unknown: Iterable[UnknownOutcome]) -> None:
-        """Takes over what an earlier run has left for an operator to settle; before anything is submitted."""
+    @property
+    def stop_number(self) -> int:
+        """Number of the newest Stop; 0 before the first one."""
+        return self._stops.state.number
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing moves the robot, nor brakes it after a Stop: then its joints must not move."""
+        return self._stops.standing and not self._moves()
+
+    def take_up(self, *, latched: bool, unknown: Iterable[UnknownOutcome], start: int = 0) -> None:
+        """Takes over what an earlier run has left for an operator to settle; before anything is submitted.
+
+        Args:
+            latched: A Stop of the earlier run has not been acknowledged.
+            unknown: Outcomes that nobody knows.
+            start: Grows with each run of the daemon: Stops are numbered from it.
+        """
+        self._stops.number_from(start)
         for outcome in unknown:
             self._unsettled.add(outcome)
         if latched:
-            self.procedure.latch()
+            self._latch()
 
     async def submit(self, command: Command) -> Verdict:
         """Decides on a command, performs it when it is allowed, and returns the verdict.
@@ -166,26 +190,49 @@ class Dispatcher(Generic[C, D]):
         Returns when every running operation, and every activity that moves, has ended: whether the robot has confirmed
         that it stands.
         """
+        return await asyncio.shield(self.begin_stop(source, reason))
+
+    def begin_stop(self, source: str, reason: Reason | None = None) -> asyncio.Task[bool]:
+        """Begins to stop everything; see `stop`.
+
+        When this returns, the Stop has its number, the latch is set and the holds are on their way. The result of the
+        task is whether the robot has confirmed that it stands.
+        """
         reason = reason or Reason(code="stopped", text=f"Stopped by {source}.", fields={"source": source})
-        holding = self._tasks.spawn(self._hold.confirmed())
-        self.procedure.latch()
-        for callback in self._stop_listeners:
-            callback()
+        number, holding = self._latch(), self._hold.stop()
+        self._stops.wait_for(STANDSTILL, holding)
         moving = self._activities.end_moving()
         ending = [attempt.verdict for attempt in self._lanes.running]
         for attempt in self._lanes.running:
             attempt.stop(reason)
+        for callback in self._stop_listeners:
+            callback()
         for attempt in self._lanes.turn_away():
             self._reject(attempt.command, attempt.verdict, reason)
-        event = stopped(source, reason)
+        event = stopped(source, reason, number)
         self._publish(event)
         self._show_snapshot()
+        return self._tasks.spawn(self._end_stop(number, event, holding, [*ending, *moving]))
+
+    async def _end_stop(
+        self, number: int, event: DeviceEvent, holding: asyncio.Task[bool], ending: list[asyncio.Future[Any]]
+    ) -> bool:
         await self._record_event(event)
-        await asyncio.wait([holding, *ending, *moving])
-        confirmed: bool = all(task.result() for task in (holding, *moving))
-        if not confirmed:
-            await self._doubt(source)
+        await asyncio.wait([holding, *ending])
+        held = [each.result() for each in (holding, *ending)]
+        confirmed = all(each for each in held if isinstance(each, bool))
+        if confirmed:
+            self._stops.stood(number)
+            self._show_snapshot()
+        else:
+            await self._doubt(event.device)
         return confirmed
+
+    def _latch(self) -> int:
+        """Sets the latch, which is a Stop of its own; returns its number."""
+        self._stops.begin()
+        self.procedure.latch()
+        return self._stops.state.number
 
     async def report(self, event: DeviceEvent) -> None:
         """Takes a device's event: danger goes the way of Stop; then its event operations are submitted."""
@@ -219,7 +266,7 @@ class Dispatcher(Generic[C, D]):
             return before
         self._broken = reason
         log.critical("fail_stop", reason=reason.text)
-        self.procedure.latch()
+        self._latch()
         if before is None:
             self._activities.close()
             for attempt in self._lanes.running:
@@ -267,8 +314,8 @@ class Dispatcher(Generic[C, D]):
         if broken.code != JournalError.code:
             raise PcmrsError(f"Only a restart of the daemon helps: {broken.text}", reason=broken.code)
         await self._until_nothing_runs()
-        self.procedure.latch()
-        stands = await self._hold.confirmed()
+        self._latch()
+        stands = await self._hold.stop()
         self._activities.open()
         try:
             await self._reconcile(begun)
@@ -372,6 +419,10 @@ class Dispatcher(Generic[C, D]):
             release = " or ".join(self._workflow.blueprint.unlatching)
             text = f"{attempt.name} is not allowed while Stop is latched: acknowledge with {release} first."
             return Reason(code="latched", text=text)
+        if self._broken is None and attempt.spec.unlatches:
+            objection = self._stops.objection(attempt.command, latched=self.procedure.latched)
+            if objection is not None:
+                return objection
         return self._broken or self.lease.objection(attempt.command)
 
     def _start_waiting(self) -> None:
@@ -453,7 +504,7 @@ class Dispatcher(Generic[C, D]):
             await self.submit(msgspec.structs.replace(command, id=f"{command.operation}-{uuid.uuid4().hex}"))
 
     async def _hold_or_doubt(self) -> None:
-        if not await self._hold.confirmed():
+        if not await self._hold.stop():
             await self._doubt(DAEMON)
 
     async def _doubt(self, source: str) -> None:

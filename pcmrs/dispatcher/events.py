@@ -23,9 +23,10 @@ REOPENED = DeviceEvent(
 )
 
 
-def stopped(source: str, reason: Reason) -> DeviceEvent:
-    """Everything was stopped by `source`."""
-    return DeviceEvent(device=source, code=reason.code, text=reason.text, danger=True, fields=reason.fields)
+def stopped(source: str, reason: Reason, number: int) -> DeviceEvent:
+    """Everything was stopped by `source`; `number` is the Stop's."""
+    fields = {**reason.fields, "stop": number}
+    return DeviceEvent(device=source, code=reason.code, text=reason.text, danger=True, fields=fields)
 
 
 def failed(reason: Reason) -> DeviceEvent:

@@ -1,4 +1,4 @@
-"""Holds the robot for whoever asks, once for all who ask at the same time."""
+"""Holds the robot, for Stop and after a motion that has not ended well."""
 
 from __future__ import annotations
 
@@ -13,31 +13,35 @@ log = structlog.get_logger(__name__)
 
 
 class Hold:
-    """Those who ask while a hold is under way, and nothing has moved since, wait for that one.
+    """Asks the devices to stand still, and says whether that was confirmed.
+
+    Those who stop while the hold of a Stop is under way wait for that one: nothing can begin to move in between, since
+    the latch is set and cannot be released before. The hold of a motion is never merged with another one, for the
+    request of that motion may still be on its way: only a hold that is sent after it outdates it.
 
     Args:
-        hold: Holds the robot and returns when it stands still; raises when that is not confirmed.
+        hold: Holds the robot, latches it if told to, and returns when it stands; raises when that is not confirmed.
         tasks: Where a hold goes on when those who asked for it are cancelled.
     """
 
-    def __init__(self, hold: Callable[[], Awaitable[object]], tasks: Tasks) -> None:
+    def __init__(self, hold: Callable[[bool], Awaitable[object]], tasks: Tasks) -> None:
         self._hold = hold
         self._tasks = tasks
-        self._holding: asyncio.Task[bool] | None = None
+        self._stopping: asyncio.Task[bool] | None = None
 
-    async def confirmed(self) -> bool:
-        """Holds the robot: whether it has confirmed that it stands."""
-        if self._holding is None or self._holding.done():
-            self._holding = self._tasks.spawn(self._try())
-        return await asyncio.shield(self._holding)
+    def stop(self) -> asyncio.Task[bool]:
+        """Holds and latches: the result is whether the robot has confirmed that it stands."""
+        if self._stopping is None or self._stopping.done():
+            self._stopping = self._tasks.spawn(self._try(latch=True))
+        return self._stopping
 
-    def outdate(self) -> None:
-        """The robot is about to move, or may have moved: what was asked for before does not hold it now."""
-        self._holding = None
+    async def end_motion(self) -> bool:
+        """Holds the robot after a motion: whether it has confirmed that it stands."""
+        return await asyncio.shield(self._tasks.spawn(self._try(latch=False)))
 
-    async def _try(self) -> bool:
+    async def _try(self, *, latch: bool) -> bool:
         try:
-            await self._hold()
+            await self._hold(latch)
         except Exception as error:
             log.warning("hold_not_confirmed", reason=str(error))
             return False

@@ -9,11 +9,11 @@ from pcmrs.dispatcher.activities import Activities
 from pcmrs.dispatcher.attempt import Attempt, Locks
 from pcmrs.dispatcher.decisions import Conclusion, Decisions
 from pcmrs.dispatcher.lanes import Lanes
-from pcmrs.dispatcher.perform import Ending, consequence, refusal, take_steps, take_steps_at_once
+from pcmrs.dispatcher.perform import Ending, consequence, reason_of, refusal, take_steps, take_steps_at_once
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.dispatcher.stage import Stage, performing
-from pcmrs.errors import PcmrsError
+from pcmrs.errors import PcmrsError, UnknownOutcomeError
 from pcmrs.failpoints import failpoint
 from pcmrs.fsm import Denial
 from pcmrs.messages import Prospect, Reason
@@ -60,7 +60,8 @@ class Performer(Generic[C, D]):
         return Prospect(reason=refused, undecided=run.undecided, result=run.result)
 
     def _touches_world(self, attempt: Attempt) -> bool:
-        return not self._registry.worldly.isdisjoint(attempt.spec.steps)
+        releases = attempt.spec.unlatches and self._stage.release is not None
+        return releases or not self._registry.worldly.isdisjoint(attempt.spec.steps)
 
     def _perform_at_once(self, attempt: Attempt) -> None:
         """Performs an operation that touches nothing outside, from its checks to its conclusion."""
@@ -110,8 +111,6 @@ class Performer(Generic[C, D]):
     async def _steps(self, attempt: Attempt, run: Run[C, D]) -> Ending:
         """Takes the steps after the intent is durable; holds what has failed to move."""
         attempt.begun = True
-        if attempt.moves:
-            self._stage.hold.outdate()
         try:
             self._stage.show()
             failpoint("dispatcher.before_intent")
@@ -120,13 +119,17 @@ class Performer(Generic[C, D]):
             ending = Ending("failed", reason=attempt.stopped)
             if attempt.stopped is None:
                 failpoint("dispatcher.before_steps")
-                ending = await self._take_over(attempt) or await take_steps(self._registry, attempt.spec, run)
+                ending = (
+                    await self._take_over(attempt)
+                    or await self._release(attempt, run)
+                    or await take_steps(self._registry, attempt.spec, run)
+                )
                 failpoint("dispatcher.after_steps")
         except asyncio.CancelledError:
             cancelled = Reason(code="step_cancelled", text=f"What {attempt.name} waited for was cancelled.")
             ending = Ending("failed", reason=attempt.stopped or cancelled)
         attempt.end_steps()
-        if attempt.moves and ending.kind != "done" and not await self._stage.hold.confirmed():
+        if attempt.moves and ending.kind != "done" and not await self._stage.hold.end_motion():
             return Ending("unknown", reason=ending.reason)
         return ending
 
@@ -143,6 +146,19 @@ class Performer(Generic[C, D]):
             return Ending("failed", reason=Reason(code="deadline_passed", text=text, fields=fields))
         return None
 
+    async def _release(self, attempt: Attempt, run: Run[C, D]) -> Ending | None:
+        """Releases the devices that Stop has latched; how it has ended already where the robot does not confirm it."""
+        if not attempt.spec.unlatches or self._stage.release is None:
+            return None
+        try:
+            latched = await self._stage.release()
+        except PcmrsError as error:
+            reason = reason_of(error, step="release")
+            return Ending("unknown" if isinstance(error, UnknownOutcomeError) else "failed", reason=reason)
+        if latched:
+            run.result["still_latched"] = list(latched)
+        return None
+
     def _run_of(self, attempt: Attempt) -> Run[C, D]:
         def show(fraction: float) -> None:
             attempt.progress = fraction
@@ -150,7 +166,18 @@ class Performer(Generic[C, D]):
 
         stage = self._stage
         states, data = stage.procedure.joint(), stage.procedure.data
-        return Run(attempt.command, attempt.payload, states, stage.cell, stage.clock, data, show, attempt.spec.motion)
+        motion, latched = attempt.spec.motion, stage.procedure.latched
+        return Run(
+            attempt.command,
+            attempt.payload,
+            states,
+            stage.cell,
+            stage.clock,
+            data,
+            show,
+            motion=motion,
+            latched=latched,
+        )
 
     def _conclude(self, attempt: Attempt, run: Run[C, D], refused: Reason | None, ending: Ending | None) -> None:
         """Works out what the refusal or the ending means for the states."""

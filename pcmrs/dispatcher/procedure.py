@@ -8,10 +8,11 @@ from typing import Any, Generic
 import msgspec
 
 from pcmrs.dispatcher.run import C, D
+from pcmrs.dispatcher.stops import NO_STOP
 from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Change, Closure, Denial, Engine, flags_of
-from pcmrs.messages import BlueprintTag, LeaseState, Ongoing, Running, Snapshot, UnknownOutcome
+from pcmrs.messages import BlueprintTag, LeaseState, Ongoing, Running, Snapshot, StopState, UnknownOutcome
 
 
 class Procedure(Generic[C, D]):
@@ -93,6 +94,7 @@ class Procedure(Generic[C, D]):
         activities: list[Ongoing],
         unknown: list[UnknownOutcome],
         lease: LeaseState | None = None,
+        stop: StopState = NO_STOP,
     ) -> Snapshot:
         """What the world is shown."""
         blueprint = self.blueprint
@@ -108,4 +110,5 @@ class Procedure(Generic[C, D]):
             activities=activities,
             unknown=unknown,
             lease=lease,
+            stop=stop,
         )

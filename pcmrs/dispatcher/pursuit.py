@@ -90,17 +90,13 @@ class Pursuit(Generic[C, D]):
 
     async def _perform(self) -> Reason | None:
         """Performs its function as soon as its beginning is durable."""
-        act, moves, hold = self.act, self.spec.moves, self._stage.hold
+        act = self.act
         self._begun = True
         await self._tell(self._event(ACTIVITY_STARTED, f"{act.name} begins: {act.branch} is {act.state}."))
         if self.ending:
             return None
-        if moves:
-            hold.outdate()
         self._function = self._stage.tasks.spawn(self._within())
         await asyncio.wait([self._function])
-        if moves:
-            hold.outdate()
         return self._danger(self._function)
 
     async def _within(self) -> None:
@@ -123,7 +119,7 @@ class Pursuit(Generic[C, D]):
 
     async def _held(self) -> Reason | None:
         """Holds the robot after it was moved: why that is dangerous, if it is."""
-        if await self._stage.hold.confirmed():
+        if await self._stage.hold.end_motion():
             return None
         text = f"The robot has not confirmed that it stands after {self.act.name}: look at it."
         return Reason(code=NOT_CONFIRMED, text=text)

@@ -40,6 +40,7 @@ class Run(Generic[C, D]):
         cell: The devices and frames of the cell.
         clock: The cell's clock.
         motion: Which way the operation moves the robot, as its blueprint declares it.
+        latched: Stop was latched when the operation began.
         outcome: Declared outcome to end with; a last step of an operation with outcomes sets it.
         result: What the verdict reports.
         prepared: What a check has worked out for a step, such as a trajectory.
@@ -54,6 +55,7 @@ class Run(Generic[C, D]):
     _data: D
     _show_progress: Callable[[float], None]
     motion: Motion = "none"
+    latched: bool = False
     outcome: str | None = None
     result: dict[str, Any] = field(default_factory=dict)
     prepared: Any = None

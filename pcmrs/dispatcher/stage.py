@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Generic
@@ -30,6 +30,7 @@ class Stage(Generic[C, D]):
         hold: Holds the robot.
         tasks: What is under way.
         show: Publishes a snapshot.
+        release: Releases what Stop has latched; see `Dispatcher`.
     """
 
     workflow: Workflow[C, D]
@@ -39,3 +40,4 @@ class Stage(Generic[C, D]):
     hold: Hold
     tasks: Tasks
     show: Callable[[], None]
+    release: Callable[[], Awaitable[Sequence[str]]] | None

@@ -173,7 +173,7 @@ async def _begin(bench: Bench, observer: Observer) -> None:
     """
     for _ in range(ATTEMPTS):
         if (await bench.client.state()).latched:
-            await _ask(bench, "robot.acknowledge")
+            await bench.client.acknowledge()
         while (state := (await bench.client.state()).branches["placement"]) != "placed":
             await _ask(bench, f"placement.{TO_PLACED[state]}")
         await _ask(bench, "placement.follow")

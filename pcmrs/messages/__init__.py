@@ -6,7 +6,16 @@ that an age is (sent - captured) at the sender plus (now - received) at the rece
 
 from pcmrs.messages.base import Message
 from pcmrs.messages.decisions import Command, Decision, Prospect, Question, Reason, Verdict
-from pcmrs.messages.device import Beat, DeviceEvent, DeviceHealth, DeviceReply, DeviceRequest, NodeBeat
+from pcmrs.messages.device import (
+    ActToken,
+    Beat,
+    DeviceEvent,
+    DeviceHealth,
+    DeviceReply,
+    DeviceRequest,
+    GateState,
+    NodeBeat,
+)
 from pcmrs.messages.journal import JournalPage, JournalQuery
 from pcmrs.messages.pointer import LandmarkPrompt
 from pcmrs.messages.poses import BodyPose, PoseMessage, Target
@@ -20,11 +29,21 @@ from pcmrs.messages.robot import (
     ServoSession,
 )
 from pcmrs.messages.scene import HeadBurst, HeadMotion, HeadStep, SceneTruth
-from pcmrs.messages.snapshot import BlueprintTag, Flags, LeaseState, Ongoing, Running, Snapshot, UnknownOutcome
+from pcmrs.messages.snapshot import (
+    BlueprintTag,
+    Flags,
+    LeaseState,
+    Ongoing,
+    Running,
+    Snapshot,
+    StopState,
+    UnknownOutcome,
+)
 from pcmrs.messages.stimulation import Epoch, FiredPulse, StimulatorState
 from pcmrs.messages.teleop import TeleopSetpoint, TeleopStatus
 
 __all__ = [
+    "ActToken",
     "Beat",
     "BlueprintTag",
     "BodyPose",
@@ -37,6 +56,7 @@ __all__ = [
     "Epoch",
     "FiredPulse",
     "Flags",
+    "GateState",
     "HeadBurst",
     "HeadMotion",
     "HeadStep",
@@ -62,6 +82,7 @@ __all__ = [
     "ServoSession",
     "Snapshot",
     "StimulatorState",
+    "StopState",
     "Target",
     "TeleopSetpoint",
     "TeleopStatus",

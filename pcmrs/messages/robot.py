@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from pcmrs.messages.base import Message
+from pcmrs.messages.device import ActToken
 
 
 class JointState(Message, frozen=True, kw_only=True):
@@ -13,6 +14,7 @@ class JointState(Message, frozen=True, kw_only=True):
     Attributes:
         flange_force: External force on what the flange carries, N, along the flange's axes, without its weight;
             None where the arm has no estimate.
+        relieving: It goes back along the tool's axis because of a force on the tool, by a bounded way.
     """
 
     captured: float
@@ -22,6 +24,7 @@ class JointState(Message, frozen=True, kw_only=True):
     torques: list[float]
     moving: bool = False
     flange_force: tuple[float, float, float] | None = None
+    relieving: bool = False
 
 
 class JointTrajectory(Message, frozen=True, kw_only=True):
@@ -67,6 +70,7 @@ class JointSetpoint(Message, frozen=True, kw_only=True):
         session: Of a `ServoSession`; set points of another one are dropped.
         number: Grows within a session; a set point that is not newer than the last is dropped.
         sent: Sender's monotonic time.
+        token: For which situation it was made; None inside a node.
     """
 
     session: int
@@ -74,6 +78,7 @@ class JointSetpoint(Message, frozen=True, kw_only=True):
     sent: float
     positions: list[float]
     velocities: list[float]
+    token: ActToken | None = None
 
 
 class PressRequest(Message, frozen=True, kw_only=True, omit_defaults=False):

@@ -56,6 +56,21 @@ class LeaseState(Message, frozen=True, kw_only=True, omit_defaults=False):
     asking: str | None = None
 
 
+class StopState(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The newest Stop.
+
+    Attributes:
+        number: Grows with every Stop, across restarts of the daemon; 0 before the first one. An acknowledgement names
+            it.
+        pending: What an acknowledgement waits for: ``standstill``, or the code of a danger event.
+        confirmed: Standstill was measured after its holds; false while it has only begun.
+    """
+
+    number: int = 0
+    pending: list[str] = []
+    confirmed: bool = False
+
+
 class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
     """The joint state of all branches after one commit.
 
@@ -65,6 +80,7 @@ class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
         activities: What goes on besides operations, until the state it belongs to is left.
         unknown: Outcomes that nobody knows and no operator has settled yet, of earlier runs of the daemon too.
         lease: None while nobody holds the cell.
+        stop: The newest Stop.
     """
 
     sequence: int
@@ -78,6 +94,7 @@ class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
     activities: list[Ongoing] = []
     unknown: list[UnknownOutcome] = []
     lease: LeaseState | None = None
+    stop: StopState = StopState()
 
 
 class Flags(Message, frozen=True, kw_only=True, omit_defaults=False):

@@ -25,7 +25,7 @@ class Holds:
         self._asked: list[asyncio.Future[None]] = []
         self._ended = False
 
-    async def hold(self) -> None:
+    async def hold(self, _latch: bool) -> None:
         """Waits for the answer. Raises `DeviceError` where none came."""
         if self._ended:
             return

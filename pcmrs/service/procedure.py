@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass
 
 import structlog
@@ -12,7 +13,8 @@ from pcmrs.devices.jumps import PoseLimits
 from pcmrs.devices.link import Link
 from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.devices.poses import PoseFeed
-from pcmrs.devices.remote import RemoteEmg, RemotePointer, RemoteRobot, RemoteStimulator
+from pcmrs.devices.remote import ActingDevice, RemoteEmg, RemotePointer, RemoteRobot, RemoteStimulator
+from pcmrs.devices.standstill import Standstill
 from pcmrs.dispatcher import Dispatcher, Recorder, Workflow
 from pcmrs.errors import DeviceError
 from pcmrs.kinematics.model import ArmModel
@@ -21,6 +23,7 @@ from pcmrs.messages import BodyPose, DeviceEvent, DeviceHealth, JointState, Node
 from pcmrs.messages.setup import Gathered
 from pcmrs.service.abandoned import AbandonedWatch
 from pcmrs.service.core import GatewayCore
+from pcmrs.service.gates import GateWatch
 from pcmrs.service.health import HealthWatch
 from pcmrs.service.hearing import Hearing, awaited
 from pcmrs.service.heart import Heart, LoopHeart
@@ -66,7 +69,7 @@ class RunningProcedure:
         heart: Sends the signs of life of the loop; by default the loop itself does.
 
     Attributes:
-        session: Of this start of the daemon, as its heartbeats have it.
+        session: Of this start of the daemon, as its heartbeats and requests have it.
         cell: Devices and poses.
         dispatcher: Takes commands.
         core: The same as the gateway sees it.
@@ -91,7 +94,7 @@ class RunningProcedure:
         self.session = heart.session
         self._link = link
         self._supervisor = supervisor
-        self.cell = open_cell(settings, link, clocks)
+        self.cell = open_cell(settings, link, clocks, self.session)
         self._publishing = Publishing(link)
         self.dispatcher = Dispatcher(
             workflow,
@@ -100,6 +103,7 @@ class RunningProcedure:
             recorder,
             self.cell.make_safe,
             self._publish,
+            release=self.cell.release,
             lease_required=settings.access.is_open,
         )
         self.tally = Tally(self.dispatcher.submit, clocks.machine)
@@ -114,6 +118,10 @@ class RunningProcedure:
             clocks.machine,
             settings.robot.deadman,
         )
+        acting: tuple[object, ...] = (self.cell.robot, self.cell.pointer, self.cell.stimulator)
+        remote = [device for device in acting if isinstance(device, ActingDevice)]
+        self._gates = GateWatch(remote, dispatcher, self.connected, supervisor)
+        self._standstill = Standstill()
         self.health = HealthWatch(self.hearing, self.cell.poses)
         self.heard: dict[str, float] = {}
         self.data_heard: dict[str, float] = {}
@@ -149,9 +157,11 @@ class RunningProcedure:
         """Whether the robot was moving when it was last heard."""
         return self.cell.joints is not None and self.cell.joints.moving
 
-    def stop(self, source: str) -> None:
-        """Begins to stop everything; see `Dispatcher.stop`."""
-        self._supervisor.spawn(f"stop by {source}", self.dispatcher.stop(source))
+    def stop(self, source: str) -> int:
+        """Begins to stop everything, and returns the number of the Stop; see `Dispatcher.begin_stop`."""
+        stopping = self.dispatcher.begin_stop(source)
+        self._supervisor.spawn(f"stop by {source}", _wait_for(stopping))
+        return self.dispatcher.stop_number
 
     def lose(self, devices: list[str]) -> bool:
         """The node of these devices has ended by itself; whether it is worth another start."""
@@ -179,13 +189,17 @@ class RunningProcedure:
     def _take_joints(self, _key: str, state: JointState) -> None:
         self.data_heard["robot"] = self._machine.monotonic()
         self.cell.update_joints(state)
+        self._standstill.watch(self.connected() and self.dispatcher.idle)
+        if (moved := self._standstill.take(state)) is not None:
+            self.dispatcher.report_later(moved)
         self.watch.hear()
         self.hearing.hear("robot")
 
-    def _take_beat(self, key: str, _beat: NodeBeat) -> None:
+    def _take_beat(self, key: str, beat: NodeBeat) -> None:
         if key == DAEMON_BEAT:
             return  # of its own heart
         device = key.split("/")[1]
+        self._gates.take(device, beat.gate)
         self.heard[device] = self._machine.monotonic()
         if device == "robot":
             self.watch.hear_beat()
@@ -196,12 +210,16 @@ class RunningProcedure:
         self._publishing.publish_data(self.cell, self.dispatcher.procedure.data)
 
 
+async def _wait_for(stopping: asyncio.Task[bool]) -> None:
+    await stopping
+
+
 QUIET = 10.0
 """A watch that has not come round for so long is stuck, s of the machine; reports that it waits for take their time."""
 
 
-def open_cell(settings: Settings, link: Link, clocks: Clocks) -> Cell:
-    """The cell as operations see it, its devices behind `link`.
+def open_cell(settings: Settings, link: Link, clocks: Clocks, session: str) -> Cell:
+    """The cell as operations see it, its devices behind `link`; `session` is the daemon's.
 
     Raises:
         ConfigurationError: A calibration cannot be used.
@@ -210,9 +228,9 @@ def open_cell(settings: Settings, link: Link, clocks: Clocks) -> Cell:
     cell = Cell(
         name=f"{settings.cell.site}/{settings.cell.name}",
         # Answers are waited for by the machine's clock: a fast simulation may fall behind its own.
-        robot=RemoteRobot(link, machine),
-        pointer=RemotePointer(link, machine, procedure.registration.touch_timeout_s),
-        stimulator=RemoteStimulator(link, machine) if settings.stimulator.driver != "none" else None,
+        robot=RemoteRobot(link, machine, session),
+        pointer=RemotePointer(link, machine, procedure.registration.touch_timeout_s, session),
+        stimulator=RemoteStimulator(link, machine, session) if settings.stimulator.driver != "none" else None,
         emg=RemoteEmg(link, machine) if settings.emg.driver != "none" else None,
         poses=PoseFeed(clocks.cell, procedure.max_pose_age, _pose_limits(procedure.tracking)),
         arm=ArmModel(find_arm(settings.robot.model)),

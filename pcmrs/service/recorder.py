@@ -108,11 +108,11 @@ class JournalRecorder:
         """Snapshots show the states, data and sequence of this procedure from now on."""
         self._procedure = procedure
 
-    async def started(self, settings: Mapping[str, Any], calibration: str) -> None:
-        """Journals under which configuration, versions and calibration the daemon runs."""
+    async def started(self, settings: Mapping[str, Any], calibration: str) -> int:
+        """Journals under which configuration, versions and calibration the daemon runs; returns the row's sequence."""
         versions = {"pcmrs": version("pcmrs"), "python": platform.python_version()}
         result = {"settings": dict(settings), "versions": versions, "calibration": calibration}
-        await self._append([self._row("config", source=DAEMON, operation="started", result=result)])
+        return await self._append([self._row("config", source=DAEMON, operation="started", result=result)])
 
     async def taken_up(self, migration: MigrationSpec) -> None:
         """Journals that what an older blueprint has written is taken up under the present one, and why."""

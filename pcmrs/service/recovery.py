@@ -37,15 +37,17 @@ class Recovered:
         latched: A Stop or danger was not acknowledged, or a motion, an activity that moves the robot or a pulse was
             under way when the last run ended.
         unknown: What nobody knows the outcome of, until an operator has settled it.
+        start: Sequence of the row of this start.
     """
 
     workflow: Workflow[Cell, PlacementData]
     latched: bool
     unknown: tuple[UnknownOutcome, ...]
+    start: int
 
     def give_to(self, dispatcher: Dispatcher[Cell, PlacementData], journal: Journal) -> None:
         """Has the dispatcher begin with it, and fail with its journal; before anything is submitted."""
-        dispatcher.take_up(latched=self.latched, unknown=self.unknown)
+        dispatcher.take_up(latched=self.latched, unknown=self.unknown, start=self.start)
         journal.on_failure(lambda error: dispatcher.fail(reason_for(error)))
 
 
@@ -63,7 +65,7 @@ async def recover(
     calibration = calibration_id_of(settings.procedure)
     before = recorder.read_back(blueprint)
     initial = recorder.previous(before, workflow.initial)
-    await recorder.started(msgspec.to_builtins(settings), calibration)
+    start = await recorder.started(msgspec.to_builtins(settings), calibration)
     if migration is not None:
         await recorder.taken_up(migration)
     await recorder.close_unfinished(before.begun)
@@ -71,7 +73,7 @@ async def recover(
     for outcome in kept.unknown:
         log.warning("unknown_outcome", command=outcome.command, operation=f"{outcome.branch}.{outcome.operation}")
     log.info("recovered", latched=kept.latched, can_be_taken_back=sorted(kept.taken_back))
-    return Recovered(replace(workflow, initial=initial), kept.latched, kept.unknown)
+    return Recovered(replace(workflow, initial=initial), kept.latched, kept.unknown, start)
 
 
 async def conclude(recorder: JournalRecorder) -> None:

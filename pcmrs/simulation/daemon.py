@@ -138,8 +138,11 @@ class SimulatedDaemon:
         async def submit(_key: str, command: Command) -> Verdict:
             return await procedure.dispatcher.submit(command)
 
+        def stop(user: str) -> None:
+            procedure.stop(f"bus:{user}")
+
         self.link.serve(COMMANDS, Command, submit)
-        self.link.subscribe(STOPS, Beat, lambda key, _: procedure.stop(f"bus:{key.split('/')[1]}"))
+        self.link.subscribe(STOPS, Beat, lambda key, _: stop(key.split("/")[1]))
         folder = self._path.parent / "records"
         self._gateway = SimulatedGateway(procedure.core, self._settings.gateway, self._clock, folder)
         stack.push_async_callback(self._gateway.close)

@@ -221,14 +221,23 @@ class Endpoint:
     def serve(self, key: str, kind: type[M], handler: Callable[[str, M], Awaitable[msgspec.Struct]]) -> None:
         self._services[key] = (kind, handler)
 
-    async def request(self, key: str, message: msgspec.Struct, reply: type[M], timeout: float) -> M:
+    async def request(
+        self,
+        key: str,
+        message: msgspec.Struct,
+        reply: type[M],
+        timeout: float,
+        sender: str = "",
+        *,
+        urgent: bool = False,  # noqa: ARG002  # here no queue of the link is ever full
+    ) -> M:
         server = self._network.server(key)
         if server is None or self._gone:
             raise UnknownOutcomeError(f"Nobody answers on {key}.", key=key)
         answered: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         self._asked[answered] = server
         kind, _ = server._services[_pattern(server._services, key)]
-        delay = self._senders.delay(name_of(key, message), asyncio.get_running_loop().time())
+        delay = self._senders.delay(name_of(key, message), asyncio.get_running_loop().time(), sender)
         # Whoever asked may be cancelled: what a thread has taken is sent all the same.
         self._network.by_thread(delay, self._send_request, server, key, self._network.copy(message, kind), answered)
         try:

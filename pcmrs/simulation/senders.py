@@ -25,18 +25,20 @@ class Senders:
 
     def __init__(self, windows: Windows) -> None:
         self._windows = windows
-        self._free = [0.0] * THREADS
+        self._free: dict[str, list[float]] = {"": [0.0] * THREADS}
 
-    def delay(self, what: str, now: float) -> float:
+    def delay(self, what: str, now: float, sender: str = "") -> float:
         """Until it is sent, s.
 
         Args:
             what: Its name; see `name_of`.
             now: s of the simulation.
+            sender: Has a thread to itself, so that its requests keep their order; empty for the pool.
         """
         lasts = self._windows.open(f"send:{what}")
-        begun = max(now, self._free[0])
-        heapq.heapreplace(self._free, begun + lasts)
+        free = self._free.setdefault(sender, [0.0])
+        begun = max(now, free[0])
+        heapq.heapreplace(free, begun + lasts)
         return begun + lasts - now
 
 

@@ -5,18 +5,19 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
 import numpy as np
+import structlog
 
 from pcmrs.calibration import Calibration, Kind, read_calibration
 from pcmrs.clock import Clock
 from pcmrs.devices.poses import PoseFeed
-from pcmrs.devices.protocols import Emg, Pointer, Robot, Stimulator
-from pcmrs.errors import ConfigurationError, FileFormatError, RefusalError
+from pcmrs.devices.protocols import Emg, LatchingRobot, LatchingStimulator, Pointer
+from pcmrs.errors import ConfigurationError, FileFormatError, PcmrsError, RefusalError
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import JointState
@@ -25,6 +26,8 @@ from pcmrs.workflows.data import PlacementData, Registered, as_transform
 from pcmrs.workflows.settings import ProcedureSettings
 from pcmrs.workflows.teleop_port import TeleopPort
 from pcmrs.workflows.zones import CellZones
+
+log = structlog.get_logger(__name__)
 
 
 @dataclass
@@ -50,7 +53,7 @@ class Cell:
         teleop: Where set points of teleoperators come in.
     """
 
-    robot: Robot
+    robot: LatchingRobot
     pointer: Pointer
     poses: PoseFeed
     arm: ArmModel
@@ -65,7 +68,7 @@ class Cell:
     initial_joints: list[float] | None = None
     watchers: list[Callable[[JointState], None]] = field(default_factory=list)
     name: str = "lab/cell1"
-    stimulator: Stimulator | None = None
+    stimulator: LatchingStimulator | None = None
     emg: Emg | None = None
     teleop: TeleopPort = field(default_factory=TeleopPort)
     flange_from_coil: Transform = field(init=False)
@@ -120,16 +123,44 @@ class Cell:
         for watch in tuple(self.watchers):
             watch(state)
 
-    async def make_safe(self) -> None:
+    async def make_safe(self, latch: bool) -> None:
         """Holds the robot and disarms the stimulator, both at once.
+
+        Args:
+            latch: They act only after a release; not where only a motion is ended.
 
         Raises:
             PcmrsError: One of them has not confirmed it.
         """
-        asked = [self.robot.hold()] if self.stimulator is None else [self.robot.hold(), self.stimulator.disarm()]
+        robot, stimulator = self.robot, self.stimulator
+        asked: list[Awaitable[object]] = [robot.stop() if latch else robot.hold()]
+        if stimulator is not None:
+            asked.append(stimulator.stop() if latch else stimulator.disarm())
         for answer in await asyncio.gather(*asked, return_exceptions=True):
             if isinstance(answer, BaseException):
                 raise answer
+
+    async def release(self) -> list[str]:
+        """Ends the latch of robot and stimulator after a Stop, once the robot has confirmed that it stands.
+
+        Returns:
+            Names of the devices that stay latched: a stimulator that does not answer, which must not keep anybody from
+            retreating.
+
+        Raises:
+            DeviceError: The robot moves, was held once more meanwhile, or refuses.
+            UnknownOutcomeError: It does not answer.
+        """
+        await self.robot.hold()
+        await self.robot.release_latch()
+        if self.stimulator is None:
+            return []
+        try:
+            await self.stimulator.release_latch()
+        except PcmrsError as error:
+            log.warning("still_latched", device="stimulator", reason=error.text)
+            return ["stimulator"]
+        return []
 
     def motion_limits(self) -> MotionLimits:
         """The configured speed limits, within the arm's own."""

@@ -17,12 +17,17 @@ FRAMES_TO_LOCATE = 5
 
 
 async def connect_robot(run: Run) -> None:
-    """Connected means that the robot has answered with joints within its limits."""
+    """Connected means that the robot has answered with joints within its limits.
+
+    The devices may act from now on, unless Stop is latched: then only its acknowledgement releases them.
+    """
     state = await run.cell.robot.connect()
     if not np.all(np.isfinite(state.positions)):
         raise RefusalError("bad_joints", f"The robot reports joints {state.positions}, which are no numbers.")
     run.cell.arm.check_limits(state.positions)
     run.cell.update_joints(state)
+    if not run.latched and (latched := await run.cell.release()):
+        run.result["still_latched"] = latched
     run.post("placement", "locate")
 
 

@@ -44,7 +44,16 @@ class MemoryLink:
     def serve(self, key: str, kind: type[M], handler: Callable[[str, M], Awaitable[msgspec.Struct]]) -> None:
         self._services[key] = (kind, handler)
 
-    async def request(self, key: str, message: msgspec.Struct, reply: type[M], timeout: float) -> M:
+    async def request(
+        self,
+        key: str,
+        message: msgspec.Struct,
+        reply: type[M],
+        timeout: float,
+        sender: str = "",
+        *,
+        urgent: bool = False,
+    ) -> M:
         if self.silent or key not in self._services:
             raise UnknownOutcomeError(f"Nobody answered on {key}.")
         kind, handler = self._services[key]

@@ -22,6 +22,7 @@ from pcmrs.messages import (
     DeviceEvent,
     DeviceReply,
     DeviceRequest,
+    GateState,
     HeadBurst,
     HeadMotion,
     JointSetpoint,
@@ -170,12 +171,12 @@ class Bench:
         devices = {"robot": self.robot_device, "tracker": self.tracker, "pointer": self.hand, "scene": self.hand}
         self.scheduling = FakeScheduling()
         self.node = DeviceNode(self.link, devices, self.clock, DEADMAN, self.scheduling)
-        self.robot = RemoteRobot(self.link, self.clock)
-        self.pointer = RemotePointer(self.link, self.clock, touch_timeout=30.0)
+        self.robot = RemoteRobot(self.link, self.clock, "a")
+        self.pointer = RemotePointer(self.link, self.clock, 30.0, "a")
         self.scene = RemoteScene(self.link, self.clock)
 
     async def raw(self, device: str, method: str, **arguments: Any) -> DeviceReply:
-        request = DeviceRequest(method=method, arguments=arguments)
+        request = DeviceRequest(method=method, arguments=arguments, token=self.robot.token())
         return await self.link.request(f"dev/{device}/cmd", request, DeviceReply, 1.0)
 
 
@@ -184,6 +185,8 @@ async def _open_bench() -> AsyncIterator[Bench]:
     bench = Bench()
     serving = asyncio.create_task(bench.node.run())
     await settle()
+    await bench.robot.joints()
+    await bench.robot.release_latch()
     yield bench
     serving.cancel()
     with suppress(asyncio.CancelledError):
@@ -205,7 +208,7 @@ async def test_calls_and_results_keep_their_types(bench: Bench) -> None:
     prompt = LandmarkPrompt(index=2, name="nasion", position_in_image=(0.0, 0.1, 0.2))
     await bench.pointer.touch(prompt)
     await bench.scene.displace_touch(3, (0.01, 0.0, 0.0))
-    assert bench.hand.calls == [prompt, (3, (0.01, 0.0, 0.0))]
+    assert bench.hand.calls == ["release", prompt, (3, (0.01, 0.0, 0.0))], "it acts for who has held it last"
 
 
 async def test_a_scene_moves_its_head_reference_and_pointer(bench: Bench) -> None:
@@ -331,6 +334,7 @@ async def test_an_answer_that_does_not_come_in_time_is_unknown(method: str, with
 
     link.serve("dev/robot/cmd", DeviceRequest, never)
     robot = RemoteRobot(link, clock)
+    robot.take(GateState(node="n", epoch=0, latched=False))
     asking = asyncio.create_task(robot.joints() if method == "joints" else robot.follow(TRAJECTORY))
     await settle()
     await clock.advance(within - 0.001)
@@ -455,7 +459,8 @@ async def test_the_heartbeats_of_a_daemon_that_began_anew_count_whatever_its_clo
     bench.robot_device.stream.put_nowait(MOVING)
     await beat_for(bench, 1.0)
     await beat_for(bench, 1.0, first=1, delay=1000.0, session="b")
-    assert bench.robot_device.holds == 0
+    assert bench.robot_device.holds == 1, "what the daemon before has asked for ends"
+    assert bench.link.published["dev/robot/event"] == [], "and nothing is silent"
 
 
 async def test_the_heartbeats_of_the_daemon_before_do_not_count_any_more(bench: Bench) -> None:
@@ -463,7 +468,8 @@ async def test_the_heartbeats_of_the_daemon_before_do_not_count_any_more(bench: 
     number = await beat_for(bench, 1.0, session="a")
     await beat_for(bench, 1.0, session="b")
     await beat_for(bench, 1.5 * DEADMAN, number, session="a")
-    assert bench.robot_device.holds == 1
+    (event,) = bench.link.published["dev/robot/event"]
+    assert event.code == "daemon_silent"
 
 
 async def test_no_motion_begins_while_the_daemon_is_not_heard(bench: Bench) -> None:
@@ -491,7 +497,7 @@ async def test_a_motion_that_waits_for_the_daemon_does_not_begin_after_a_stop(be
         await stop()
         beat(bench, number)
         await bench.clock.advance(DEADMAN / 2)
-        with pytest.raises(DeviceError, match="held before it could begin"):
+        with pytest.raises(DeviceError, match=r"made before the robot was held|latched since it was stopped"):
             await asking
     assert bench.robot_device.followed == []
 
@@ -500,7 +506,7 @@ async def test_a_request_that_was_held_up_on_its_way_is_dropped_unless_it_makes_
     await beat_for(bench, 1.0)
     sent = bench.clock.monotonic() - REQUEST_DELAY - 0.1
     arguments = {"trajectory": msgspec.to_builtins(TRAJECTORY)}
-    late = DeviceRequest(method="follow", arguments=arguments, sent=sent)
+    late = DeviceRequest(method="follow", arguments=arguments, sent=sent, token=bench.robot.token())
     reply = await bench.link.request("dev/robot/cmd", late, DeviceReply, 1.0)
     assert reply.failure is not None
     assert "late and was dropped" in reply.failure.text
@@ -515,6 +521,7 @@ async def test_a_set_point_that_comes_late_is_dropped(bench: Bench) -> None:
     now = bench.clock.monotonic()
     for number, age in enumerate((0.0, DEADMAN + 0.01, 0.01), start=1):
         setpoint = JointSetpoint(session=4, number=number, sent=now - age, positions=[0.0] * 7, velocities=[0.0] * 7)
+        setpoint = msgspec.structs.replace(setpoint, token=bench.robot.token())
         bench.link.hear("dev/robot/setpoint", setpoint)
     assert [setpoint.number for setpoint in bench.robot_device.setpoints] == [1, 3]
     assert bench.node.late == {"setpoints": 1}

@@ -68,7 +68,7 @@ class Bench:
         self.link = MemoryLink()
         self.device = FakeStimulator()
         self.node = DeviceNode(self.link, {"stimulator": self.device, "emg": FakeEmg()}, self.clock)
-        self.stimulator = RemoteStimulator(self.link, self.clock)
+        self.stimulator = RemoteStimulator(self.link, self.clock, "a")
         self.emg = RemoteEmg(self.link, self.clock)
 
 
@@ -77,6 +77,8 @@ async def bench() -> AsyncIterator[Bench]:
     bench = Bench()
     serving = asyncio.create_task(bench.node.run())
     await settle()
+    await bench.stimulator.state()
+    await bench.stimulator.release_latch()
     yield bench
     serving.cancel()
     with suppress(asyncio.CancelledError):

@@ -231,9 +231,30 @@ class Bench:
         self.hold: Callable[[], Awaitable[object]] = self._hold
         self._ids = itertools.count(1)
         workflow = make_workflow(self.script, blueprint, worldly_branches)
+        self.latching: list[bool] = []
+        self.releasing: asyncio.Event | None = None
+        self.release_error: Exception | None = None
+        self.still_latched: list[str] = []
         self.dispatcher = Dispatcher(
-            workflow, None, self.clock, self.recorder, lambda: self.hold(), self.published.append
+            workflow,
+            None,
+            self.clock,
+            self.recorder,
+            self._hold_devices,
+            self.published.append,
+            release=self._release_devices,
         )
+
+    def _hold_devices(self, latch: bool) -> Awaitable[object]:
+        self.latching.append(latch)
+        return self.hold()
+
+    async def _release_devices(self) -> list[str]:
+        if self.releasing is not None:
+            await self.releasing.wait()
+        if self.release_error is not None:
+            raise self.release_error
+        return self.still_latched
 
     async def _hold(self) -> None:
         self.holds += 1
@@ -251,6 +272,8 @@ class Bench:
     def command(self, name: str, source: str = "test:user", **fields: Any) -> Command:
         branch, operation = name.split(".")
         fields.setdefault("id", f"c{next(self._ids)}")
+        if name == "robot.acknowledge":
+            fields.setdefault("arguments", {"stop": self.dispatcher.stop_number})  # as who has seen the newest Stop
         return Command(branch=branch, operation=operation, source=source, **fields)
 
     async def do(self, name: str, **fields: Any) -> Verdict:

@@ -14,8 +14,9 @@ from ratms_oracle import INITIAL
 
 from pcmrs.dispatcher import Run
 from pcmrs.dispatcher.hold import Hold
+from pcmrs.dispatcher.stops import YOUNG
 from pcmrs.dispatcher.tasks import Tasks
-from pcmrs.errors import RefusalError, UnknownOutcomeError
+from pcmrs.errors import DeviceError, RefusalError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, Reason, Verdict
 
 
@@ -219,10 +220,18 @@ async def test_what_is_latched_is_not_told_as_allowed(bench: Bench) -> None:
     assert "back_off" in (await bench.do("placement.no_such_operation")).allowed
 
 
+async def _wait_for(hold: asyncio.Task[bool]) -> bool:
+    return await asyncio.shield(hold)
+
+
 async def test_who_gives_up_ends_the_hold_of_nobody_else() -> None:
     stands = asyncio.Event()
-    hold = Hold(stands.wait, Tasks())
-    impatient, patient = (asyncio.create_task(hold.confirmed()) for _ in range(2))
+
+    async def standing(_latch: bool) -> None:
+        await stands.wait()
+
+    hold = Hold(standing, Tasks())
+    impatient, patient = (asyncio.create_task(_wait_for(hold.stop())) for _ in range(2))
     await settle()
     impatient.cancel()
     await settle()
@@ -354,26 +363,114 @@ async def test_stops_share_a_hold_that_is_under_way(bench: Bench) -> None:
     assert [row[:2] for row in bench.recorder.rows] == [("event", "stopped")] * 50
 
 
-async def test_a_hold_from_before_a_motion_does_not_serve_for_a_stop_in_it(bench: Bench) -> None:
-    """The first hold is answered late: by then it was acknowledged and something moves again."""
-    await bench.go(STANDOFF)
+async def test_nobody_acknowledges_while_the_hold_is_under_way(bench: Bench) -> None:
+    await bench.go(HELD)
     answered = asyncio.Event()
-    asked: list[int] = []
-
-    async def hold() -> None:
-        asked.append(len(asked))
-        await answered.wait()
-
-    bench.hold = hold
-    early = asyncio.create_task(bench.dispatcher.stop("test:operator"))
+    bench.hold = answered.wait
+    stop = asyncio.create_task(bench.dispatcher.stop("test:operator"))
     await settle()
-    await bench.do("robot.acknowledge")
+    assert bench.dispatcher.snapshot().stop.pending == ["standstill"]
+    refused = await bench.do("robot.acknowledge")
+    assert code(refused) == "stop_pending"
+    assert refused.reason is not None
+    assert "standstill" in refused.reason.text
+    answered.set()
+    assert await stop
+    assert (bench.dispatcher.snapshot().stop.pending, bench.dispatcher.snapshot().stop.confirmed) == ([], True)
+    assert (await bench.do("robot.acknowledge")).decision == "accepted"
+
+
+async def test_the_hold_of_a_motion_is_merged_with_no_other(bench: Bench) -> None:
+    """Its request may still be on its way when the hold of the Stop is answered: only a later hold outdates it."""
+    await bench.go(STANDOFF)
     bench.script.hang("placement.confirm")
     motion = await bench.begin("placement.confirm")
-    late = asyncio.create_task(bench.dispatcher.stop("test:operator"))
+    answered = asyncio.Event()
+    bench.hold = answered.wait
+    stop = asyncio.create_task(bench.dispatcher.stop("test:operator"))
     await settle()
-    assert asked == [0, 1]
+    assert bench.latching == [True, False]
     answered.set()
-    assert await early
-    assert await late
+    assert await stop
     assert (await motion).state == "held"
+
+
+async def test_a_stop_has_its_number_before_anything_is_awaited(bench: Bench) -> None:
+    await bench.go(HELD)
+    before = bench.dispatcher.stop_number
+    stops = [bench.dispatcher.begin_stop("test:operator") for _ in range(3)]
+    state = bench.dispatcher.snapshot().stop
+    assert (state.number, state.confirmed) == (before + 3, False)
+    await asyncio.gather(*stops)
+    rows = [message.fields["stop"] for message in bench.published if isinstance(message, DeviceEvent)]
+    assert rows == [before + 1, before + 2, before + 3]
+
+
+async def test_stops_of_a_later_run_have_greater_numbers(bench: Bench) -> None:
+    bench.dispatcher.take_up(latched=True, unknown=[], start=7)
+    assert bench.dispatcher.stop_number > 7
+    other = Bench()
+    other.dispatcher.take_up(latched=False, unknown=[], start=8)
+    for _ in range(100):
+        await bench.dispatcher.stop("test:operator")
+    await other.dispatcher.stop("test:operator")
+    assert other.dispatcher.stop_number > bench.dispatcher.stop_number
+    await other.dispatcher.close()
+
+
+async def test_an_acknowledgement_that_names_an_older_stop_releases_nothing(bench: Bench) -> None:
+    await bench.go(HELD)
+    await bench.dispatcher.stop("test:operator")
+    older = bench.dispatcher.stop_number
+    await bench.dispatcher.stop("test:operator")
+    refused = await bench.do("robot.acknowledge", arguments={"stop": older})
+    assert code(refused) == "stop_outdated"
+    assert refused.reason is not None
+    assert refused.reason.fields == {"stop": older, "newest": older + 1}
+    assert bench.dispatcher.snapshot().latched
+
+
+@pytest.mark.parametrize("name", ["7", 1.5, True, [1]])
+async def test_an_acknowledgement_that_names_no_number_is_malformed(bench: Bench, name: Any) -> None:
+    await bench.go(HELD)
+    await bench.dispatcher.stop("test:operator")
+    assert code(await bench.do("robot.acknowledge", arguments={"stop": name})) == "bad_arguments"
+    assert bench.dispatcher.snapshot().latched
+
+
+async def test_without_a_name_only_who_is_on_site_acknowledges_and_no_young_stop(bench: Bench) -> None:
+    await bench.go(HELD)
+    await bench.dispatcher.stop("test:operator")
+    assert code(await bench.do("robot.acknowledge", arguments={}, user="local")) == "stop_not_named"
+    await bench.clock.advance(YOUNG + 0.01)
+    assert code(await bench.do("robot.acknowledge", arguments={}, user="carla")) == "stop_not_named"
+    assert bench.dispatcher.snapshot().latched
+    assert (await bench.do("robot.acknowledge", arguments={}, user="local")).decision == "accepted"
+    assert not bench.dispatcher.snapshot().latched
+
+
+async def test_an_acknowledgement_releases_the_devices_first(bench: Bench) -> None:
+    await bench.go(HELD)
+    await bench.dispatcher.stop("test:operator")
+    bench.release_error = DeviceError("The robot still moves.", code="moving")
+    refused = await bench.do("robot.acknowledge")
+    assert (refused.decision, code(refused)) == ("failed", "moving")
+    assert bench.dispatcher.snapshot().latched, "a robot that moves is not released"
+    bench.release_error = None
+    bench.still_latched = ["stimulator"]
+    accepted = await bench.do("robot.acknowledge")
+    assert (accepted.decision, accepted.result) == ("accepted", {"still_latched": ["stimulator"]})
+    assert not bench.dispatcher.snapshot().latched, "a silent stimulator keeps nobody from retreating"
+
+
+async def test_a_stop_while_the_devices_are_released_stays_latched(bench: Bench) -> None:
+    await bench.go(HELD)
+    await bench.dispatcher.stop("test:operator")
+    bench.releasing = asyncio.Event()
+    acknowledge = await bench.begin("robot.acknowledge")
+    stop = bench.dispatcher.begin_stop("test:operator")
+    await settle()
+    bench.releasing.set()
+    assert await stop
+    assert code(await acknowledge) == "stopped"
+    assert bench.dispatcher.snapshot().latched

@@ -148,7 +148,7 @@ class DiceCell:
         for queue in self._queues:
             queue.put_nowait(event)
 
-    async def _hold(self) -> None:
+    async def _hold(self, _latch: bool) -> None:
         pass
 
 

@@ -77,6 +77,9 @@ class FakeClient:
         self.asked: list[str] = []
         self.latched = False
 
+    async def acknowledge(self) -> Verdict:
+        return await self.call("robot.acknowledge")
+
     async def call(self, name: str, arguments: object = None) -> Verdict:
         self.asked.append(name)
         branch, _, operation = name.partition(".")

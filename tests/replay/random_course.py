@@ -187,7 +187,7 @@ class Course:
         finally:
             self.waiting.remove(waiting)
 
-    async def _hold(self) -> None:
+    async def _hold(self, _latch: bool) -> None:
         if self._ending:
             return
         hold: asyncio.Future[bool] = asyncio.get_running_loop().create_future()

@@ -73,7 +73,7 @@ async def first_run(daemon: ServeProcess, client: Client, workflow: str) -> None
     await _told(client, "robot.connect")
     await _located(client)
     await prepare(client, workflow)
-    await _told(client, "robot.acknowledge")
+    await client.acknowledge()
     names = ("placement.approach", "placement.approach", "toolplan.clear", "registration.clear_registration")
     await asyncio.gather(*(_told(client, name) for name in names))
     await _to_the_body(client, landmarks, pose, workflow)
@@ -88,11 +88,11 @@ async def first_run(daemon: ServeProcess, client: Client, workflow: str) -> None
         await moving
         await _told(client, "placement.back_off")
         await scene.inject("e_stop", {"on": False})
-    await _told(client, "robot.acknowledge")
+    await client.acknowledge()
     await _told(client, "placement.back_off")
     await _told(client, "placement.home")
     await _stopped(client, _told(client, "placement.approach"))
-    await _told(client, "robot.acknowledge")
+    await client.acknowledge()
     await _told(client, "placement.back_off")
 
 
@@ -104,7 +104,7 @@ async def second_run(daemon: ServeProcess, client: Client, workflow: str) -> Non
     await _told(client, "registration.use_previous")
     await _told(client, "robot.connect")
     await _located(client)
-    await _told(client, "robot.acknowledge")
+    await client.acknowledge()
     await tour_live(blueprint, client, Arguments(arguments), LIMIT, TOUR, lambda *_: None)
 
 
@@ -175,7 +175,7 @@ async def _stopped(client: Client, *work: Awaitable[Verdict]) -> None:
         await asyncio.sleep(IN_MOTION)
     await client.stop()
     await asyncio.gather(*asked)
-    await _told(client, "robot.acknowledge")
+    await client.acknowledge()
 
 
 async def _located(client: Client) -> None:

@@ -57,7 +57,7 @@ async def treated(client: Client) -> dict[str, Verdict]:
         found[f"placed {number}"] = await told(client, "placement.confirm")
         await told(client, "placement.back_off")
     await client.stop()
-    await told(client, "robot.acknowledge")
+    await client.acknowledge()
     found["home"] = await told(client, "placement.home")
     return found
 

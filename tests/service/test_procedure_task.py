@@ -22,6 +22,7 @@ from pcmrs.messages import (
     DeviceReply,
     DeviceRequest,
     Epoch,
+    GateState,
     JointState,
     NodeBeat,
     StimulatorState,
@@ -64,10 +65,21 @@ class FakeLink:
     def serve(self, key: str, kind: type[Any], handler: Callable[[str, Any], Awaitable[msgspec.Struct]]) -> None:
         raise AssertionError
 
-    async def request(self, key: str, message: msgspec.Struct, reply: type[Any], timeout: float) -> Any:
+    async def request(
+        self,
+        key: str,
+        message: msgspec.Struct,
+        reply: type[Any],
+        timeout: float,
+        sender: str = "",
+        *,
+        urgent: bool = False,
+    ) -> Any:
         assert isinstance(message, DeviceRequest)
         self.asked.append(f"{key.split('/')[1]}.{message.method}")
-        return DeviceReply(result=msgspec.to_builtins(RESTING if "robot" in key else DISARMED))
+        gate = GateState(node="n", epoch=0, latched=False)
+        result = None if message.method == "release_latch" else RESTING if "robot" in key else DISARMED
+        return DeviceReply(result=msgspec.to_builtins(result), gate=gate)
 
     def alive(self, component: str) -> None:
         raise AssertionError

@@ -421,7 +421,7 @@ async def test_after_a_failure_the_procedure_is_what_the_disk_says(
     clock = ManualClock()
     published: list[Any] = []
 
-    async def hold() -> None:
+    async def hold(_latch: bool) -> None:
         return None
 
     workflow = open_workflow("ratms")

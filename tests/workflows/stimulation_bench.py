@@ -35,6 +35,7 @@ class StandInStimulator:
     """
 
     clock: Clock
+    name: str = "stimulator"
     arming: Arming = field(default_factory=lambda: Arming(1e6))
     intensity: float = 0.0
     coil_temperature: float = 25.0
@@ -64,6 +65,12 @@ class StandInStimulator:
         await self._hear("disarm")
         self.arming.disarm()
         return self._state("disarm")
+
+    async def stop(self) -> StimulatorState:
+        return await self.disarm()
+
+    async def release_latch(self) -> None:
+        await self._hear("release_latch")
 
     async def fire(self, number: int) -> FiredPulse:
         await self._hear("fire")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 import itertools
 import json
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from pcmrs.background import meanwhile
 from pcmrs.config import overlaid
 from pcmrs.devices.poses import PoseFeed
-from pcmrs.devices.protocols import RobotDriver, Scene, TrackerDriver
+from pcmrs.devices.protocols import LatchingRobot, LatchingStimulator, RobotDriver, Scene, TrackerDriver
 from pcmrs.dispatcher import Dispatcher, Recorder, Workflow
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
@@ -87,6 +87,20 @@ class ListRecorder:
         return None
 
 
+class Latched:
+    """A device without a node: nothing is between it and the cell that could be late, so it needs no latch."""
+
+    def __init__(self, name: str, device: Any, hold: Callable[[], Awaitable[object]]) -> None:
+        self.name, self.stop = name, hold
+        self._device = device
+
+    def __getattr__(self, method: str) -> Any:
+        return getattr(self._device, method)
+
+    async def release_latch(self) -> None:
+        """There is none."""
+
+
 class WorkflowBench:
     """A dispatcher with the real workflow, its cell, and the simulation's own hands on the scene.
 
@@ -111,13 +125,15 @@ class WorkflowBench:
         self.published: list[Snapshot | Verdict | DeviceEvent] = []
         self.tracker_session = "first"
         self.cell = Cell(
-            robot=devices["robot"],
+            robot=cast(LatchingRobot, Latched("robot", devices["robot"], devices["robot"].hold)),
             pointer=devices["pointer"],
             poses=PoseFeed(clock, settings.max_pose_age),
             arm=ArmModel(ARMS["iiwa14"]),
             clock=clock,
             settings=settings,
-            stimulator=devices["stimulator"],
+            stimulator=cast(
+                LatchingStimulator, Latched("stimulator", devices["stimulator"], devices["stimulator"].disarm)
+            ),
             emg=devices["emg"],
         )
         recorder = journal or self.recorder
@@ -135,6 +151,8 @@ class WorkflowBench:
     async def do(self, name: str, **arguments: Any) -> Verdict:
         """Submits a command and waits for its verdict."""
         branch, operation = name.split(".")
+        if name == "robot.acknowledge":
+            arguments = {"stop": self.dispatcher.stop_number} | arguments
         command = Command(
             id=f"c{next(self._ids)}", branch=branch, operation=operation, source="test:user", arguments=arguments
         )

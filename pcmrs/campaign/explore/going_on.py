@@ -50,7 +50,10 @@ def _to_readiness(snapshot: Snapshot, states: dict[str, str], turn: int) -> Step
     if states["robot"] == "0":
         return ("robot.connect" if turn % 2 else "wire:rob_conn_onxxxxx"), {}
     if snapshot.latched:
-        return ("robot.acknowledge" if turn % 4 else "placement.home"), {}  # some do not look before they go on
+        named = {"stop": snapshot.stop.number}
+        return (
+            ("robot.acknowledge", named) if turn % 4 else ("placement.home", {})
+        )  # some do not look
     if states["placement"] in ("unknown", "held"):
         return {"unknown": "placement.locate", "held": "placement.back_off"}[states["placement"]], {}
     step: Step | None = {

@@ -80,7 +80,7 @@ class MeasuredArm:
         near = float(np.abs(self.positions - target).max()) < REST_ERROR or self.captured > ended + SETTLING
         return self.captured > ended and near and float(np.abs(self.velocities).max()) < REST_SPEED
 
-    def state(self, now: float, moving: bool) -> JointState:
+    def state(self, now: float, *, moving: bool, relieving: bool) -> JointState:
         """The same as a message, sent `now`; its torques are the external ones."""
         return JointState(
             captured=self.captured,
@@ -90,4 +90,5 @@ class MeasuredArm:
             torques=self._torques.tolist(),
             moving=moving,
             flange_force=self.force.flange_force,
+            relieving=relieving,
         )

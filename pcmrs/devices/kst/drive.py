@@ -124,7 +124,7 @@ class Drive:
     @property
     def state(self) -> JointState:
         """The newest readings."""
-        return self.arm.state(self._clock.monotonic(), self.moving)
+        return self.arm.state(self._clock.monotonic(), moving=self.moving, relieving=self.follower.relieving)
 
     async def started(self) -> None:
         """Returns when the cabinet follows the stream; raises as `rest`."""

@@ -81,6 +81,11 @@ class Follower:
         self._begin(servo)
         return servo
 
+    @property
+    def relieving(self) -> bool:
+        """Whether it gives way to a force on the tool."""
+        return isinstance(self.reference, Relief)
+
     def hold(self, reason: str | None = "held") -> None:
         """Brakes from the present reference as fast as the limits allow.
 

@@ -122,7 +122,7 @@ class Operator:
         verdict: Verdict | None = None
         while (state := (snapshot := await self._client.state()).branches["placement"]) in leads:
             if snapshot.latched:
-                acknowledged = await self._attempt("robot.acknowledge")
+                acknowledged = await self._client.acknowledge()
                 if acknowledged.decision != "accepted":  # what latched says more: the link to the robot may be lost
                     raise refused(verdict or acknowledged)
             verdict = await self._attempt(leads[state])

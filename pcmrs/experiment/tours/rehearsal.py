@@ -168,5 +168,5 @@ def _judged(blueprint: Blueprint, move: Move, verdict: Verdict, after: Joint) ->
     return deviation(blueprint, move, decision, after, code)
 
 
-async def _hold() -> None:
+async def _hold(_latch: bool) -> None:
     """There is nothing to hold."""

@@ -1,0 +1,124 @@
+"""Which requests that act a device still takes: hold epoch, sessions and numbers, so that Stop is final.
+
+A request may be overtaken on its way, by the hold of a Stop too. So every hold raises the device's hold epoch, and a
+request that acts names the epoch for which it was made: one that was sent before the hold and arrives after it is
+refused, however late. The number is a fencing token (Kleppmann, *Designing Data-Intensive Applications*, 2017, ch. 8);
+the sessions do the same for requests of an earlier daemon and to an earlier node.
+"""
+
+from __future__ import annotations
+
+import uuid
+
+from pcmrs.errors import DeviceError
+from pcmrs.messages import ActToken, GateState
+
+STALE = "stale_request"
+"""Code of the refusal of a request that acts and was made for another situation than the present one."""
+
+LATCHED = "device_latched"
+"""Code of the refusal of a request that acts while the device is latched."""
+
+ACTS: dict[str, frozenset[str]] = {
+    "robot": frozenset({"follow", "press", "begin_servo"}),
+    "stimulator": frozenset({"set_intensity", "arm", "fire"}),
+    "pointer": frozenset({"touch", "touch_surface"}),
+}
+"""Device to its methods that act: what a hold must outlast."""
+
+HOLDS = {"robot": "hold", "stimulator": "disarm", "pointer": "release"}
+"""Device to its method that ends whatever acts."""
+
+LATCHING = frozenset({"robot", "stimulator"})
+"""Devices that a hold can latch, and that start latched; a hand has an epoch only."""
+
+RELEASE = "release_latch"
+"""Method, served by the node itself, that ends a device's latch."""
+
+
+class Gate:
+    """The gate of one device, in its node. Every change takes effect at once: nothing here waits.
+
+    Args:
+        device: A device of `ACTS`.
+        node: Node session: random, one for each start of the node.
+
+    Attributes:
+        state: What requests must name, and what beats and replies report.
+    """
+
+    def __init__(self, device: str, node: str | None = None) -> None:
+        self._device = device
+        self._number = 0
+        self.state = GateState(node=node or uuid.uuid4().hex, epoch=0, latched=device in LATCHING)
+
+    def check(self, token: ActToken | None) -> None:
+        """Checks that a request was made for the present situation.
+
+        Raises:
+            DeviceError: The device is latched (``device_latched``), or the request names another session or epoch
+                than the present ones, or none (``stale_request``).
+        """
+        state = self.state
+        if token is None:
+            text = f"The {self._device} acts only for requests that name its hold epoch: ask through the daemon."
+            raise DeviceError(text, code=STALE)
+        if state.latched:
+            text = f"The {self._device} is latched since it was stopped: acknowledge the Stop, then ask again."
+            raise DeviceError(text, code=LATCHED, epoch=state.epoch)
+        present = (state.daemon, state.node, state.epoch)
+        if (token.daemon, token.node, token.epoch) != present:
+            text = f"The request was made before the {self._device} was held or restarted, and came after that: "
+            text += f"it names epoch {token.epoch}, the present one is {state.epoch}. Ask again."
+            raise DeviceError(text, code=STALE, epoch=token.epoch, present=state.epoch)
+
+    def admit(self, token: ActToken | None) -> None:
+        """Lets one request act, each once and none after a newer one.
+
+        Raises:
+            DeviceError: See `check`; or its number is not greater than the last one (``stale_request``).
+        """
+        self.check(token)
+        assert token is not None  # checked above
+        if token.number <= self._number:
+            text = f"Request {token.number} of the {self._device} came after request {self._number}: ask again."
+            raise DeviceError(text, code=STALE, number=token.number, last=self._number)
+        self._number = token.number
+
+    def hold(self, *, latch: bool, daemon: str = "") -> None:
+        """Raises the epoch, so that nothing that was asked before acts any more.
+
+        Args:
+            latch: The device acts only after a release: for Stop, danger, and holds that the node makes by itself.
+            daemon: Daemon session of who holds; a device without latch acts for that one from now on.
+        """
+        state = self.state
+        follows = state.daemon if self._device in LATCHING else (daemon or state.daemon)
+        self._change(
+            epoch=state.epoch + 1, latched=state.latched or (latch and self._device in LATCHING), daemon=follows
+        )
+
+    def release(self, token: ActToken | None) -> None:
+        """Ends the latch; the device acts for the daemon that has released it, and for no earlier one.
+
+        Raises:
+            DeviceError: The release names another node session or epoch than the newest (``stale_request``): the
+                device was held once more, or restarted, since the release was decided.
+        """
+        state = self.state
+        if token is None or (token.node, token.epoch) != (state.node, state.epoch):
+            text = f"The {self._device} was held or restarted after this release was decided: acknowledge again."
+            raise DeviceError(text, code=STALE, present=state.epoch)
+        if token.daemon != state.daemon:
+            self._number = 0  # numbers are a daemon's own
+        self._change(epoch=state.epoch, latched=False, daemon=token.daemon)
+
+    def forget_daemon(self) -> None:
+        """The daemon that the device acted for has ended: it acts for none until one releases it."""
+        self._change(epoch=self.state.epoch, latched=self.state.latched, daemon="")
+
+    def _change(self, *, epoch: int, latched: bool, daemon: str) -> None:
+        state = self.state
+        if daemon != state.daemon:
+            self._number = 0
+        self.state = GateState(node=state.node, epoch=epoch, latched=latched, daemon=daemon, changes=state.changes + 1)
