@@ -23,6 +23,10 @@ from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 
 log = structlog.get_logger(__name__)
 
+STARTING_TIME = 120.0
+"""It sends its first beat within this, or hangs, s: on a busy machine a process takes long to start."""
+ANSWER_TIME = 2.0
+"""Later ones are heard within this, or it hangs, s."""
 ENDING_TIME = 2.0
 """Its process is killed when it has not ended so long after the last sign of life, s."""
 
@@ -38,6 +42,9 @@ class Heart(Protocol):
 
     def sign(self, alive: float) -> None:
         """Takes a sign of life of the loop, s of the machine's monotonic clock; never blocks."""
+
+    def hear(self) -> None:
+        """One of its beats has come by the bus."""
 
 
 class LoopHeart:
@@ -61,11 +68,15 @@ class LoopHeart:
         sent = self._clock.monotonic()
         self._publish(DAEMON_BEAT, Beat(number=self._number, session=self.session, alive=alive, sent=sent))
 
+    def hear(self) -> None:
+        """Of itself it hears nothing."""
+
 
 class HeartProcess:
     """Sends the signs of life from a small process, which waits for nobody; see `pcmrs.bus.heart`.
 
-    When that ends by itself no beats are sent, so that the nodes hold; it is restarted, but not for ever.
+    When that ends by itself, or hangs and is killed, no beats are sent, so that the nodes hold; it is restarted, but
+    not for ever.
 
     Args:
         settings: Of the bus, as a client.
@@ -81,6 +92,8 @@ class HeartProcess:
         self.report: Callable[[DeviceEvent], None] = lambda _: None
         self._settings, self._clock = settings, clock
         self._number = 0
+        self._patience = STARTING_TIME
+        self._unheard: float | None = None
         self._pipe: int | None = None
         self._process: asyncio.subprocess.Process | None = None
 
@@ -90,6 +103,14 @@ class HeartProcess:
             # A pipe that is full or broken: the process is not there, and so nothing is sent.
             with suppress(BlockingIOError, BrokenPipeError):
                 os.write(self._pipe, SIGN.pack(self._number, alive))
+        self._unheard = alive if self._unheard is None else self._unheard
+        if self._process is not None and alive - self._unheard > self._patience:
+            self._unheard = None
+            with suppress(ProcessLookupError):
+                self._process.kill()  # what follows is as when it ends by itself
+
+    def hear(self) -> None:
+        self._patience, self._unheard = ANSWER_TIME, None
 
     def start(self, supervisor: Supervisor) -> None:
         """Starts the process, and keeps it running."""
@@ -104,6 +125,7 @@ class HeartProcess:
     async def _keep(self) -> None:
         limit = RestartLimit(RESTARTS, WITHIN, self._clock)
         while True:
+            self._patience, self._unheard = STARTING_TIME, None
             process = self._process = await self._begin()
             status = await process.wait()
             self._close_pipe()

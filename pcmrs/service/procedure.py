@@ -90,8 +90,8 @@ class RunningProcedure:
         supervisor: Supervisor,
         heart: Heart | None = None,
     ) -> None:
-        heart = heart or LoopHeart(link.publish, clocks.machine)
-        self.session = heart.session
+        self._heart = heart or LoopHeart(link.publish, clocks.machine)
+        self.session = self._heart.session
         self._link = link
         self._supervisor = supervisor
         self.cell = open_cell(settings, link, clocks, self.session)
@@ -111,7 +111,7 @@ class RunningProcedure:
         self.hearing = Hearing(awaited(settings, workflow.blueprint.branches), clocks.machine)
         dispatcher = self.dispatcher
         self.watch = RobotWatch(
-            heart.sign,
+            self._heart.sign,
             self.connected,
             lambda: dispatcher.in_doubt,
             dispatcher.report,
@@ -197,7 +197,8 @@ class RunningProcedure:
 
     def _take_beat(self, key: str, beat: NodeBeat) -> None:
         if key == DAEMON_BEAT:
-            return  # of its own heart
+            self._heart.hear()
+            return
         device = key.split("/")[1]
         self._gates.take(device, beat.gate)
         self.heard[device] = self._machine.monotonic()

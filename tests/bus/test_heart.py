@@ -18,7 +18,7 @@ from pcmrs.bus import BusSettings
 from pcmrs.bus.heart import SIGN, signs_of
 from pcmrs.clock import SystemClock
 from pcmrs.messages import Beat, DeviceEvent
-from pcmrs.service.heart import HeartProcess
+from pcmrs.service.heart import ANSWER_TIME, HeartProcess
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 
 
@@ -85,6 +85,19 @@ async def test_a_heart_that_is_killed_is_restarted_in_the_same_session_and_given
             assert after.number > before.number
         assert (event.code, event.danger) == ("heart_failed", True)
         assert children() == []
+
+
+async def test_a_heart_that_hangs_is_killed_and_restarted_but_not_because_the_loop_was_silent() -> None:
+    async with opened() as bench:
+        first = await bench.sign_until_heard()
+        bench.heart.hear()
+        bench.heart.sign(first.alive + 100.0)  # so long after the last one
+        bench.heart.sign(first.alive + 100.0 + 0.9 * ANSWER_TIME)
+        (pid,) = children()
+        os.kill(pid, signal.SIGSTOP)
+        bench.heart.sign(first.alive + 100.0 + 1.1 * ANSWER_TIME)
+        assert (await asyncio.wait_for(bench.events.get(), TIMEOUT)).code == "heart_restarted"
+        assert children() != [pid]
 
 
 async def test_it_imports_neither_numpy_nor_the_simulation() -> None:
