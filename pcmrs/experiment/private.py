@@ -13,9 +13,11 @@ from pcmrs.bus import Bus, BusSettings
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.devices.remote import RemoteScene
+from pcmrs.errors import CommandRefusedError
 from pcmrs.experiment.process import own_settings, running_daemon
 from pcmrs.journal import JournalReader
 from pcmrs.planner import Planner
+from pcmrs.threads import Load, Threads
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +54,31 @@ async def private_bench(overrides: Sequence[str]) -> AsyncIterator[Bench]:
             ready = daemon.ready
             bus = await Bus.open(BusSettings(endpoint=ready.endpoint, cell=cell))
             stack.push_async_callback(bus.close)
-            yield Bench(
+            bench = Bench(
                 planner=await stack.enter_async_context(await Planner.open(*ready.links["planner"])),
                 client=await stack.enter_async_context(Client.connect(ready.endpoint, cell=cell)),
                 scene=RemoteScene(bus, SystemClock()),
                 journal=stack.enter_context(JournalReader(Path(ready.journal))),
             )
+            try:
+                yield bench
+            except CommandRefusedError as error:
+                raise explained(error, bench.journal, Threads().load()) from None
+
+
+def explained(error: CommandRefusedError, journal: JournalReader, load: Load) -> CommandRefusedError:
+    """The refusal with the danger that was reported last, and with what the machine has to do where that is too much.
+
+    Args:
+        error: Its text has the code of the reason only, as the string commands give it.
+        journal: Of the daemon.
+        load: Of the machine.
+    """
+    text = error.text
+    reported = [stored.row.result or {} for stored in journal.read(kind="device")]
+    dangers = [result["text"] for result in reported if result.get("danger")]
+    if dangers:
+        text += f" {dangers[-1]}"
+    if load.running > load.processors:
+        text += f" The machine is overloaded: {load}."
+    return CommandRefusedError(text, **error.fields)

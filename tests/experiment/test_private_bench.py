@@ -1,0 +1,37 @@
+"""What an experiment says when a command of it is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from clock import ManualClock
+
+from pcmrs.errors import CommandRefusedError
+from pcmrs.experiment.private import explained
+from pcmrs.journal import Journal
+from pcmrs.messages import BlueprintTag, DeviceEvent
+from pcmrs.service.recorder import JournalRecorder
+from pcmrs.threads import Load
+
+TAG = BlueprintTag(id="ratms", version="1.0.0", hash="abc")
+REFUSED = CommandRefusedError(
+    "execute_motionxx was failed in placement held: daemon_silent.", command="execute_motionxx"
+)
+
+
+async def test_the_last_danger_and_a_load_that_is_too_much_are_the_reasons_of_a_refusal(tmp_path: Path) -> None:
+    journal = Journal.open(tmp_path / "journal.sqlite", durable=False)
+    recorder = JournalRecorder(journal, ManualClock(), "s1", TAG)
+    for code, text, danger in (
+        ("link_lost", "The link was lost.", True),
+        ("daemon_silent", "The node held the arm.", True),
+        ("node_restarted", "The node was restarted.", False),
+    ):
+        await recorder.event(DeviceEvent(device="robot", code=code, text=text, danger=danger), {})
+    busy = explained(REFUSED, journal.reader, Load(running=9, processors=2))
+    assert busy.text == (
+        f"{REFUSED.text} The node held the arm. The machine is overloaded: 9 threads want to run on 2 processors."
+    )
+    assert busy.fields == REFUSED.fields
+    assert explained(REFUSED, journal.reader, Load(1, 2)).text == f"{REFUSED.text} The node held the arm."
+    await journal.close()
