@@ -8,6 +8,7 @@ import random
 import struct
 import sys
 from pathlib import Path
+from typing import Final
 
 from pcmrs.errors import JournalError
 from pcmrs.failpoints import arm
@@ -74,10 +75,14 @@ async def _write(path: Path, run: str, generator: random.Random, told: int) -> N
     await asyncio.gather(*map(one, range(PARALLEL)))
 
 
+GROWN: Final = 1.0
+"""Every file is larger than this, bytes: each session goes on in a new one."""
+
+
 async def _write_some(path: Path, commits: int, generator: random.Random, *, durable: bool) -> None:
-    """Commits groups of rows, and writes the sequence of every row that was acknowledged to standard output."""
+    """Commits groups of rows, in a new file in each session; tells on standard output which are acknowledged."""
     for run in range(SESSIONS):
-        journal = Journal.open(path, durable=durable)
+        journal = Journal.open(path, durable=durable, largest=GROWN)
 
         async def one(writer: int, journal: Journal = journal, run: int = run) -> None:
             for number in range(commits // (SESSIONS * PARALLEL)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -79,13 +80,11 @@ class JournalWriter:
         self._commits = 0
         try:
             self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
-            (pages,), (size,) = (
-                self._connection.execute(f"PRAGMA {name}").fetchone() for name in ("page_count", "page_size")
-            )
-            if pages * size > self._largest:
-                self._begin_next_file()
-        except (OSError, sqlite3.Error, JournalError) as error:
+        except sqlite3.Error as error:
             self.error = _unwritable(error, None)
+            return
+        with suppress(JournalError):  # it is in `error`
+            self._grow()
 
     def reopen(self) -> int:
         """Reads what the disk has and goes on from there, beginning with a row that says so.
@@ -124,29 +123,32 @@ class JournalWriter:
         self._connection.close()
         self._head.close()
 
-    def _begin_next_file(self) -> None:
-        """Has the journal go on in a new file, which gets its name only when its first row is in it.
+    def _grow(self) -> None:
+        """Has a journal that has grown go on in a new file, which gets its name only when its first row is in it.
 
         That one rename moves the journal on. A crash before it leaves a part without a name, which nobody reads; one
         between it and the writing of the head leaves a row that the head does not name yet, as after any commit. After
         an error only `reopen` finds out in which file the journal goes on. Raises as a commit does.
         """
-        if self._last is None:
+        if self._last is None or self._file.stat().st_size <= self._largest:
             return
         earlier, path = self._file, numbered(self._path, len(journal_files(self._path)) + 1)
         row = continued_row(self._last, earlier.name, self.place)
         (record,), place = self._chain([(row, encode_row(row))])
-        self._failed = place
         self._attempts.add(place)
-        failpoint("journal.before_next_file")
-        make_database(path, record)
-        failpoint("journal.after_next_file")
-        connection = open_for_writing(path, durable=self._durable)
-        self._connection.close()
-        self._connection = connection
-        self._file = path
-        self._head.write(place)
-        failpoint("journal.after_next_head")
+        try:
+            failpoint("journal.before_next_file")
+            make_database(path, record)
+            failpoint("journal.after_next_file")
+            connection = open_for_writing(path, durable=self._durable)
+            self._connection.close()
+            self._connection, self._file = connection, path
+            self._head.write(place)
+            failpoint("journal.after_next_head")
+        except Exception as error:
+            self._failed = place
+            self.error = _unwritable(error, place.sequence)
+            raise self.error from error
         self._written(place, row)
 
     def _written(self, place: Place, last: JournalRow | None) -> None:
@@ -197,6 +199,7 @@ class JournalWriter:
         try:
             if rows or found.version == HEADLESS:
                 self._append(rows, upgrade=found.version == HEADLESS)
+            self._grow()  # runs that are too short for `maintain` would never do it
         except JournalError:
             self.close()
             raise

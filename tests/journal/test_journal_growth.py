@@ -204,7 +204,7 @@ async def test_a_kill_while_a_file_is_begun_loses_no_acknowledged_row(path: Path
     assert acknowledged
 
     assert verify(path).sound
-    await Journal.open(path, largest=SMALL).close()
+    await Journal.open(path).close()
     assert verify(path).unnamed == 0
     with JournalReader(path) as reader:
         stored = list(reader.read())
@@ -244,7 +244,7 @@ def test_what_a_crash_has_left_of_a_file_without_a_name_is_no_part_of_the_journa
     part.write_bytes(b"SQLite format 3\0 and no more")
     write(path, 6)
     assert verify(path).sound
-    assert len(journal_files(path)) == 3
+    assert len(journal_files(path)) == 4  # the second run begins one at once
     assert not part.exists()
 
 
