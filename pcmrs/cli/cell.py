@@ -16,7 +16,7 @@ from pcmrs.bus.keys import KeyTable
 from pcmrs.cli.options import Address, address_options, json_option
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
 from pcmrs.client import Event
-from pcmrs.errors import PayloadError
+from pcmrs.errors import PayloadError, PcmrsError
 from pcmrs.messages import DeviceEvent, Snapshot, UnknownOutcome, Verdict
 
 STATUS = {"accepted": 0, "rejected": EXIT_REJECTED, "failed": EXIT_FAILED, "unknown": EXIT_FAILED}
@@ -85,11 +85,11 @@ def keys(as_json: bool, address: Address) -> None:
 @readable_errors
 def stop(address: Address) -> None:
     """Stop every motion and latch: nothing moves until somebody acknowledges it, as by robot.acknowledge in RATMS."""
-    number, stands = run(_stop(address))
+    number, stands, release = run(_stop(address))
     if not stands:
         click.echo(f"Stop {number} has begun, but it is not confirmed that the robot stands: look at it.", err=True)
         raise SystemExit(1)
-    click.echo("stopped, and latched until it is acknowledged (ratms: pcmrs call robot.acknowledge)")
+    click.echo(f"stopped, and {_latched(release)}")
 
 
 async def _call(address: Address, operation: str, arguments: dict[str, Any]) -> Verdict:
@@ -123,10 +123,15 @@ async def _keys(address: Address) -> KeyTable:
         return await client.keys()
 
 
-async def _stop(address: Address) -> tuple[int, bool]:
+async def _stop(address: Address) -> tuple[int, bool, list[str] | None]:
+    """Stops; returns its number, whether the robot stands, and what releases the latch, None where that is not said."""
     async with address.connect() as client:
         number = (await client.stop()).number
-        return number, await client.standstill(number)
+        stands = await client.standstill(number)
+        try:
+            return number, stands, (await client.state(timeout=2.0)).release
+        except PcmrsError:  # Stop has begun, and that is what was asked for
+            return number, stands, None
 
 
 def _arguments(text: str) -> dict[str, Any]:
@@ -181,4 +186,17 @@ def _print_snapshot(snapshot: Snapshot) -> None:
     for outcome in snapshot.unknown:
         console.print(_unknown(outcome), highlight=False)
     if snapshot.latched:
-        console.print("latched: nothing moves until it is acknowledged (ratms: pcmrs call robot.acknowledge)")
+        console.print(_latched(snapshot.release), highlight=False)
+
+
+def _latched(release: list[str] | None) -> str:
+    """What the latch means, and the operations of the running workflow that release it.
+
+    Args:
+        release: Those operations; None where the daemon did not say.
+    """
+    if release is None:
+        return "latched until it is acknowledged (pcmrs state shows by what)"
+    if not release:
+        return "latched; this workflow has nothing that the latch bars"
+    return f"latched until it is acknowledged: {' or '.join(f'pcmrs call {each}' for each in release)}"

@@ -111,4 +111,5 @@ class Procedure(Generic[C, D]):
             unknown=unknown,
             lease=lease,
             stop=stop,
+            release=list(blueprint.unlatching),
         )

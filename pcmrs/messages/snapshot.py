@@ -81,6 +81,7 @@ class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
         unknown: Outcomes that nobody knows and no operator has settled yet, of earlier runs of the daemon too.
         lease: None while nobody holds the cell.
         stop: The newest Stop.
+        release: Operations of the workflow, ``branch.operation``, that release the latch of Stop; each alone does.
     """
 
     sequence: int
@@ -95,6 +96,7 @@ class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
     unknown: list[UnknownOutcome] = []
     lease: LeaseState | None = None
     stop: StopState = StopState()
+    release: list[str] = []
 
 
 class Flags(Message, frozen=True, kw_only=True, omit_defaults=False):

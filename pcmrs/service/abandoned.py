@@ -51,7 +51,7 @@ class AbandonedWatch:
         return DeviceEvent(
             device="operator",
             code="session_abandoned",
-            text=text + " Confirm with robot.acknowledge to go on.",
+            text=f"{text} Confirm with {' or '.join(self._dispatcher.snapshot().release)} to go on.",
             danger=True,
             fields={"after": self._after},
         )

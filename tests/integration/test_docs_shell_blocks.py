@@ -48,7 +48,7 @@ def test_what_is_shown_is_found_and_compared() -> None:
     assert {"pcmrs-serve", "pcmrs watch", "pcmrs console"} <= {shown.program for shown in commands}
     assert set(ELSEWHERE) <= {shown.command for name in ("README.md", "docs/tutorial.md") for shown in _commands(name)}
     (stop,) = [shown for shown in commands if shown.command == "pcmrs stop"]
-    assert stop.matches("stopped, and latched until it is acknowledged (ratms: pcmrs call robot.acknowledge)\n")
+    assert stop.matches("stopped, and latched until it is acknowledged: pcmrs call robot.acknowledge\n")
     assert not stop.matches("stopped")
 
 
