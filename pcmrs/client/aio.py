@@ -20,7 +20,14 @@ from pcmrs.bus.keys import KeyTable, command_key
 from pcmrs.bus.settings import SECURED
 from pcmrs.bus.stop import Stopping
 from pcmrs.clock import SystemClock
-from pcmrs.errors import BusError, CommandRefusedError, DeviceError, PayloadError, UnknownOutcomeError
+from pcmrs.errors import (
+    BusError,
+    CommandRefusedError,
+    ConfigurationError,
+    DeviceError,
+    PayloadError,
+    UnknownOutcomeError,
+)
 from pcmrs.messages import (
     DeviceEvent,
     DeviceReply,
@@ -254,19 +261,23 @@ class Client:
                 return False
             await self._clock.sleep(_LOOK)
 
-    async def acknowledge(self, operation: str = "robot.acknowledge") -> Verdict:
+    async def acknowledge(self, operation: str | None = None) -> Verdict:
         """Acknowledges the newest Stop, by its number, as soon as nothing is pending that it has to wait for.
 
         Args:
-            operation: Of the workflow, that releases the latch.
+            operation: Of the workflow, that releases the latch; by default the first that does.
 
         Raises:
+            ConfigurationError: The workflow has no such operation, since the latch bars nothing in it.
             UnknownOutcomeError: The daemon did not answer in time.
         """
         end = self._clock.monotonic() + self._patience
-        while (stop := (await self.state()).stop).pending and self._clock.monotonic() < end:
+        while (shown := await self.state()).stop.pending and self._clock.monotonic() < end:
             await self._clock.sleep(_LOOK)
-        return await self.call(operation, {"stop": stop.number})
+        if operation is None and not shown.release:
+            text = f"In {shown.blueprint.id} the latch of Stop bars nothing: there is nothing to release."
+            raise ConfigurationError(text, workflow=shown.blueprint.id)
+        return await self.call(operation or shown.release[0], {"stop": shown.stop.number})
 
     @property
     def user(self) -> str:

@@ -72,7 +72,7 @@ class Walk:
         return await self.dispatcher.submit(command)
 
     async def release(self) -> None:
-        verdict = await self.ask("safety", "acknowledge")
+        verdict = await self.ask("safety", "acknowledge", stop=self.dispatcher.snapshot().stop.number)
         assert verdict.decision == "accepted", verdict
 
 

@@ -26,7 +26,7 @@ async def test_what_reaches_the_patient_waits_for_the_release_that_the_hint_name
                 assert refused is not None
                 assert refused.code == "latched"
                 assert "safety.acknowledge" in refused.text
-            await accept(client, "safety.acknowledge")
+            assert (await client.acknowledge()).decision == "accepted"
             for operation in ("insert_confirmation.confirm_insert", "procedure.insert", "procedure.take_sample"):
                 await accept(client, operation)
             await accept(client, "procedure.make_safe")

@@ -51,9 +51,7 @@ def _to_readiness(snapshot: Snapshot, states: dict[str, str], turn: int) -> Step
         return ("robot.connect" if turn % 2 else "wire:rob_conn_onxxxxx"), {}
     if snapshot.latched:
         named = {"stop": snapshot.stop.number}
-        return (
-            ("robot.acknowledge", named) if turn % 4 else ("placement.home", {})
-        )  # some do not look
+        return ("robot.acknowledge", named) if turn % 4 else ("placement.home", {})  # some do not look
     if states["placement"] in ("unknown", "held"):
         return {"unknown": "placement.locate", "held": "placement.back_off"}[states["placement"]], {}
     step: Step | None = {
