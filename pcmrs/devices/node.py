@@ -146,8 +146,8 @@ class DeviceNode:
 
         Their gates are shut when this returns: what is awaited is only that they stand.
         """
-        for name in HOLDS.keys() & self._gates.keys():
-            self._gates[name].hold(latch=True)
+        for gate in self._gates.values():
+            gate.hold(latch=True)
         return self._make_safe(why)
 
     async def _make_safe(self, why: str) -> None:

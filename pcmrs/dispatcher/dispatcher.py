@@ -166,7 +166,7 @@ class Dispatcher(Generic[C, D]):
             attempt, answer = self._attempt(command, asyncio.get_running_loop().create_future())
         except PcmrsError as error:
             return Prospect(reason=reason_of(error))
-        reason = self._suspended or self._barred(attempt) or _denied(answer)
+        reason = self._suspended or self._barred(attempt) or self._refused(attempt, answer)
         if reason is None and (self._moves() or self._lanes.blocked(attempt)):
             text = f"Something runs, so that {attempt.name} is not looked at: ask again when it has ended."
             reason = Reason(code="busy", text=text)
@@ -212,20 +212,20 @@ class Dispatcher(Generic[C, D]):
         event = stopped(source, reason, number)
         self._publish(event)
         self._show_snapshot()
-        return self._tasks.spawn(self._end_stop(number, event, holding, [*ending, *moving]))
+        row = self._row_of(event)
+        return self._tasks.spawn(self._end_stop(number, source, row, [holding, *ending, *moving]))
 
     async def _end_stop(
-        self, number: int, event: DeviceEvent, holding: asyncio.Task[bool], ending: list[asyncio.Future[Any]]
+        self, number: int, source: str, row: Awaitable[None] | JournalError, ending: list[asyncio.Future[Any]]
     ) -> bool:
-        await self._record_event(event)
-        await asyncio.wait([holding, *ending])
-        held = [each.result() for each in (holding, *ending)]
-        confirmed = all(each for each in held if isinstance(each, bool))
+        await self._recorded(row)
+        await asyncio.wait(ending)
+        confirmed = all(each.result() is not False for each in ending)
         if confirmed:
             self._stops.stood(number)
             self._show_snapshot()
         else:
-            await self._doubt(event.device)
+            await self._doubt(source)
         return confirmed
 
     def _latch(self) -> int:
@@ -369,7 +369,9 @@ class Dispatcher(Generic[C, D]):
             self._reject(command, verdict, reason_of(error))
             return
         blocked = self._lanes.blocked(attempt)
-        reason = self._barred(attempt) or (self._lanes.why_not_wait(attempt) if blocked else _denied(answer))
+        reason = self._barred(attempt) or (
+            self._lanes.why_not_wait(attempt) if blocked else self._refused(attempt, answer)
+        )
         if reason is not None:
             self._reject(command, verdict, reason)
         elif blocked:
@@ -404,6 +406,14 @@ class Dispatcher(Generic[C, D]):
             text = f"{before} does not hold this cell any more, and the robot moves."
             self._tasks.spawn(self.stop(command.source, Reason(code=TAKEN, text=text)))
 
+    def _refused(self, attempt: Attempt, answer: Closure | Denial) -> Reason | None:
+        """Why the states do not allow it, or why an acknowledgement does not answer the newest Stop."""
+        if isinstance(answer, Denial):
+            return Reason(code=answer.code, text=answer.text, fields=answer.fields)
+        if not attempt.spec.unlatches:
+            return None
+        return self._stops.objection(attempt.command, latched=self.procedure.latched)
+
     def _moves(self) -> bool:
         return self._activities.moving or any(attempt.moves for attempt in self._lanes.running)
 
@@ -419,10 +429,6 @@ class Dispatcher(Generic[C, D]):
             release = " or ".join(self._workflow.blueprint.unlatching)
             text = f"{attempt.name} is not allowed while Stop is latched: acknowledge with {release} first."
             return Reason(code="latched", text=text)
-        if self._broken is None and attempt.spec.unlatches:
-            objection = self._stops.objection(attempt.command, latched=self.procedure.latched)
-            if objection is not None:
-                return objection
         return self._broken or self.lease.objection(attempt.command)
 
     def _start_waiting(self) -> None:
@@ -430,7 +436,7 @@ class Dispatcher(Generic[C, D]):
         for attempt in self._lanes.take_waiting():
             answer = self.procedure.ask(attempt.command.branch, attempt.command.operation)
             attempt.locks = locks_for(self._workflow.blueprint, attempt.command, answer)
-            reason = self._barred(attempt) or self._too_old(attempt.command) or _denied(answer)
+            reason = self._barred(attempt) or self._too_old(attempt.command) or self._refused(attempt, answer)
             if self._lanes.blocked(attempt):
                 self._lanes.waiting.append(attempt)
             elif reason is not None:
@@ -522,16 +528,22 @@ class Dispatcher(Generic[C, D]):
         await self._record_event(event)
 
     async def _record_event(self, event: DeviceEvent) -> None:
+        await self._recorded(self._row_of(event))
+
+    def _row_of(self, event: DeviceEvent) -> Awaitable[None] | JournalError:
+        """Hands the event's row to the journal at once: no other row comes between it and those before."""
         try:
-            await self._recorder.event(event, self.procedure.promised())
+            return self._recorder.event(event, self.procedure.promised())
+        except JournalError as error:
+            return error
+
+    async def _recorded(self, row: Awaitable[None] | JournalError) -> None:
+        try:
+            if isinstance(row, JournalError):
+                raise row
+            await row
         except JournalError as error:
             self._break(error)
 
     def _break(self, error: BaseException) -> Reason:
         return self.fail(reason_for(error))
-
-
-def _denied(answer: Closure | Denial) -> Reason | None:
-    if isinstance(answer, Closure):
-        return None
-    return Reason(code=answer.code, text=answer.text, fields=answer.fields)

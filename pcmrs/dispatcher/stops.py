@@ -20,6 +20,12 @@ NUMBERS = 1_000_000
 STANDSTILL = "standstill"
 """An acknowledgement waits for this while a hold is under way."""
 
+PENDING = "stop_pending"
+"""Code of the refusal of an acknowledgement that has to wait."""
+
+UNNAMED = "stop_not_named"
+"""Code of the refusal of an acknowledgement that has to name its Stop."""
+
 NO_STOP = StopState()
 
 
@@ -81,21 +87,21 @@ class Stops:
             text = (
                 f"Stop {state.number} cannot be acknowledged yet; it waits for: {', '.join(state.pending)}. Ask again."
             )
-            return Reason(code="stop_pending", text=text, fields={"stop": state.number, "pending": state.pending})
+            return Reason(code=PENDING, text=text, fields={"stop": state.number, "pending": state.pending})
         if named is not None or not latched:
             return None
         if command.user != LOCAL:
             text = f"Name the Stop that you acknowledge: stop = {state.number}, the newest one."
-            return Reason(code="stop_not_named", text=text, fields={"newest": state.number})
+            return Reason(code=UNNAMED, text=text, fields={"newest": state.number})
         age = self._clock.monotonic() - self._since
         if age < YOUNG:
             text = f"Stop {state.number} is only {age:.1f} s old, limit {YOUNG:g} s: name it (stop = {state.number}), "
             text += "or look, and ask again."
-            return Reason(code="stop_not_named", text=text, fields={"newest": state.number, "age": age})
+            return Reason(code=UNNAMED, text=text, fields={"newest": state.number, "age": age})
         return None
 
     def _settle(self, end: asyncio.Future[Any]) -> None:
-        del self._pending[end]
+        self._pending.pop(end, None)  # two Stops may share one hold
         self._show()
 
     def _show(self) -> None:

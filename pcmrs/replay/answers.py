@@ -6,15 +6,26 @@ import asyncio
 from collections.abc import Sequence
 
 from pcmrs.dispatcher.events import NOT_CONFIRMED
-from pcmrs.errors import DeviceError, RefusalError
+from pcmrs.errors import DeviceError, PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.journal import JournalRow
-from pcmrs.messages import Reason
+from pcmrs.messages import Reason, Verdict
 from pcmrs.replay.keys import is_danger
 from pcmrs.replay.recorded import Pursued
 
 
+def _refusal(verdict: Verdict) -> PcmrsError:
+    """What a release has raised, by its outcome."""
+    reason = verdict.reason
+    if reason is None:
+        return DeviceError("The devices were not released.")
+    fields = {key: value for key, value in reason.fields.items() if key != "step"}
+    if verdict.decision == "unknown":
+        return UnknownOutcomeError(reason.text, **fields)
+    return DeviceError(reason.text, **({"code": reason.code} | fields))
+
+
 class Holds:
-    """Holds that have not been answered yet.
+    """Holds and releases of the devices that have not been answered yet.
 
     Args:
         rows: On record.
@@ -23,6 +34,7 @@ class Holds:
     def __init__(self, rows: Sequence[JournalRow]) -> None:
         self._rows = rows
         self._asked: list[asyncio.Future[None]] = []
+        self._released: list[asyncio.Future[Sequence[str]]] = []
         self._ended = False
 
     async def hold(self, _latch: bool) -> None:
@@ -32,6 +44,25 @@ class Holds:
         asked: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._asked.append(asked)
         await asked
+
+    async def release(self) -> Sequence[str]:
+        """Waits for the release of the devices. Raises `DeviceError` where they were not released."""
+        released: asyncio.Future[Sequence[str]] = asyncio.get_running_loop().create_future()
+        if self._ended:
+            return []
+        self._released.append(released)
+        return await released
+
+    def answer_release(self, index: int) -> bool:
+        """The devices are released as the outcome at `index` shows; whether anybody waited."""
+        verdict = self._rows[index].verdict
+        waiting, self._released = [each for each in self._released if not each.done()], []
+        for each in waiting:
+            if verdict is None or verdict.decision == "accepted":
+                each.set_result((verdict.result or {}).get("still_latched", []) if verdict is not None else [])
+            else:
+                each.set_exception(_refusal(verdict))
+        return bool(waiting)
 
     def answer(self, index: int) -> bool:
         """The robot stands, or does not confirm it where the row at `index` shows that; whether anybody waited."""

@@ -7,11 +7,14 @@ from collections.abc import Coroutine, Sequence
 from functools import partial
 from typing import Any
 
+import msgspec
+
 from pcmrs.dispatcher import Dispatcher, Workflow
 from pcmrs.dispatcher.events import DAEMON, FAIL_STOP, NOT_CONFIRMED, SHUTDOWN
+from pcmrs.dispatcher.stops import PENDING, UNNAMED
 from pcmrs.fsm import Closure, Denial
 from pcmrs.journal import JournalRow, StoredRow
-from pcmrs.messages import DeviceEvent, Reason
+from pcmrs.messages import Command, DeviceEvent, Reason
 from pcmrs.replay.answers import Holds, end_by_itself, quieten
 from pcmrs.replay.book import Book
 from pcmrs.replay.durability import WINDOW, busy_with, name_of, turned_away
@@ -61,6 +64,7 @@ class Feeding:
             self.book,
             self._holds.hold,
             lambda _: None,
+            release=self._holds.release,
             lease_required=lease_required,
         )
         self._tasks: list[asyncio.Task[Any]] = []
@@ -137,8 +141,27 @@ class Feeding:
     async def _submit_all(self, indices: Sequence[int]) -> None:
         for each in indices:
             if self._is_new(self._rows[each]):
-                self._spawn(self.dispatcher.submit(command_of(self._rows[each])))
+                self._spawn(self.dispatcher.submit(await self._asked(each)))
         await self._idle()
+
+    async def _asked(self, index: int) -> Command:
+        """The command at `index`; one that acknowledges comes when the holds that it had to wait for are answered.
+
+        In older journals it names no Stop: it answered the newest one.
+        """
+        command = command_of(self._rows[index])
+        spec = self.dispatcher.procedure.blueprint.find(command.branch, command.operation)
+        if spec is None or not spec.unlatches:
+            return command
+        outcome = self.book.outcome_of(command)
+        verdict = outcome[1].row.verdict if outcome is not None else None
+        code = verdict.reason.code if verdict is not None and verdict.reason is not None else ""
+        if code != PENDING and self._holds.answer(index):
+            await self._idle()
+        if "stop" in command.arguments or code == UNNAMED:
+            return command
+        named = {**command.arguments, "stop": self.dispatcher.stop_number}
+        return msgspec.structs.replace(command, arguments=named)
 
     def _turned_away_with(self, index: int) -> list[int]:
         """Rows of commands that were rejected because of a Stop, and of that Stop; empty where `index` is none."""
@@ -199,7 +222,8 @@ class Feeding:
         """One after the other, what the dispatcher may be waiting for comes, until it writes the row."""
         book = self.book
         own_events = partial(book.release_event, source=row.source or "")
-        answers = (own_events, self._quieten, self._holds.answer, book.release_event, book.release_any)
+        holds = self._holds
+        answers = (own_events, self._quieten, holds.answer_release, holds.answer, book.release_event, book.release_any)
         while book.decided(index) is None and any(answer(index) for answer in answers):
             await self._idle()
         if book.decided(index) is None and self._is_new(row) and (row.source or "").startswith("activity:"):

@@ -53,7 +53,8 @@ class Heritage:
     def give_to(self, dispatcher: Dispatcher[Cell, PlacementData], run: DaemonRun) -> None:
         """Has the dispatcher begin with it, as daemons do that write down how they begin."""
         if run.settings is not None:
-            dispatcher.take_up(latched=self.kept.latched, unknown=self.kept.unknown)
+            start = run.rows[0].sequence
+            dispatcher.take_up(latched=self.kept.latched, unknown=self.kept.unknown, start=start)
 
     def inherited(self, workflow: Workflow[Cell, PlacementData]) -> Workflow[Cell, PlacementData]:
         """The workflow with the data that a run begins with.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -37,13 +38,22 @@ def running_node(
     settings: Sequence[str], folder: Path, devices: Sequence[str] = ARM
 ) -> Iterator[subprocess.Popen[bytes]]:
     """A device node that no daemon has started: it outlives every one, as on another machine."""
+    command = shlex.join([sys.executable, "-m", "pcmrs.cli", "node", "sim", *ARM, *as_words(settings)])
     with (folder / "node.log").open("ab") as log:
-        command = [sys.executable, "-m", "pcmrs.cli", "node", "sim", *ARM, *as_words(settings)]
-        process = subprocess.Popen(command, stdout=log, stderr=log)
+        # Until there is a daemon to connect to.
+        until_there = ["bash", "-c", f"until {command}; do sleep 0.1; done"]
+        process = subprocess.Popen(until_there, stdout=log, stderr=log, start_new_session=True)
     try:
         yield process
     finally:
-        process.kill()
+        signal_node(process, signal.SIGKILL)
+
+
+def signal_node(process: subprocess.Popen[bytes], number: signal.Signals) -> None:
+    """Sends a signal to a node that `running_node` has started, once."""
+    if process.poll() is None:
+        os.killpg(process.pid, number)
+    if number == signal.SIGKILL:
         process.wait()
 
 
@@ -120,8 +130,7 @@ async def test_a_node_of_the_arm_that_restarts_alone_is_latched_until_somebody_h
         async with daemon.client() as client:
             await register(client)
             await to_standoff(client)
-            node.kill()
-            node.wait()
+            signal_node(node, signal.SIGKILL)
             await until(client, showing(robot="0", placement="unknown"))
             first = (await client.state()).stop.number
             with running_node(of_node, tmp_path):
@@ -146,7 +155,7 @@ def running_daemon_and_node(
 
 
 async def test_a_stimulator_that_is_silent_stays_latched_and_keeps_nobody_from_retreating(tmp_path: Path) -> None:
-    settings = [*own_settings(tmp_path), *SLOW, "stimulator.driver=trigger", "emg.driver=none"]
+    settings = [*own_settings(tmp_path), *SLOW, "stimulator.driver=trigger", "emg.driver=none", "cell.rate=1"]
     with running_daemon(settings, tmp_path) as daemon:
         async with daemon.client() as client:
             await register(client)
@@ -176,7 +185,7 @@ async def test_nobody_acknowledges_while_a_hold_does_not_answer(
     with running_daemon_and_node(of_daemon, of_node, tmp_path) as (daemon, node):
         async with daemon.client() as client:
             await register(client)
-            node.send_signal(signal.SIGSTOP)
+            signal_node(node, signal.SIGSTOP)
             number = (await client.stop()).number
             refused = await client.call("robot.acknowledge", {"stop": number})
             assert refused.reason is not None
@@ -186,7 +195,7 @@ async def test_nobody_acknowledges_while_a_hold_does_not_answer(
             failed = await client.call("robot.acknowledge", {"stop": (await client.state()).stop.number})
             assert failed.decision != "accepted", "an arm that says nothing is not released"
             assert (await client.state()).latched
-            node.send_signal(signal.SIGCONT)
+            signal_node(node, signal.SIGCONT)
 
 
 async def test_a_request_of_somebody_who_is_no_daemon_moves_nothing(tmp_path: Path) -> None:
