@@ -120,9 +120,28 @@ class WorkflowPanel:
         if choice.payload == "none":
             await self._asking.ask(name, {"stop": choice.stop} if choice.stop is not None else {})
             return
+        if choice.payload == "retreat":
+            await self._bring_away(name)
+            return
         arguments = await self._arguments(choice)
         if arguments is not None:
             await self._asking.ask(name, arguments)
+
+    async def _bring_away(self, name: str) -> None:
+        """Asks for a retreat; where somebody has to look at the way first, asks the person whether they have."""
+        verdict, texts = await self._asking.ask(name, {}), self._texts
+        if verdict is None or verdict.reason is None or verdict.reason.code != "body_not_registered":
+            return
+        with ui.dialog() as dialog, ui.card().classes("w-96"):
+            ui.label(verdict.reason.text)
+            with ui.row():
+                ui.button(texts("looked"), on_click=lambda: dialog.submit(True)).props('data-testid="looked"')
+                ui.button(texts("cancel"), on_click=lambda: dialog.submit(False)).props("flat")
+        try:
+            if await dialog:
+                await self._asking.ask(name, {"confirm": True})
+        finally:
+            dialog.delete()
 
     async def _arguments(self, choice: Choice) -> dict[str, Any] | None:
         """Asks the person for the arguments, as JSON; None if they think better of it."""

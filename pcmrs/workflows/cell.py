@@ -46,6 +46,8 @@ class Cell:
         body_ref_from_image: The registration that was in force last, also when it has been given up.
         middle_in_body_ref: Centre of the landmarks that were registered last, m, (3,): it stays where it is in the
             body when the registration is given up. None until this cell has seen a registration.
+        earlier_body_ref_from_image: The last accepted registration of an earlier run, while none has been seen since
+            and it still fits: the arm keeps away from where that has the body.
         watchers: Called with every newly measured joint state.
         zones: What the arm keeps out of.
         stimulator: None where none is configured.
@@ -65,6 +67,7 @@ class Cell:
     base_from_tracker: Transform | None = None
     body_ref_from_image: Transform | None = None
     middle_in_body_ref: Floats | None = None
+    earlier_body_ref_from_image: Transform | None = None
     initial_joints: list[float] | None = None
     watchers: list[Callable[[JointState], None]] = field(default_factory=list)
     name: str = "lab/cell1"
@@ -199,9 +202,8 @@ class Cell:
 
     def remember_registered(self, registered: Registered) -> None:
         """Takes the middle of the body, and where its image is, from a registration."""
-        centre: Floats = np.mean([landmark.position for landmark in registered.landmarks], axis=0)
         self.body_ref_from_image = as_transform(registered.body_ref_from_image)
-        self.middle_in_body_ref = self.body_ref_from_image @ centre
+        self.middle_in_body_ref = registered.middle_in_body_ref()
 
     def image_from_coil(self, data: PlacementData) -> Transform:
         """Where the tool is in the image: as the tracker sees it, or by the joints and where the body was last seen.

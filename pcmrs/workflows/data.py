@@ -14,7 +14,7 @@ from pcmrs.dispatcher import ProcedureData
 from pcmrs.fsm import Blueprint, Effect
 from pcmrs.messages import BodyPose, PoseMessage
 from pcmrs.registration import NoiseEstimate
-from pcmrs.spatial import Transform
+from pcmrs.spatial import Floats, Transform
 
 Point = tuple[float, float, float]
 
@@ -67,6 +67,11 @@ class Registered(msgspec.Struct, frozen=True, kw_only=True):
     reference: PoseMessage | None = None
     covariance: tuple[float, ...] = ()
     reference_serial: str = ""
+
+    def middle_in_body_ref(self) -> Floats:
+        """Return the centre of the landmarks in body_ref, m, (3,)."""
+        centre: Floats = np.mean([landmark.position for landmark in self.landmarks], axis=0)
+        return as_transform(self.body_ref_from_image) @ centre
 
 
 class Planned(msgspec.Struct, frozen=True, kw_only=True):

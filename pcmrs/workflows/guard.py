@@ -85,8 +85,9 @@ class _Guard:
         cell = self._cell
         with suppress(RefusalError):
             seen = cell.poses.newest(BODY)
-            if cell.base_from_tracker is not None and cell.body_ref_from_image is not None:
-                cell.zones.place_body(cell.base_from_tracker @ seen @ cell.body_ref_from_image)
+            body_ref_from_image = cell.body_ref_from_image or cell.earlier_body_ref_from_image
+            if cell.base_from_tracker is not None and body_ref_from_image is not None:
+                cell.zones.place_body(cell.base_from_tracker @ seen @ body_ref_from_image)
 
 
 class _Sight:

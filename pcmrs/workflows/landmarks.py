@@ -94,7 +94,7 @@ def previous_digitization_fits(run: Run) -> None:
     if previous.landmarks != run.data.landmarks:
         text = "The previous digitization was made for other planned landmarks: digitize the present ones."
         raise RefusalError("other_landmarks", text)
-    check_same_head(run, previous)
+    check_same_head(run.cell, previous)
     check_reference(run.cell, previous.reference, run.clock.monotonic() - LATELY)
 
 
@@ -106,17 +106,17 @@ def take_previous_digitization(run: Run) -> None:
         _keep_digitized(run, previous.points)
 
 
-def check_same_head(run: Run, previous: Digitized | Registered | Planned) -> None:
+def check_same_head(cell: Cell, previous: Digitized | Registered | Planned) -> None:
     """Refuses what belongs to another patient, or was made with another calibration or marker body on the patient.
 
     Raises:
         RefusalError: ``other_patient``, ``other_calibration`` or ``other_reference``.
     """
-    settings, serial = run.cell.settings, run.cell.settings.calibration.reference_serial
+    settings, serial = cell.settings, cell.settings.calibration.reference_serial
     if previous.patient != settings.patient:
         text = f"The previous one belongs to patient {previous.patient}, not {settings.patient}: make a new one."
         raise RefusalError("other_patient", text, patient=previous.patient)
-    if previous.calibration != run.cell.calibration_id:
+    if previous.calibration != cell.calibration_id:
         raise RefusalError("other_calibration", "The calibration has changed since the previous one: make a new one.")
     if previous.reference_serial != serial:
         before, now = (each or "of no serial" for each in (previous.reference_serial, serial))

@@ -12,6 +12,7 @@ from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Frame, Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.earlier_body import earlier_registration
 
 CHECK_EVERY = 8
 """Every so manyth sample of a trajectory is looked at: 40 ms apart."""
@@ -44,22 +45,40 @@ def middle_of_body(cell: Cell, data: PlacementData) -> Floats:
     return cell.base_from_body_ref @ cell.middle_in_body_ref
 
 
+def middles_of_body(cell: Cell, data: PlacementData) -> list[Floats]:
+    """Return all points to keep away from, in the robot's base, m, (3,) each: `middle_of_body`, and an earlier one.
+
+    Raises:
+        RefusalError: See `middle_of_body`.
+    """
+    middle, earlier = middle_of_body(cell, data), earlier_registration(cell, data)
+    if earlier is None or cell.base_from_body_ref is None:
+        return [middle]
+    return [middle, cell.base_from_body_ref @ earlier.middle_in_body_ref()]
+
+
 def distance_from_body(cell: Cell, data: PlacementData) -> float:
-    """Distance of the coil from the middle of the body now, m.
+    """Distance of the coil from the middle of the body now, m: from the nearer where an earlier one is known, too.
 
     Raises:
         RefusalError: Tool and body are not seen together.
     """
     base_from_coil = cell.frames(data).get(Frame.ROBOT_BASE, Frame.COIL)
-    return float(np.linalg.norm(base_from_coil.translation - middle_of_body(cell, data)))
+    offsets = [base_from_coil.translation - middle for middle in middles_of_body(cell, data)]
+    return float(min(np.linalg.norm(offset) for offset in offsets))
 
 
 def length_until_clear(cell: Cell, data: PlacementData) -> float:
     """How far the coil must go along its +z axis to be clear of the body, m; 0 where it already is."""
     base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
-    offset = base_from_coil.translation - middle_of_body(cell, data)
-    outwards = float(offset @ base_from_coil.rotation[:, 2])
     radius = cell.settings.placement.clearance + CLEAR_MARGIN
+    return max(_length_until_clear(base_from_coil, middle, radius) for middle in middles_of_body(cell, data))
+
+
+def _length_until_clear(base_from_coil: Transform, middle: Floats, radius: float) -> float:
+    """How far it is along +z until the coil is `radius` from a point, m."""
+    offset = base_from_coil.translation - middle
+    outwards = float(offset @ base_from_coil.rotation[:, 2])
     # The root of |offset + length z| = radius that lies ahead.
     inside = radius**2 - float(offset @ offset)
     return max(0.0, -outwards + math.sqrt(outwards**2 + inside)) if inside > 0.0 else 0.0
@@ -67,7 +86,7 @@ def length_until_clear(cell: Cell, data: PlacementData) -> float:
 
 def check_ends_clear(cell: Cell, trajectory: JointTrajectory, data: PlacementData) -> None:
     """Refuses a way that does not end clear of the body. Raises `RefusalError`."""
-    end = float(distances(cell, trajectory, middle_of_body(cell, data))[-1])
+    end = min(float(distances(cell, trajectory, middle)[-1]) for middle in middles_of_body(cell, data))
     clearance = cell.settings.placement.clearance
     if end <= clearance:
         text = (
@@ -98,7 +117,11 @@ def check_only_grows(
     Raises:
         RefusalError: It comes nearer than `clearance` and by more than `TOLERANCE`.
     """
-    way = distances(cell, trajectory, middle_of_body(cell, data))
+    for middle in middles_of_body(cell, data):
+        _check_only_grows(cell, distances(cell, trajectory, middle), advice)
+
+
+def _check_only_grows(cell: Cell, way: Floats, advice: str) -> None:
     shrinks = np.maximum.accumulate(way) - way
     worst = int(np.argmax(np.where(way < cell.settings.placement.clearance, shrinks, 0.0)))
     if way[worst] < cell.settings.placement.clearance and shrinks[worst] > TOLERANCE:

@@ -19,6 +19,7 @@ from pcmrs.spatial import Floats, Frame, Transform
 from pcmrs.workflows.accuracy import check_tre
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, as_transform
+from pcmrs.workflows.earlier_body import check_confirmed
 from pcmrs.workflows.paths import (
     along_axis,
     check_ends_clear,
@@ -26,6 +27,7 @@ from pcmrs.workflows.paths import (
     check_passes_clear,
     length_until_clear,
 )
+from pcmrs.workflows.retreat import Retreat
 from pcmrs.workflows.toolplan import standoff_postures
 from pcmrs.workflows.ways import check_away, check_towards, joint_way, straight_way
 
@@ -182,6 +184,7 @@ def _retreat_to(run: Run, posture: list[float]) -> JointTrajectory:
     start = cell.posture() if way is None else way.positions[-1]
     trajectory = joint_way(run, start, posture)
     trajectory = trajectory if way is None else concatenate(way, trajectory)
+    check_confirmed(run, trajectory)
     check_only_grows(cell, trajectory, run.data)
     check_ends_clear(cell, trajectory, run.data)
     check_away(cell, run.data, trajectory)
@@ -208,6 +211,7 @@ def _then_home(run: Run, straight: JointTrajectory, *, checked_later: bool) -> J
     home = joint_way(run, straight.positions[-1], cell.home)
     if not checked_later:
         try:
+            check_confirmed(run, home)
             check_only_grows(cell, home, run.data, BY_HAND)
         except RefusalError:
             if len(straight.positions) == 1:
@@ -251,6 +255,7 @@ def at_present_plan(data: PlacementData) -> bool:
 def register_placement_checks(registry: Registry[Cell, PlacementData]) -> None:
     """Registers the names that blueprints use for these checks."""
     registry.payload("nudge", Nudge)
+    registry.payload("retreat", Retreat)
     for check in (approach_possible, confirm_possible, nudge_possible, retreat_possible):
         registry.check(check)
     for check in (home_grows_distance, initial_grows_distance):

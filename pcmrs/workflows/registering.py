@@ -94,7 +94,7 @@ def put_in_force(run: Run, body_ref_from_image: Transform, *, noise: dict[str, A
 def previous_registration_fits(run: Run) -> None:
     """Refuses a previous registration of another patient or calibration, or of a reference that has moved since."""
     previous = _previous(run)
-    check_same_head(run, previous)
+    check_same_head(run.cell, previous)
     check_reference(run.cell, previous.reference, run.clock.monotonic() - LATELY)
 
 

@@ -133,7 +133,7 @@ def previous_plan_fits(run: Run) -> None:
     previous = run.data.previous_plan
     if previous is None:
         raise RefusalError("no_previous_plan", "No tool pose was planned before: plan one.")
-    check_same_head(run, previous)
+    check_same_head(run.cell, previous)
     check_reference(run.cell, previous.reference, run.clock.monotonic() - LATELY)
     accept_pose(run, as_transform(previous.image_from_coil))
 

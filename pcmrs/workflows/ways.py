@@ -17,7 +17,8 @@ from pcmrs.kinematics.trajectory import joint_motion, straight_motion
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.data import PlacementData, as_transform
+from pcmrs.workflows.earlier_body import earlier_registration
 
 P = TypeVar("P", bound=PlacementData)
 
@@ -65,8 +66,11 @@ def arrange(cell: Cell, data: PlacementData) -> None:
         cell.remember_registered(data.registered)
     if cell.base_from_tracker is not None and cell.base_from_body_ref is not None:
         cell.zones.model.look_from(cell.base_from_tracker.translation, cell.base_from_body_ref.translation)
-    if cell.base_from_body_ref is not None and cell.body_ref_from_image is not None:
-        cell.zones.place_body(cell.base_from_body_ref @ cell.body_ref_from_image)
+    earlier = earlier_registration(cell, data)
+    cell.earlier_body_ref_from_image = None if earlier is None else as_transform(earlier.body_ref_from_image)
+    body_ref_from_image = cell.body_ref_from_image or cell.earlier_body_ref_from_image
+    if cell.base_from_body_ref is not None and body_ref_from_image is not None:
+        cell.zones.place_body(cell.base_from_body_ref @ body_ref_from_image)
 
 
 def place_body(cell: Cell, base_from_tracker: Transform, base_from_body_ref: Transform) -> None:

@@ -81,7 +81,7 @@ async def test_to_initial_returns_to_the_remembered_joints(bench: WorkflowBench)
     await bench.connect()
     initial = [0.3, -0.5, 0.0, -1.6, 0.0, 1.2, -1.0]
     bench.cell.initial_joints = initial
-    await bench.accept("placement.to_initial")
+    await bench.accept("placement.to_initial", confirm=True)
     assert bench.cell.joints is not None
     assert bench.cell.joints.positions == pytest.approx(initial, abs=2e-3)
 

@@ -139,6 +139,7 @@ async def test_backing_off_leads_home_where_a_joint_limit_cuts_the_straight_way_
         await bench.clock.sleep(0.5)
         await bench.connect()
         assert bench.states["placement"] == "held", "the tool is 200 mm from the body"
-        assert (await bench.accept("placement.back_off")).state == "retracted"
+        await bench.refuse("placement.back_off", "body_not_registered")
+        assert (await bench.accept("placement.back_off", confirm=True)).state == "retracted"
         assert bench.cell.joints is not None
         assert bench.cell.joints.positions == pytest.approx(bench.cell.home, abs=2e-3)

@@ -80,6 +80,7 @@ def plan_arguments(plan: Plan) -> dict[str, Table | list[Table]]:
         "confirmation": dict(CONFIRMED),
         "nudge": NUDGES,
         "press": PRESSES,
+        "retreat": {"confirm": True},
     }
 
 
