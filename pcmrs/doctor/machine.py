@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from pcmrs.doctor.finding import Finding, bad, good, warning
+from pcmrs.threads.realtime import Priority
 
 ROOT: Final = Path("/")
 FEWEST_FILES: Final = 1024
@@ -49,12 +50,15 @@ def scheduling(root: Path = ROOT) -> Iterator[Finding]:
 
 
 def try_real_time() -> str:
-    """Why a thread may not take SCHED_RR; empty when it may. The thread that tries ends at once."""
+    """Why a thread may not take SCHED_RR with the highest priority that PCMRS gives; empty when it may.
+
+    The thread that tries ends at once: this process stays as it was.
+    """
     refused: list[str] = []
 
     def attempt() -> None:
         try:
-            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(max(Priority)))
         except OSError as error:
             refused.append(error.strerror or str(error))
 

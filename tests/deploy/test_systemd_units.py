@@ -13,6 +13,7 @@ import pytest
 from pcmrs.cli.running import EXIT_BAD_CONFIGURATION
 from pcmrs.experiment.process import free_port
 from pcmrs.settings import CellSettings
+from pcmrs.threads.realtime import Priority
 
 UNITS = Path(__file__).parents[2] / "deploy" / "systemd"
 NAMES = ("pcmrs.service", "pcmrs-node@.service", "pcmrs-router.service")
@@ -135,6 +136,7 @@ def test_only_whose_beats_count_may_take_the_real_time_policy(name: str) -> None
         assert (opened, realtime) == (set(), {"RestrictRealtime=yes"})
     else:
         assert (opened, realtime) == (OPENED_FOR_THE_BEAT, {"RestrictRealtime=no", "LimitRTPRIO=20"})
+        assert max(Priority) <= 20
     assert not any(line.startswith("LimitRTTIME=") for line in lines)  # at its hard limit the kernel kills
 
 
