@@ -55,7 +55,10 @@ WINDOWS = (
     "written:device:*",
 )
 EVENTS = ("bump_reference", "push_tool", "cut_robot", "e_stop", "interrupt", "drop_client")
-HOSTS = ("crash_daemon", "crash_daemon", "crash_node", "held_up", "held_up", "slow_disk", "failing_disk", "partition")
+"""What makes devices report something."""
+HOSTS = ("crash_daemon", "crash_daemon", "crash_node", "held_up", "held_up", "slow_disk", "failing_disk", "delay", "delay", "partition")
+"""What goes wrong in processes and between them."""
+TRACKER = ("tracker_restart", "frame_ahead")
 CHANGES = (
     "toolplan.clear",
     "toolplan.plan",
@@ -131,7 +134,7 @@ def _reuse(draw: random.Random) -> Act:
 
 
 def _event(draw: random.Random) -> Act:
-    return _fault(draw, EVENTS)
+    return _fault(draw, EVENTS if draw.random() < 0.9 else TRACKER)
 
 
 def _host(draw: random.Random) -> Act:

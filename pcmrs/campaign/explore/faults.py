@@ -131,13 +131,15 @@ HOST: Mapping[str, Fault] = {
         lambda draw: {"process": draw.choice(("daemon", "node")), "seconds": round(draw.uniform(0.02, 0.5), 3)},
         weight=2.0,
     ),
+    "tracker_restart": Fault(("S11",), _nothing),
+    "frame_ahead": Fault(("S11",), _nothing),
     "slow_disk": Fault(("T8",), lambda draw: {"seconds": draw.choice((0.05, 0.5, 2.0))}, {"seconds": 0.0}, weight=2.0),
     "failing_disk": Fault(("T1", "T2", "T3"), lambda draw: {"landing": draw.random() < 0.5}, {}, 5.0),
     "wall_jump": Fault(("C1", "C2"), lambda draw: {"seconds": draw.choice((-3600.0, 864000.0))}, {"seconds": 0.0}),
     "wall_frozen": _switched("C3"),
     "skewed_operator": Fault(("C4",), lambda draw: {"seconds": draw.choice((-30.0, 3.0, 60.0))}, {"seconds": 0.0}),
 }
-"""Brought about in the processes of the daemon and the node, and their hosts."""
+"""Brought about in the processes of the daemon and the node, their hosts, and between the tracker and its node."""
 
 FAULTS: Mapping[str, Fault] = {**SCENE, **NETWORK, **HOST}
 """All of them; a script names one as ``fault:<name>``."""

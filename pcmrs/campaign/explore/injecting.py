@@ -48,6 +48,8 @@ class Faults:
             "end_daemon": self._end_daemon,
             "crash_node": self._crash_node,
             "held_up": self._hold_up,
+            "tracker_restart": self._restart_tracker,
+            "frame_ahead": self._stamp_ahead,
             "slow_disk": self._slow_disk,
             "failing_disk": self._fail_disk,
             "wall_jump": self._jump,
@@ -175,6 +177,14 @@ class Faults:
         if process == NODE:
             self._witness.watcher.excuse_node(asyncio.get_running_loop().time() + seconds)
         self._cell.hold_up(process, seconds)
+
+    async def _restart_tracker(self, _arguments: dict[str, Any]) -> None:
+        if self._witness.tracker is not None:
+            self._witness.tracker.restart()
+
+    async def _stamp_ahead(self, _arguments: dict[str, Any]) -> None:
+        if self._witness.tracker is not None:
+            self._witness.tracker.stamp_ahead()
 
     async def _slow_disk(self, arguments: dict[str, Any]) -> None:
         self._cell.disk.delay = float(arguments["seconds"])

@@ -32,6 +32,8 @@ QUIET_END = 10.0
 """After the last act, with nothing wrong any more, everything has come to an end within this and `PATIENCE`, s."""
 WINDOW_OPENS = 8.0
 """An act that waits for a window is done after this anyhow, s: longer than any motion takes."""
+REFERENCE = "body_ref"
+"""The body that no session takes away for good."""
 LONGEST_FOLLOWING = 3.0
 """While the tool follows the head, nobody waits longer until the next act, s: each second has 60 set points."""
 
@@ -179,7 +181,9 @@ class Session:
         if self._under_way:
             await asyncio.wait(tuple(self._under_way), timeout=2 * PATIENCE)
         await asyncio.sleep(QUIET_END)
-        snapshot = self.witness.view.snapshot
+        snapshot, daemon = self.witness.view.snapshot, self._cell.daemon
+        if daemon is not None and daemon.procedure is not None:
+            self.witness.watcher.poses_end(daemon.procedure.cell.poses.rate_hz(REFERENCE) > 0.0)
         if snapshot is not None and snapshot.running:
             names = ", ".join(f"{each.branch}.{each.operation}" for each in snapshot.running)
             self.witness.break_("everything_ends", f"{names} is still running after everything was mended.")

@@ -56,7 +56,7 @@ class Watcher:
         self._dangers: set[str] = set()
         self._tool_at: tuple[str | None, str | None] | None = None
         self._arrived: dict[str, float] = {}
-        self._must_latch = False
+        self._guided = self._must_latch = False
         self._told: dict[tuple[str, str], str] = {}
 
     # -- the arm and its driver ----------------------------------------------------------------------
@@ -81,6 +81,7 @@ class Watcher:
     def begins(self, method: str, now: float) -> None:
         """The driver is told to begin a motion."""
         self._posture = None
+        self._guided = method == "begin_servo"
         if now < self._view.by_hand:
             return
         name, since = self._newest or ("nothing", float("-inf"))
@@ -128,7 +129,7 @@ class Watcher:
         snapshot = self._view.snapshot
         if crash:
             self._gone = now
-            self._must_latch = snapshot is not None and self._guides(snapshot)
+            self._must_latch = self._guided and snapshot is not None and self._guides(snapshot)
         self._undecided.clear()
 
     def take_snapshot(self, snapshot: Snapshot, now: float) -> None:
@@ -220,6 +221,11 @@ class Watcher:
         """The second datagram was sent so long after the acknowledgement, s."""
         if after > SECOND:
             self._break("no_second_is_late", f"The second datagram was sent {after:.3f} s after the acknowledgement.")
+
+    def poses_end(self, fresh: bool) -> None:
+        """Nothing is wrong any more, and for some time: whether the daemon takes poses."""
+        if not fresh:
+            self._break("poses_go_on", "The tracker has sent good poses for seconds, and the daemon takes none.")
 
     def check_rows(self, decision_of: Callable[[str, str], str | None]) -> None:
         """Holds what people were told against the disk.

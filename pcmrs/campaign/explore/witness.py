@@ -10,6 +10,7 @@ from typing import Any
 
 from pcmrs.campaign.explore.invariants import INVARIANTS
 from pcmrs.campaign.explore.settings import DEADMAN
+from pcmrs.campaign.explore.tampering import TamperedTracker
 from pcmrs.campaign.explore.view import Answered, Event, Fired, Moved, View
 from pcmrs.campaign.explore.watcher import Watcher
 from pcmrs.devices.motion.press import Relief
@@ -55,6 +56,7 @@ class Witness:
         violation: The first one; None while there is none.
         violated: Set with it.
         reader: Of the journal, while a daemon runs.
+        tracker: Between the simulated one and its node; None before the devices are opened.
     """
 
     def __init__(self, blueprint: Blueprint) -> None:
@@ -63,6 +65,7 @@ class Witness:
         self.violation: Violation | None = None
         self.violated = asyncio.Event()
         self.reader: JournalReader | None = None
+        self.tracker: TamperedTracker | None = None
         self._loop = asyncio.get_running_loop()
         self._run = 0
 
@@ -88,6 +91,8 @@ class Witness:
         found = dict(devices)
         if "robot" in found:
             found["robot"] = _WatchedRobot(found["robot"], self)
+        if "tracker" in found:
+            found["tracker"] = self.tracker = TamperedTracker(found["tracker"])
         if "stimulator" in found:
             found["stimulator"] = _WatchedStimulator(found["stimulator"], self)
         return found

@@ -1,0 +1,81 @@
+"""Puts defects back, one at a time, and explores until each is found and shrunk; see docs/explore.md.
+
+    .venv/bin/python tests/simulation/search_defects.py [NAME ...] [--minutes 10] [--jobs 2] [--seed 1] [--write]
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import sys
+import time
+from collections.abc import Iterator
+from itertools import count
+
+import pytest
+from defects import DEFECTS, Defect
+
+from pcmrs.campaign.explore.exploring import as_lines
+from pcmrs.campaign.explore.generate import draw_script
+from pcmrs.campaign.explore.script import Script, write_script
+from pcmrs.campaign.explore.session import run_session
+from pcmrs.campaign.explore.settings import workflow_of
+from pcmrs.campaign.explore.shrinking import shrink
+
+MOST_ACTS = 12
+"""A script that is longer than this explains nothing."""
+
+
+def search(name: str, seed: int, step: int, minutes: float) -> Script | None:
+    """Explores every `step`-th seed from `seed` on; the shrunk script, or None when the time is up."""
+    defect, end = DEFECTS[name], time.monotonic() + 60.0 * minutes
+    blueprint = workflow_of(defect.workflow).blueprint
+    with pytest.MonkeyPatch.context() as patch:
+        defect.apply(patch)
+        for each in count(seed, step):
+            if time.monotonic() > end:
+                return None
+            script = draw_script(blueprint, defect.workflow, each)
+            if run_session(script).invariant in defect.found_by:
+                return shrink(script, lambda shorter: run_session(shorter).invariant in defect.found_by)
+    return None
+
+
+def _by_all(defect: Defect, seed: int, jobs: int, minutes: float) -> Iterator[Script | None]:
+    """What the processes found, the first one first."""
+    given = [(defect.name, seed + job, jobs, minutes) for job in range(jobs)]
+    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+        yield from pool.imap_unordered(_search_with, given)
+
+
+def _search_with(given: tuple[str, int, int, float]) -> Script | None:
+    return search(*given)
+
+
+def main() -> int:
+    """Prints what was found; 0 when all were, within `MOST_ACTS` acts each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="defects to look for; all when none is given")
+    parser.add_argument("--minutes", type=float, default=10.0, help="for each")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--seed", type=int, default=1, help="of the first session")
+    parser.add_argument("--write", action="store_true", help="keep the scripts beside the tests")
+    options = parser.parse_args()
+    missed = 0
+    for name in options.names or DEFECTS:
+        defect, began = DEFECTS[name], time.monotonic()
+        found = next((each for each in _by_all(defect, options.seed, options.jobs, options.minutes) if each), None)
+        short = found is not None and len(found.acts) <= MOST_ACTS
+        missed += not short
+        sys.stdout.write(f"{name}: {'found' if found else 'NOT FOUND'} after {time.monotonic() - began:.0f} s\n")
+        if found is not None:
+            sys.stdout.write(f"seed {found.seed}, {len(found.acts)} acts\n" + "\n".join(as_lines(found)) + "\n")
+        if short and options.write:
+            defect.script.parent.mkdir(exist_ok=True)
+            write_script(found, defect.script)
+        sys.stdout.flush()
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
