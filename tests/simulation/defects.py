@@ -6,6 +6,7 @@ was found for it is beside this file; it holds on the product as it is.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,6 +76,13 @@ def _does_nothing(_: Any) -> Any:
     return changed
 
 
+def _waits_for_nothing(_: Any) -> Any:
+    async def changed(*_given: Any) -> None:
+        return None
+
+    return changed
+
+
 def _never(_: Any) -> Any:
     def changed(*_given: Any) -> bool:
         return False
@@ -82,9 +90,50 @@ def _never(_: Any) -> Any:
     return changed
 
 
+def _refuses_no_motion(begin: Any) -> Any:
+    def changed(self: Any, *given: Any) -> Any:
+        self._motion = None
+        return begin(self, *given)
+
+    return changed
+
+
+def _one_after_the_other(_: Any) -> Any:
+    async def changed(self: Any) -> None:
+        while self._queue:
+            await asyncio.wait([self._start(self._queue.popleft())])
+        self._draining = False
+
+    return changed
+
+
+def _sends_late(send_second: Any) -> Any:
+    async def changed(self: Any, kind: Any, ended: Any, send: Any, _acknowledged: float) -> None:
+        await send_second(self, kind, ended, send, float("inf"))
+
+    return changed
+
+
 DEFECTS: dict[str, Defect] = {
     each.name: each
     for each in (
+        Defect(
+            name="motions_queue_in_the_gateway",
+            harm="Motions of a client without ids are acknowledged, and performed one after the other, however late.",
+            found_by=("motions_begin_in_time",),
+            put_back={
+                "pcmrs.gateway.session:Session._begin": _refuses_no_motion,
+                "pcmrs.gateway.session:Session._drain": _one_after_the_other,
+                "pcmrs.gateway.session:Session._give_up": _waits_for_nothing,
+                "pcmrs.gateway.session:Session._too_late": _does_nothing,
+            },
+        ),
+        Defect(
+            name="a_late_second_datagram_is_sent",
+            harm="A client takes the late result of a command for the acknowledgement of its next one.",
+            found_by=("no_second_is_late",),
+            put_back={"pcmrs.gateway.session:Session._send_second": _sends_late},
+        ),
         Defect(
             name="silence_lasts_twice_the_limit",
             harm="The deadman counts from when a beat was processed, not from the sign of life that it carries.",
@@ -101,10 +150,13 @@ DEFECTS: dict[str, Defect] = {
             put_back={"pcmrs.service.ledger:Ledger._follow_activity": _does_nothing},
         ),
         Defect(
-            name="one_stamp_ahead_ends_all_poses",
-            harm="After one frame that is stamped ahead all others count as late for ever.",
+            name="one_frame_ends_all_poses",
+            harm="After a frame that is stamped ahead, or numbers that begin anew, no later frame is ever taken.",
             found_by=("poses_go_on",),
-            put_back={"pcmrs.devices.poses:PoseFeed._is_ahead": _never},
+            put_back={
+                "pcmrs.devices.poses:PoseFeed._is_ahead": _never,
+                "pcmrs.devices.frame_sessions:FrameSessions._follow": _does_nothing,
+            },
         ),
     )
 }
