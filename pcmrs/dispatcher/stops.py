@@ -67,8 +67,9 @@ class Stops:
 
     def wait_for(self, what: str, end: asyncio.Future[Any]) -> None:
         """No acknowledgement before `end` is done."""
+        if end not in self._pending:  # Stops that follow each other quickly wait for the same hold
+            end.add_done_callback(self._settle)
         self._pending[end] = what
-        end.add_done_callback(self._settle)
         self._show()
 
     @property

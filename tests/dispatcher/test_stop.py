@@ -12,9 +12,10 @@ from clock import settle
 from dispatcher_fakes import HELD, PLACED, RATMS, RETRACTED, STANDOFF, Bench, Notes
 from ratms_oracle import INITIAL
 
+from pcmrs.clock import SystemClock
 from pcmrs.dispatcher import Run
 from pcmrs.dispatcher.hold import Hold
-from pcmrs.dispatcher.stops import YOUNG
+from pcmrs.dispatcher.stops import STANDSTILL, YOUNG, Stops
 from pcmrs.dispatcher.tasks import Tasks
 from pcmrs.errors import DeviceError, RefusalError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, Reason, Verdict
@@ -474,3 +475,16 @@ async def test_a_stop_while_the_devices_are_released_stays_latched(bench: Bench)
     assert await stop
     assert code(await acknowledge) == "stopped"
     assert bench.dispatcher.snapshot().latched
+
+
+async def test_stops_that_wait_for_one_hold_end_with_it() -> None:
+    """The second of two quick Stops raised in the loop when the hold ended; found by exploring."""
+    loop, errors = asyncio.get_running_loop(), list[dict[str, Any]]()
+    loop.set_exception_handler(lambda _, context: errors.append(context))
+    stops, hold = Stops(SystemClock()), loop.create_future()
+    for _ in range(2):
+        stops.begin()
+        stops.wait_for(STANDSTILL, hold)
+    hold.set_result(True)
+    await asyncio.sleep(0)
+    assert (errors, stops.state.pending) == ([], [])

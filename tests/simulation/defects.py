@@ -118,6 +118,15 @@ DEFECTS: dict[str, Defect] = {
     each.name: each
     for each in (
         Defect(
+            name="the_arm_starts_after_a_confirmed_stop",
+            harm="A node takes a request that was made before a hold and comes after it.",
+            found_by=("nothing_begins_after_its_hold", "the_arm_stays", "nothing_moves_unasked"),
+            put_back={
+                "pcmrs.devices.gate:Gate.check": _does_nothing,
+                "pcmrs.devices.gate:Gate.admit": _does_nothing,
+            },
+        ),
+        Defect(
             name="motions_queue_in_the_gateway",
             harm="Motions of a client without ids are acknowledged, and performed one after the other, however late.",
             found_by=("motions_begin_in_time",),

@@ -1,6 +1,6 @@
 """Puts defects back, one at a time, and explores until each is found and shrunk; see docs/explore.md.
 
-    .venv/bin/python tests/simulation/search_defects.py [NAME ...] [--minutes 10] [--jobs 2] [--seed 1] [--write]
+.venv/bin/python tests/simulation/search_defects.py [NAME ...] [--minutes 10] [--jobs 2] [--seed 1] [--write]
 """
 
 from __future__ import annotations

@@ -49,6 +49,8 @@ WINDOWS = (
     "write:outcome:placement.*",
     "write:outcome:placement.back_off",
     "write:outcome:*",
+    "write:*:registration.*",
+    "write:*:toolplan.*",
     "write:device:*",
     "written:intent:placement.*",
     "written:outcome:*",
@@ -56,7 +58,18 @@ WINDOWS = (
 )
 EVENTS = ("bump_reference", "push_tool", "cut_robot", "e_stop", "interrupt", "drop_client")
 """What makes devices report something."""
-HOSTS = ("crash_daemon", "crash_daemon", "crash_node", "held_up", "held_up", "slow_disk", "failing_disk", "delay", "delay", "partition")
+HOSTS = (
+    "crash_daemon",
+    "crash_daemon",
+    "crash_node",
+    "held_up",
+    "held_up",
+    "slow_disk",
+    "failing_disk",
+    "delay",
+    "delay",
+    "partition",
+)
 """What goes wrong in processes and between them."""
 TRACKER = ("tracker_restart", "frame_ahead")
 CHANGES = (

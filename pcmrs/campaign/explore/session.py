@@ -221,6 +221,8 @@ class Session:
             payload = {"registration.plan_landmarks": "landmarks", "toolplan.plan": "tool_pose"}.get(what)
             if payload is not None and not arguments:
                 arguments = self._planned(payload, turn)
+            elif what == "robot.acknowledge" and not arguments and operators.snapshot is not None:
+                arguments = {"stop": operators.snapshot.stop.number}
             await operators.operate(who, what, arguments)
 
     def _planned(self, payload: str, turn: int) -> dict[str, Any]:
