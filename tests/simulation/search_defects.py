@@ -70,7 +70,7 @@ def main() -> int:
         sys.stdout.write(f"{name}: {'found' if found else 'NOT FOUND'} after {time.monotonic() - began:.0f} s\n")
         if found is not None:
             sys.stdout.write(f"seed {found.seed}, {len(found.acts)} acts\n" + "\n".join(as_lines(found)) + "\n")
-        if short and options.write:
+        if found is not None and short and options.write:
             defect.script.parent.mkdir(exist_ok=True)
             write_script(found, defect.script)
         sys.stdout.flush()
