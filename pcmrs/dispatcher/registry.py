@@ -13,6 +13,8 @@ from pcmrs.dispatcher.activity import Activity
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint
+from pcmrs.fsm.finding import summary
+from pcmrs.fsm.rules.declared import Known, check_declared
 
 Check = Callable[[Run[C, D]], None]
 Step = Callable[[Run[C, D]], Awaitable[None] | None]
@@ -33,6 +35,8 @@ class Registry(Generic[C, D]):
     steps: dict[str, Step[C, D]] = field(default_factory=dict)
     worldly: set[str] = field(default_factory=set)
     activities: dict[str, Pursuit[C, D]] = field(default_factory=dict)
+    moving: set[str] = field(default_factory=set)
+    affecting: set[str] = field(default_factory=set)
 
     def payload(self, name: str, kind: type[msgspec.Struct]) -> None:
         """Registers the type of an operation's arguments."""
@@ -55,14 +59,28 @@ class Registry(Generic[C, D]):
         self.steps[function.__name__] = function
         return function
 
-    def world_step(self, function: F) -> F:
-        """Registers a step that touches the world outside: its intent is journalled first."""
+    def world_step(self, function: F, *, moves: bool = False, affects_patient: bool = False) -> F:
+        """Registers a step that touches the world outside: its intent is journalled first.
+
+        Args:
+            function: The step.
+            moves: It moves the robot: an operation with it must declare `motion`.
+            affects_patient: It acts on the patient otherwise: an operation with it must declare `affects_patient`.
+        """
         self.worldly.add(function.__name__)
+        if moves:
+            self.moving.add(function.__name__)
+        if affects_patient:
+            self.affecting.add(function.__name__)
         self.steps[function.__name__] = function
         return function
 
-    def activity(self, function: F) -> F:
+    def activity(self, function: F, *, moves: bool = False) -> F:
         """Registers what goes on while a branch is in a state: it is cancelled when the state is left.
+
+        Args:
+            function: The activity.
+            moves: It moves the robot, which a blueprint with it must declare.
 
         Raises:
             BlueprintError: It is no coroutine function.
@@ -71,7 +89,20 @@ class Registry(Generic[C, D]):
             text = f"{function.__name__} does not wait, so it would end at once: write it with async def."
             raise BlueprintError(text, activity=function.__name__)
         self.activities[function.__name__] = function
+        if moves:
+            self.moving.add(function.__name__)
         return function
+
+    @property
+    def known(self) -> Known:
+        """What is known of the functions, for the verifier."""
+        return Known(moving=frozenset(self.moving), affecting=frozenset(self.affecting))
+
+    def check_declarations(self, blueprint: Blueprint) -> None:
+        """Raises `BlueprintError` if the blueprint does not declare what its steps and activities do."""
+        findings = list(check_declared(blueprint, self.known))
+        if findings:
+            raise BlueprintError(summary(findings), findings=findings)
 
     def check_names(self, blueprint: Blueprint) -> None:
         """Raises `BlueprintError` if the blueprint uses a name that is not registered."""

@@ -19,7 +19,8 @@ class Workflow(Generic[C, D]):
     """Everything the dispatcher needs to know of a procedure.
 
     Raises:
-        BlueprintError: The blueprint uses a name that the registry does not know.
+        BlueprintError: The blueprint uses a name that the registry does not know, or does not declare that a step moves
+            the robot or affects the patient.
     """
 
     blueprint: Blueprint
@@ -29,3 +30,4 @@ class Workflow(Generic[C, D]):
 
     def __post_init__(self) -> None:
         self.registry.check_names(self.blueprint)
+        self.registry.check_declarations(self.blueprint)

@@ -26,6 +26,7 @@ RULES = {
     "bad_operation": "An operation is declared in a way that cannot be meant.",
     "bad_activity": "An activity is declared in a way that cannot be meant, or something else would move beside it.",
     "bad_property": "A property is declared in a way that cannot be meant.",
+    "undeclared": "An operation or activity does not declare that it moves the robot or affects the patient.",
     "latch_ignored": "What moves or affects the patient would be allowed while Stop is latched.",
     "no_release": "After a Stop, the latch that it sets could not be released.",
     "rule_1": "A state above level 1 has no re-initiation.",

@@ -63,6 +63,8 @@ def open_workflow(name: str) -> Workflow[Cell, PlacementData]:
     try:
         return Workflow(blueprint, registry, initial, code.settle)
     except BlueprintError as error:
+        if "findings" in error.fields:
+            raise BlueprintError(f"{place.blueprint}: {error.text}", **error.fields) from None
         text = f"{place.blueprint}: {error.text}; PCMRS has none of that name, nor does {place.code} register one."
         raise BlueprintError(text, **error.fields) from None
 

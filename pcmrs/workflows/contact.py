@@ -116,4 +116,4 @@ def register_contact_operations(registry: Registry[Cell, PlacementData]) -> None
     """Registers the names that blueprints use for pressing."""
     registry.payload("press", Press)
     registry.check(press_possible)
-    registry.world_step(press_gently)
+    registry.world_step(press_gently, moves=True)

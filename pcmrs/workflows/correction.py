@@ -86,4 +86,4 @@ def _decided(rounds: list[dict[str, float]], limits: PlacementSettings) -> bool:
 
 def register_correction_steps(registry: Registry[Cell, PlacementData]) -> None:
     """Registers the names that blueprints use for these steps."""
-    registry.world_step(correct_from_tracker)
+    registry.world_step(correct_from_tracker, moves=True)

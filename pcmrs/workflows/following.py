@@ -59,4 +59,4 @@ async def follow_head(act: Activity) -> None:
 def register_following(registry: Registry[Cell, PlacementData]) -> None:
     """Registers the names that blueprints use for this check and activity."""
     registry.check(follow_possible)
-    registry.activity(follow_head)
+    registry.activity(follow_head, moves=True)

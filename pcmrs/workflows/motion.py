@@ -154,5 +154,6 @@ def register_motion_steps(registry: Registry[Cell, PlacementData]) -> None:
         registry.step(step)
     for replanning in (back_off_anew, home_anew, initial_anew):
         registry.world_step(replanning)
-    for world_step in (follow_prepared, measure_placement, find_where_retreat_ended):
+    registry.world_step(follow_prepared, moves=True)
+    for world_step in (measure_placement, find_where_retreat_ended):
         registry.world_step(world_step)

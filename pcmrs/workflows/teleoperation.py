@@ -86,4 +86,4 @@ def register_teleoperation(registry: Registry[Cell, PlacementData]) -> None:
         registry.check(check)
     registry.world_step(see_tool_and_body)
     registry.step(keep_teleoperator)
-    registry.activity(teleoperate)
+    registry.activity(teleoperate, moves=True)

@@ -151,7 +151,7 @@ class WorkflowBench:
     async def do(self, name: str, **arguments: Any) -> Verdict:
         """Submits a command and waits for its verdict."""
         branch, operation = name.split(".")
-        if name == "robot.acknowledge":
+        if name in self.dispatcher.snapshot().release:
             arguments = {"stop": self.dispatcher.stop_number} | arguments
         command = Command(
             id=f"c{next(self._ids)}", branch=branch, operation=operation, source="test:user", arguments=arguments

@@ -17,6 +17,7 @@ from pcmrs.fsm.finding import unread
 
 if TYPE_CHECKING:
     from pcmrs.fsm import Examination
+    from pcmrs.fsm.rules.declared import Known
 
 
 @click.command()
@@ -53,7 +54,16 @@ def _examine(file: str, limit: int) -> tuple[str, Examination]:
         origin = printable(file)
         return origin, Examination(None, [unread(origin, error.text)])
     with search_bar(origin) as progress:
-        return origin, examine(raw, origin=origin, folder=folder, limit=limit, progress=progress)
+        return origin, examine(raw, origin=origin, folder=folder, limit=limit, progress=progress, known=_known(raw))
+
+
+def _known(raw: bytes) -> Known | None:
+    """What PCMRS's own steps do; not loaded for a file that names none."""
+    if b"steps" not in raw and b"extends" not in raw and b"activities" not in raw:
+        return None
+    from pcmrs.workflows import placement_registry
+
+    return placement_registry().known
 
 
 def _as_object(origin: str, examination: Examination) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from pcmrs.fsm.files.sequence import SequenceError, expand
 from pcmrs.fsm.files.toml import convert
 from pcmrs.fsm.finding import Finding, summary
 from pcmrs.fsm.rules import check_rules
+from pcmrs.fsm.rules.declared import Known, check_declared
 from pcmrs.fsm.verify import MAX_JOINT_STATES, verify
 
 
@@ -103,6 +104,7 @@ def examine(
     folder: FilePath | None = None,
     limit: int = MAX_JOINT_STATES,
     progress: Callable[[int, int], None] | None = None,
+    known: Known | None = None,
 ) -> Examination:
     """Reads a blueprint, checks its rules, and searches all its joint states.
 
@@ -112,12 +114,13 @@ def examine(
         folder: Where it lies; without one it can extend no other file.
         limit: A workflow of more joint states is refused.
         progress: See `pcmrs.fsm.verify.verify`.
+        known: What is known of the functions that it names.
     """
     try:
         blueprint, places, warnings = _read(raw, origin, folder)
     except BlueprintError as error:
         return Examination(None, error.fields["findings"])
-    broken = list(check_rules(blueprint))
+    broken = list(check_rules(blueprint)) or list(check_declared(blueprint, known or Known()))
     if broken:
         return Examination(blueprint, placed(broken, places), warnings=warnings)
     found = verify(blueprint, limit=limit, progress=progress)

@@ -90,6 +90,6 @@ async def watch_stimulator(act: Activity) -> None:
 
 def register_arming(registry: Registry[Cell, PlacementData]) -> None:
     """Registers the names that blueprints use for these steps and this activity."""
-    for step in (arm_stimulator, disarm_stimulator):
-        registry.world_step(step)
+    registry.world_step(arm_stimulator, affects_patient=True)
+    registry.world_step(disarm_stimulator)
     registry.activity(watch_stimulator)

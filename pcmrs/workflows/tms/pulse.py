@@ -94,4 +94,4 @@ async def _fire(stimulator: Stimulator, number: int) -> FiredPulse:
 def register_pulse(registry: Registry[Cell, PlacementData]) -> None:
     """Registers the names that blueprints use for this check and step."""
     registry.check(pulse_allowed_now)
-    registry.world_step(fire_pulse)
+    registry.world_step(fire_pulse, affects_patient=True)
