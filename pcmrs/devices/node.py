@@ -76,6 +76,9 @@ REQUEST_DELAY = 1.0
 MOTIONS = ACTS["robot"]
 """Methods of the robot that are refused when the daemon is not heard, too."""
 
+HELD_UP_PERIOD = 5.0
+"""Between two events that say that the node was held up, s of the machine: each is a row of the journal."""
+
 
 class DeviceNode:
     """Serves the opened devices of one driver.
@@ -111,7 +114,7 @@ class DeviceNode:
         self.late: Counter[str] = Counter()
         self._moving = False
         self._begun = self._awake = clock.monotonic()
-        self._held_up = -inf
+        self._held_up = self._told_held_up = -inf
         self._heard: dict[str, float] = {}
         self._frame_sessions = FrameSessions()
         self._holds: set[asyncio.Task[None]] = set()
@@ -371,7 +374,9 @@ class DeviceNode:
         self._link.publish(f"dev/{device}/event", daemon_silent(device, silence, self._deadman.limit, load))
 
     def _tell_held_up(self, silence: Silence) -> None:
-        if silence.held_up:
+        now = self._clock.monotonic()
+        if silence.held_up and now - self._told_held_up > HELD_UP_PERIOD:
+            self._told_held_up = now
             device = self._risky()
             self._link.publish(f"dev/{device}/event", node_held_up(device, silence, self._scheduling.load()))
 

@@ -19,7 +19,7 @@ from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.workflows.data import Registered, as_message, as_transform
 from pcmrs.workflows.toolplan import ToolPose
 
-PATIENCE = 10
+PATIENCE = 50
 """So often a planner asks again on a machine that is too busy to show poses in time."""
 PAUSE = 0.2
 """Between two of these, s of the machine."""

@@ -542,6 +542,13 @@ async def test_a_node_that_was_not_served_takes_what_has_arrived_and_reports_tha
     (event,) = bench.link.published["dev/robot/event"]
     assert (event.code, event.danger) == ("node_held_up", False)
     assert "9 threads want to run on 2 processors" in event.text
+    beat(bench, 3)
+    for number in range(4, 10):
+        await bench.clock.advance(DEADMAN + TURN)  # late each time, and each time the beat has arrived already
+        beat(bench, number, 2 * TURN)
+        await bench.clock.advance(2 * TURN)
+    assert bench.robot_device.holds == 0
+    assert bench.link.published["dev/robot/event"] == [event], "it is not told each time"
 
 
 async def test_a_node_that_was_not_served_holds_at_once_when_nothing_has_arrived(bench: Bench) -> None:
