@@ -62,6 +62,12 @@ class Bench:
             while not self.states or np.abs(self.states[-1].velocities).max() < 0.02:
                 await self.clock.sleep(0.01)
 
+    async def touching(self, force: float) -> None:
+        """Returns once the tool presses on the body, with more than `force`, N."""
+        async with asyncio.timeout(10.0):
+            while self.cell.world.arm.contact.force < force:
+                await self.clock.sleep(0.005)
+
     async def told(self, code: str) -> DeviceEvent:
         """Returns the first event, which must be this one."""
         async with asyncio.timeout(10.0):

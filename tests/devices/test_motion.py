@@ -30,6 +30,11 @@ class Spring:
         self.magnitude = 0.0
         self._start = MODEL.forward(HOME)
 
+    def move_to(self, gap: float, posture: Floats) -> None:
+        """The body has moved: it begins `gap` m before where the tool was at first; the tool is at `posture`."""
+        self._gap = gap
+        self.look(posture)
+
     def look(self, posture: Floats) -> None:
         way = self._start.inverse() @ MODEL.forward(posture).translation
         self.magnitude = max(0.0, float(way[2]) - self._gap) * self._stiffness
@@ -118,6 +123,33 @@ def test_a_press_reaches_its_force(step: float) -> None:
     assert press.force == pytest.approx(3.0, abs=0.3)
     speeds = np.array([np.linalg.norm(MODEL.jacobian(q)[:3] @ v) for q, v, _ in samples])
     assert speeds.max() <= 3.0 / RESISTANCE * 1.05
+
+
+@STEPS
+@pytest.mark.parametrize("relief_mm", [0.0, 2.0])
+def test_after_a_hold_in_contact_the_only_motion_is_away_from_a_force_that_is_too_great(
+    step: float, relief_mm: float
+) -> None:
+    sensor = Spring(gap=0.002)
+    arm = follower(step, sensor, force_limit=10.0, relief_mm=relief_mm)
+    arm.press(PressRequest(force=3.0, direction_in_flange=(0.0, 0.0, 1.0), travel=0.010, speed=0.02, timeout=8.0))
+    while sensor.magnitude < 2.0:
+        sensor.look(arm.advance()[0])
+    arm.hold()
+    run(arm, sensor, step, 1.0)
+    held = arm.reference.position.copy()
+    assert arm.reference.ended
+    for _ in range(3):  # nothing draws it after a force that is less, or greater, than it was
+        for gap in (0.010, 0.002, -0.003):
+            sensor.move_to(gap, held)
+            assert np.array_equal(arm.advance()[0], held)
+    for gap in (-0.012, -0.022, -0.032):  # the body comes nearer and nearer
+        for _ in range(round(1.0 / step)):
+            sensor.move_to(gap, arm.advance()[0])
+            arm.hold()  # Stop, pressed again and again
+    way = MODEL.forward(held).inverse() @ MODEL.forward(arm.reference.position).translation
+    assert -relief_mm * 1e-3 - 1e-4 <= way[2] <= 0.0
+    assert np.linalg.norm(way[:2]) < 1e-4
 
 
 @STEPS

@@ -10,11 +10,14 @@ import pytest
 from contract_robots import BENCHES, FACTS, FLANGE_FROM_TOOL, HOME, Bench, bench, smooth
 
 from pcmrs.errors import DeviceError
-from pcmrs.messages import JointSetpoint, JointState, PressRequest
-from pcmrs.spatial import Floats
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.kinematics.track import track
+from pcmrs.messages import JointSetpoint, JointState, JointTrajectory, PressRequest
+from pcmrs.spatial import Floats, Transform, distance
 
 pytestmark = pytest.mark.usefixtures("patient")
 DRIVERS = pytest.mark.parametrize("driver", list(BENCHES))
+MODEL = ArmModel(FACTS)
 INWARD = -FLANGE_FROM_TOOL.rotation[:, 2]
 PRESS = PressRequest(
     force=3.0,
@@ -30,6 +33,18 @@ async def lab(request: pytest.FixtureRequest) -> AsyncIterator[Bench]:
     async with bench(request.param) as lab:
         await lab.robot.connect()
         yield lab
+
+
+def towards_the_body(way: float, duration: float) -> JointTrajectory:
+    """The tool straight against its +z by a way, m."""
+    start = MODEL.forward(HOME)
+    goal = start @ FLANGE_FROM_TOOL @ Transform(np.eye(3), np.array([0.0, 0.0, -way])) @ FLANGE_FROM_TOOL.inverse()
+    return smooth(HOME, track(MODEL, goal, HOME), duration)
+
+
+def tool(lab: Bench) -> Transform:
+    """Where the tool truly is in the robot's base."""
+    return lab.cell.world.arm.base_from_flange() @ FLANGE_FROM_TOOL
 
 
 def set_point(number: int, positions: Floats, session: int, speed: float = 0.0) -> JointSetpoint:
@@ -193,6 +208,31 @@ async def test_a_press_reaches_its_force_and_keeps_it(driver: str) -> None:
         assert lab.cell.world.arm.contact.force == pytest.approx(3.0, abs=0.6)
         await lab.clock.sleep(0.3)
         assert lab.cell.world.arm.contact.force == pytest.approx(3.0, abs=0.6)
+
+
+@DRIVERS
+@pytest.mark.parametrize("motion", ["press", "follow"])
+async def test_in_contact_hold_keeps_the_position_whatever_the_body_does(driver: str, motion: str) -> None:
+    """No admittance motion and no drift after Stop: neither further in, nor after a body that moves away."""
+    async with bench(driver, gap=0.002) as lab:
+        await lab.robot.connect()
+        inwards = lab.robot.press(PRESS) if motion == "press" else lab.robot.follow(towards_the_body(0.006, 2.0))
+        moving = asyncio.create_task(inwards)
+        await lab.touching(1.0)
+        begun = tool(lab)
+        await lab.robot.hold()
+        held = tool(lab)
+        result = await moving
+        assert (result.outcome, result.reason) == ("stopped", "held")
+        assert distance(begun, held) < 0.002, "it has braked"
+        assert lab.cell.world.arm.contact.force > 0.5
+        tracker_from_tool = lab.cell.world.tracker_from("coil")
+        assert tracker_from_tool is not None
+        for along_axis in (0.0, 0.002, -0.01):
+            lab.cell.world.shift_body(tracker_from_tool.rotation @ np.array((0.0, 0.0, along_axis)))
+            await lab.clock.sleep(1.0)
+            assert distance(held, tool(lab)) < 2e-4, f"the body moved by {along_axis} m along the tool's axis"
+        assert not (await lab.robot.joints()).moving
 
 
 async def test_a_disconnected_arm_stands_and_takes_nothing(lab: Bench) -> None:
