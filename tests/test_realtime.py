@@ -12,6 +12,7 @@ from contextlib import suppress
 import pytest
 
 from pcmrs.threads import Priority, Runaways
+from pcmrs.threads.runaways import CALM
 
 REALTIME = os.SCHED_RR | os.SCHED_RESET_ON_FORK
 
@@ -114,5 +115,32 @@ def test_a_thread_that_runs_away_loses_the_policy_and_one_that_rests_keeps_it() 
         assert [(each.process, each.thread) for each in found] == [(runaway.pid, runaway.pid)]
         assert os.sched_getscheduler(runaway.pid) == os.SCHED_OTHER
         assert os.sched_getscheduler(resting.pid) == REALTIME
+        now = time.monotonic()
+        assert watch.look(now) == []
+        assert watch.look(now + 0.01) == []
+        assert os.sched_getscheduler(runaway.pid) == os.SCHED_OTHER, "it still does not rest"
         for child in pair:
             child.communicate(b"\n")
+
+
+@needs_permission
+def test_a_thread_that_rests_again_gets_the_policy_back() -> None:
+    code = f"import os; os.sched_setscheduler(0, {REALTIME}, os.sched_param(10))\nprint('here', flush=True)\n"
+    code += f"{RUNS_AWAY}\nprint('rests', flush=True)\nimport time\ntime.sleep(100)"
+    with subprocess.Popen([sys.executable, "-c", code], stdin=-1, stdout=-1) as child:
+        assert child.stdout is not None
+        assert child.stdin is not None
+        assert child.stdout.readline() == b"here\n"
+        watch = Runaways(lambda: [child.pid])
+        while not watch.look(time.monotonic()):
+            time.sleep(0.02)
+        child.stdin.write(b"\n")
+        child.stdin.flush()
+        assert child.stdout.readline() == b"rests\n"
+        now = time.monotonic()
+        for passed in (0.0, 0.9 * CALM, 1.1 * CALM):
+            assert os.sched_getscheduler(child.pid) == os.SCHED_OTHER
+            assert watch.look(now + passed) == []
+        assert os.sched_getscheduler(child.pid) == REALTIME
+        assert os.sched_getparam(child.pid).sched_priority == 10
+        child.kill()

@@ -111,8 +111,8 @@ def family(daemon: int) -> list[int]:
 def _demoted(runaway: Runaway) -> DeviceEvent:
     text = (
         f"Thread {runaway.name} ({runaway.thread}) of process {runaway.process} ran for {runaway.ran:.1f} s without a "
-        "rest and has lost the real-time policy: the cell works on, but a busy machine may now delay heartbeats. "
-        "Restart the daemon when the cause is mended; its log says what the loop was doing."
+        "rest and has lost the real-time policy until it rests again. The cell works on, but a busy machine may now "
+        "delay heartbeats. The log says what the loop was doing."
     )
     return DeviceEvent(device="daemon", code="thread_demoted", text=text, fields=runaway._asdict())
 

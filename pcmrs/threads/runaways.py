@@ -7,12 +7,16 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import NamedTuple
 
-from pcmrs.threads.figures import Threads
+from pcmrs.threads.figures import Figures, Threads
 
 LONGEST = 0.3
 """A thread that has not rested for so long runs away, s: no turn of a loop is meant to take longer than 0.2 s."""
 REST = 0.1
 """Part of the time between two looks that a thread rests at least unless it runs away."""
+
+
+CALM = 10.0
+"""One that has rested again and again for so long gets the policy back, s."""
 
 
 class Runaway(NamedTuple):
@@ -32,9 +36,11 @@ class Runaway(NamedTuple):
 
 
 class _Seen(NamedTuple):
+    """Of a thread at the last look: when that was, its figures, and since when it has not rested, or has."""
+
     at: float
-    ran: float
-    busy_since: float
+    figures: Figures
+    since: float
 
 
 class Runaways:
@@ -47,9 +53,10 @@ class Runaways:
     def __init__(self, processes: Callable[[], Iterable[int]]) -> None:
         self._processes = processes
         self._seen: dict[int, _Seen] = {}
+        self._demoted: dict[int, int] = {}
 
     def look(self, now: float) -> list[Runaway]:
-        """Demotes to SCHED_OTHER those that have run away, and returns them.
+        """Demotes to SCHED_OTHER those that have run away, and returns them; those that rest again get the policy back.
 
         Args:
             now: s of the machine's monotonic clock; looks are to come several times within `LONGEST`.
@@ -58,17 +65,32 @@ class Runaways:
         for process in self._processes():
             threads = Threads(process)
             for thread, figures in threads.figures().items():
-                if not _is_realtime(thread):
-                    continue
-                last = before.get(thread, _Seen(now, figures.ran, now))
-                rested = figures.ran - last.ran < (1.0 - REST) * (now - last.at)
-                seen = self._seen[thread] = _Seen(now, figures.ran, now if rested else last.busy_since)
-                if now - seen.busy_since > LONGEST:
-                    with suppress(OSError):  # it has ended
-                        os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
-                    name = threads.names().get(thread, "")
-                    found.append(Runaway(process, thread, name, now - seen.busy_since))
+                last = before.get(thread, _Seen(now, figures, now))
+                if thread in self._demoted:
+                    self._look_at_demoted(thread, last, figures, now)
+                elif _is_realtime(thread):
+                    rested = figures.ran - last.figures.ran < (1.0 - REST) * (now - last.at)
+                    seen = self._seen[thread] = _Seen(now, figures, now if rested else last.since)
+                    if now - seen.since > LONGEST:
+                        self._demote(thread)
+                        found.append(Runaway(process, thread, threads.names().get(thread, ""), now - seen.since))
+        self._demoted = {thread: many for thread, many in self._demoted.items() if thread in self._seen}
         return found
+
+    def _demote(self, thread: int) -> None:
+        with suppress(OSError):  # it has ended
+            self._demoted[thread] = os.sched_getparam(thread).sched_priority
+            os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+
+    def _look_at_demoted(self, thread: int, last: _Seen, figures: Figures, now: float) -> None:
+        # It is one of many now: what it waits for a processor is no rest.
+        worked = sum(figures) - sum(last.figures)
+        self._seen[thread] = seen = _Seen(now, figures, now if worked > (1.0 - REST) * (now - last.at) else last.since)
+        if now - seen.since > CALM:
+            self._seen[thread] = seen._replace(since=now)
+            with suppress(OSError):
+                priority = os.sched_param(self._demoted.pop(thread))
+                os.sched_setscheduler(thread, os.SCHED_RR | os.SCHED_RESET_ON_FORK, priority)
 
 
 def _is_realtime(thread: int) -> bool:
