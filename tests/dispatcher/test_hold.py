@@ -1,0 +1,28 @@
+"""A hold that was asked for goes on, whoever gives up waiting for it."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+
+from pcmrs.dispatcher.hold import Hold
+from pcmrs.dispatcher.tasks import Tasks
+
+
+async def test_a_hold_goes_on_when_who_has_asked_is_cancelled() -> None:
+    tasks, stands, held = Tasks(), asyncio.Event(), asyncio.Event()
+
+    async def hold(_latch: bool) -> None:
+        await stands.wait()
+        held.set()
+
+    asked = asyncio.create_task(Hold(hold, tasks).end_motion())
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    asked.cancel()
+    with suppress(asyncio.CancelledError):
+        await asked
+    stands.set()
+    await tasks.wait()
+
+    assert held.is_set()
