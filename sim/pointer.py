@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pcmrs.clock import Clock
+from pcmrs.errors import DeviceError
 from pcmrs.messages import LandmarkPrompt
 from pcmrs.spatial import Floats, Transform
 from sim.motion import Pivot
@@ -25,6 +26,7 @@ class SimPointer:
         self._world = world
         self._clock = clock
         self._displacements: dict[int, Floats] = {}
+        self._released = 0
 
     async def touch(self, prompt: LandmarkPrompt) -> None:
         await self._reach()
@@ -39,6 +41,7 @@ class SimPointer:
         await self._rest(TOUCHES[settings.phantom](rng) + beside)
 
     async def release(self) -> None:
+        self._released += 1
         self._world.image_from_pointer = self._world.pivot = None
 
     def pivot(self, duration: float) -> None:
@@ -51,8 +54,12 @@ class SimPointer:
         self._displacements[index] = offset_in_image
 
     async def _reach(self) -> None:
+        """Goes there. Raises `DeviceError` if the hand was released on its way: then it does not go on."""
+        released = self._released
         self._world.image_from_pointer = self._world.pivot = None
         await self._clock.sleep(self._world.settings.digitization.reach_time)
+        if self._released != released:
+            raise DeviceError("The pointer was released before it was there. Ask for the touch again.")
 
     async def _rest(self, tip_in_image: Floats) -> None:
         self._world.image_from_pointer = self._image_from_tip(tip_in_image) @ self._tip_from_pointer

@@ -195,6 +195,16 @@ async def test_the_tip_moves_with_the_patient(cell: Devices) -> None:
     assert np.linalg.norm(await measured_tip(cell) - before) < 5e-4
 
 
+async def test_a_hand_that_was_released_on_its_way_does_not_go_on(cell: Devices) -> None:
+    touching = asyncio.create_task(cell["pointer"].touch(PROMPT))
+    await next_frames(cell, 1)
+    await cell["pointer"].release()
+    with pytest.raises(DeviceError, match="released before it was there"):
+        await touching
+    for _, _, pointer, _ in await next_frames(cell, 5):
+        assert not pointer.valid
+
+
 async def test_a_touch_lands_where_the_seed_says(cell: Devices) -> None:
     for seed in (3, 4):
         await cell["scene"].reseed(seed)
