@@ -39,7 +39,7 @@ def test_a_call_that_is_none_is_refused_in_one_line(daemon: ServeProcess, words:
 def test_the_state_has_its_keys(daemon: ServeProcess) -> None:
     state = json.loads(daemon.pcmrs("state", "--json").stdout)
     keys = {"sequence", "branches", "flags", "running", "activities", "latched", "unknown", "plan", "registration"}
-    assert set(state) == keys | {"blueprint", "lease"}
+    assert set(state) == keys | {"blueprint", "lease", "release", "stop"}
     branches = ["registration", "digitization", "toolplan", "robot", "placement", "alignment", "teleoperation"]
     assert list(state["branches"]) == branches
     assert state["blueprint"]["id"] == "ratms"
