@@ -52,6 +52,21 @@ class Sighting:
     session: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What a feed knew at one moment, for a feed in another process.
+
+    Attributes:
+        sightings: The newest of each body, oldest first.
+        reasons: Why the newest pose of a body was not taken.
+        trouble: See `PoseFeed`.
+    """
+
+    sightings: dict[str, tuple[Sighting, ...]]
+    reasons: dict[str, str]
+    trouble: str
+
+
 class PoseFeed:
     """The newest poses of all tracked bodies.
 
@@ -94,6 +109,16 @@ class PoseFeed:
         self._last_reason.pop(pose.body, None)
         self._sightings.setdefault(pose.body, deque(maxlen=HISTORY)).append(sighting)
         self._arrived.set()
+
+    def seen_lately(self, count: int) -> Seen:
+        """Return what is known now, with at most `count` frames per body."""
+        sightings = {body: tuple(known)[-count:] for body, known in self._sightings.items()}
+        return Seen(sightings, dict(self._last_reason), self.trouble)
+
+    def show(self, seen: Seen) -> None:
+        """Knows from now on what another feed knew; its clock must show the same time."""
+        self._sightings = {body: deque(known, maxlen=HISTORY) for body, known in seen.sightings.items()}
+        self._last_reason, self.trouble = dict(seen.reasons), seen.trouble
 
     def newest(self, body: str) -> Transform:
         """``tracker_from_body`` of the newest frame.

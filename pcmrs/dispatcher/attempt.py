@@ -31,6 +31,7 @@ class Attempt:
         ending: Its steps have ended and it is being committed: too late to stop.
         committing: It waits for nothing but its commit.
         stopped: Why it was stopped by Stop or a danger event.
+        planning: What its checks wait for, where a planner asks them.
     """
 
     command: Command
@@ -44,6 +45,7 @@ class Attempt:
     ending: bool = False
     committing: bool = False
     stopped: Reason | None = None
+    planning: asyncio.Future[Reason | None] | None = None
 
     @property
     def moves(self) -> bool:
@@ -62,10 +64,12 @@ class Attempt:
         return Running(branch=command.branch, operation=command.operation, id=command.id, progress=self.progress)
 
     def stop(self, reason: Reason) -> None:
-        """Cancels its steps; harmless once they have ended."""
+        """Cancels its planning or its steps; harmless once they have ended."""
         if self.stopped is not None:
             return
         self.stopped = reason
+        if self.planning is not None:
+            self.planning.cancel()
         if self.begun and not self.ending and self.task is not None:
             self.task.cancel()
 

@@ -14,6 +14,7 @@ from pcmrs.clock import Clock
 from pcmrs.dispatcher.activities import Activities
 from pcmrs.dispatcher.admission import EVENT_SOURCES, check_fresh, check_role, find_operation, read_payload
 from pcmrs.dispatcher.attempt import Attempt, locks_for
+from pcmrs.dispatcher.checks import Checks
 from pcmrs.dispatcher.decisions import Conclusion, Decisions, reason_for
 from pcmrs.dispatcher.events import DAEMON, REOPENED, SHUTDOWN, failed, not_confirmed, stopped
 from pcmrs.dispatcher.hold import Hold
@@ -22,6 +23,7 @@ from pcmrs.dispatcher.lease import LEASE, RENEW, TAKEN, Lease
 from pcmrs.dispatcher.memory import Memory
 from pcmrs.dispatcher.perform import reason_of
 from pcmrs.dispatcher.performer import Performer
+from pcmrs.dispatcher.planner import Planner
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.reconcile import Reconciliation
 from pcmrs.dispatcher.recorder import Recorder
@@ -57,6 +59,7 @@ class Dispatcher(Generic[C, D]):
         release: Ends the latch of the devices for an operation that acknowledges a Stop, and returns the names of those
             that stay latched; raises where the robot does not stand. None for devices that Stop does not latch.
         lease_required: Somebody has to hold the cell before commands are taken.
+        planner: Asks the checks that plan motions; without one they are asked in the loop.
 
     Attributes:
         lease: Who holds the cell.
@@ -74,6 +77,7 @@ class Dispatcher(Generic[C, D]):
         *,
         release: Callable[[], Awaitable[Sequence[str]]] | None = None,
         lease_required: bool = False,
+        planner: Planner[C, D] | None = None,
     ) -> None:
         self.lease = Lease(clock, required=lease_required)
         self.procedure = Procedure(workflow)
@@ -89,7 +93,9 @@ class Dispatcher(Generic[C, D]):
         self._memory = Memory(recorder)
         self._decisions = Decisions(self.procedure, recorder, self._memory, self._settle, self._break)
         self._activities = Activities(stage, self._verdict_of, self.stop, self._tell, self._break)
-        self._performer = Performer(stage, self._lanes, self._decisions, recorder, self._activities)
+        checks = Checks(stage, planner, self._objection)
+        self._performer = Performer(stage, self._lanes, self._decisions, recorder, self._activities, checks)
+        self._prospecting = asyncio.Lock()
         self._unsettled = Unsettled(workflow.blueprint)
         self._reconciliation = Reconciliation(
             self.procedure, self._memory, self._decisions, self._unsettled, self._activities
@@ -157,11 +163,16 @@ class Dispatcher(Generic[C, D]):
         verdict = self._verdict_of(command)
         return verdict.result() if verdict.done() else await asyncio.shield(verdict)
 
-    def prospect(self, command: Command) -> Prospect:
+    async def prospect(self, command: Command) -> Prospect:
         """What would be said to a command now: nothing is performed, changed or journalled.
 
-        While the arm moves no check is asked, since each takes time from what holds it to its way.
+        While the arm moves no check is asked, since each takes time from what holds it to its way. One command is
+        looked at at a time, so that a motion never waits for more than one of them.
         """
+        async with self._prospecting:
+            return await self._prospect(command)
+
+    async def _prospect(self, command: Command) -> Prospect:
         try:
             attempt, answer = self._attempt(command, asyncio.get_running_loop().create_future())
         except PcmrsError as error:
@@ -170,7 +181,7 @@ class Dispatcher(Generic[C, D]):
         if reason is None and (self._moves() or self._lanes.blocked(attempt)):
             text = f"Something runs, so that {attempt.name} is not looked at: ask again when it has ended."
             reason = Reason(code="busy", text=text)
-        return self._performer.prospect(attempt) if reason is None else Prospect(reason=reason)
+        return await self._performer.prospect(attempt) if reason is None else Prospect(reason=reason)
 
     def on_stop(self, callback: Callable[[], None]) -> None:
         """Has `callback` called synchronously at every stop, whatever way it came."""
@@ -430,6 +441,11 @@ class Dispatcher(Generic[C, D]):
             text = f"{attempt.name} is not allowed while Stop is latched: acknowledge with {release} first."
             return Reason(code="latched", text=text)
         return self._broken or self.lease.objection(attempt.command)
+
+    def _objection(self, attempt: Attempt) -> Reason | None:
+        """Why an attempt that was allowed to begin is not any more, if it is not."""
+        answer = self.procedure.ask(attempt.command.branch, attempt.command.operation)
+        return self._barred(attempt) or self._refused(attempt, answer)
 
     def _start_waiting(self) -> None:
         """Asks again for everything that waited: it starts, waits on, or is rejected."""

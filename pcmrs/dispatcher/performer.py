@@ -7,9 +7,10 @@ from typing import Generic
 
 from pcmrs.dispatcher.activities import Activities
 from pcmrs.dispatcher.attempt import Attempt, Locks
+from pcmrs.dispatcher.checks import Checks
 from pcmrs.dispatcher.decisions import Conclusion, Decisions
 from pcmrs.dispatcher.lanes import Lanes
-from pcmrs.dispatcher.perform import Ending, consequence, reason_of, refusal, take_steps, take_steps_at_once
+from pcmrs.dispatcher.perform import Ending, consequence, reason_of, take_steps, take_steps_at_once
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.dispatcher.stage import Stage, performing
@@ -28,6 +29,7 @@ class Performer(Generic[C, D]):
         decisions: Where they are concluded.
         recorder: Where intents are journalled.
         activities: What gives way to a motion.
+        checks: Ask whether an operation may begin.
     """
 
     def __init__(
@@ -37,26 +39,27 @@ class Performer(Generic[C, D]):
         decisions: Decisions[C, D],
         recorder: Recorder,
         activities: Activities[C, D],
+        checks: Checks[C, D],
     ) -> None:
         self._stage = stage
         self._lanes = lanes
         self._decisions = decisions
         self._recorder = recorder
         self._activities = activities
+        self._checks = checks
         self._registry = stage.workflow.registry
 
     def start(self, attempt: Attempt) -> None:
-        """Performs an operation: at once, or as a task of its own where it touches the world."""
+        """Performs an operation: at once, or as a task of its own where it touches the world or is planned."""
         self._lanes.running.append(attempt)
-        if self._touches_world(attempt):
+        if self._touches_world(attempt) or self._checks.take_time(attempt.spec):
             attempt.task = self._stage.tasks.spawn(self._perform(attempt))
         else:
             self._perform_at_once(attempt)
 
-    def prospect(self, attempt: Attempt) -> Prospect:
+    async def prospect(self, attempt: Attempt) -> Prospect:
         """Asks an operation's checks, and nothing more: they are pure, and what they have prepared is thrown away."""
-        run = self._run_of(attempt)
-        refused = refusal(self._registry, attempt.spec, run)
+        run, refused = await self._checks.ask(attempt, lambda: self._run_of(attempt))
         return Prospect(reason=refused, undecided=run.undecided, result=run.result)
 
     def _touches_world(self, attempt: Attempt) -> bool:
@@ -69,18 +72,17 @@ class Performer(Generic[C, D]):
         token = performing.set(id(self._stage.procedure))
         run = self._run_of(attempt)
         try:
-            refused = refusal(self._registry, attempt.spec, run)
+            refused = self._checks.ask_at_once(attempt.spec, run)
             ending = None if refused else take_steps_at_once(self._registry, attempt.spec, run)
         finally:
             performing.reset(token)
         self._conclude(attempt, run, refused, ending)
 
     async def _perform(self, attempt: Attempt) -> None:
-        """Performs an operation that touches the world, as a task of its own."""
+        """Performs an operation that touches the world or is planned, as a task of its own."""
         performing.set(id(self._stage.procedure))
-        run = self._run_of(attempt)
         try:
-            refused = refusal(self._registry, attempt.spec, run)
+            run, refused = await self._checks.ask(attempt, lambda: self._run_of(attempt))
             ending = None if refused else await self._steps(attempt, run)
         except Exception as error:
             attempt.end_steps()
@@ -109,8 +111,11 @@ class Performer(Generic[C, D]):
         return [other for other in others if beyond.conflicts(other.locks)]
 
     async def _steps(self, attempt: Attempt, run: Run[C, D]) -> Ending:
-        """Takes the steps after the intent is durable; holds what has failed to move."""
+        """Takes the steps, those in the world after the intent is durable; holds what has failed to move."""
         attempt.begun = True
+        if not self._touches_world(attempt):
+            attempt.end_steps()
+            return take_steps_at_once(self._registry, attempt.spec, run)
         try:
             self._stage.show()
             failpoint("dispatcher.before_intent")
@@ -167,7 +172,7 @@ class Performer(Generic[C, D]):
         stage = self._stage
         states, data = stage.procedure.joint(), stage.procedure.data
         motion, latched = attempt.spec.motion, stage.procedure.latched
-        return Run(
+        run = Run(
             attempt.command,
             attempt.payload,
             states,
@@ -178,6 +183,8 @@ class Performer(Generic[C, D]):
             motion=motion,
             latched=latched,
         )
+        run.use_planner(lambda: self._checks.ask_again(attempt.spec, run))
+        return run
 
     def _conclude(self, attempt: Attempt, run: Run[C, D], refused: Reason | None, ending: Ending | None) -> None:
         """Works out what the refusal or the ending means for the states."""

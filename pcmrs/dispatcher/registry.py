@@ -34,6 +34,7 @@ class Registry(Generic[C, D]):
     checks: dict[str, Check[C, D]] = field(default_factory=dict)
     steps: dict[str, Step[C, D]] = field(default_factory=dict)
     worldly: set[str] = field(default_factory=set)
+    lasting: set[str] = field(default_factory=set)
     activities: dict[str, Pursuit[C, D]] = field(default_factory=dict)
     moving: set[str] = field(default_factory=set)
     affecting: set[str] = field(default_factory=set)
@@ -46,6 +47,15 @@ class Registry(Generic[C, D]):
         """Registers a pure check: it raises `RefusalError` or returns."""
         self.checks[function.__name__] = function
         return function
+
+    def long_check(self, function: F) -> F:
+        """Registers a check that takes long, as planning a motion does: a planner asks it, where there is one.
+
+        It reads command, states, data and cell of its run, and leaves what it found in `prepared`, `result` and
+        `undecided`; all of that is sent between processes.
+        """
+        self.lasting.add(function.__name__)
+        return self.check(function)
 
     def step(self, function: F) -> F:
         """Registers a step that changes the procedure's data only, and so has nothing to wait for.

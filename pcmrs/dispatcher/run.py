@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 import msgspec
 
 from pcmrs.clock import Clock
+from pcmrs.errors import RefusalError
 from pcmrs.fsm.blueprint import Motion
-from pcmrs.messages import Command
+from pcmrs.messages import Command, Reason
 
 
 class ProcedureData(msgspec.Struct, frozen=True, kw_only=True):
@@ -62,11 +63,26 @@ class Run(Generic[C, D]):
     undecided: list[str] = field(default_factory=list)
     changes: dict[str, Any] = field(default_factory=dict)
     posts: list[tuple[str, str, dict[str, Any]]] = field(default_factory=list)
+    _plan_anew: Callable[[], Awaitable[Reason | None]] | None = None
 
     @property
     def data(self) -> D:
         """The procedure's data with the changes of this run."""
         return msgspec.structs.replace(self._data, **self.changes) if self.changes else self._data
+
+    def use_planner(self, plan_anew: Callable[[], Awaitable[Reason | None]]) -> None:
+        """Takes what asks the operation's checks once more."""
+        self._plan_anew = plan_anew
+
+    async def plan_anew(self) -> None:
+        """Asks the operation's checks once more, by what is known now: a step calls it when the arm stands.
+
+        Raises:
+            RefusalError: One of them refuses.
+        """
+        refused = None if self._plan_anew is None else await self._plan_anew()
+        if refused is not None:
+            raise RefusalError(refused.code, refused.text, **refused.fields)
 
     def keep(self, **changes: Any) -> None:
         """Changes fields of the procedure's data; they are committed with the states, or not at all."""

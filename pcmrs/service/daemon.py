@@ -32,6 +32,7 @@ from pcmrs.service.inspection import Inspection
 from pcmrs.service.metrics import MetricsServer
 from pcmrs.service.nodes import NodeProcesses
 from pcmrs.service.notify import ServiceManager, keep_informed
+from pcmrs.service.planner import PlanningProcess
 from pcmrs.service.procedure import Clocks, RunningProcedure
 from pcmrs.service.publishing import answer_queries, tell_health
 from pcmrs.service.recorder import JournalRecorder
@@ -118,14 +119,18 @@ class Daemon:
             supervisor = Supervisor(machine)
             clocks = Clocks(clock, machine)
             heart = HeartProcess(settings.bus("client"), machine)
-            procedure = RunningProcedure(bus, settings, recovered.workflow, recorder, clocks, supervisor, heart)
+            planner = PlanningProcess(settings, machine)
+            procedure = RunningProcedure(
+                bus, settings, recovered.workflow, recorder, clocks, supervisor, heart, planner
+            )
             dispatcher = procedure.dispatcher
-            heart.report = dispatcher.report_later
+            heart.report = planner.report = dispatcher.report_later
             recovered.give_to(dispatcher, journal)
             recorder.attach(dispatcher.procedure)
             children = _child_processes(settings, session, procedure, machine)
             nodes, recording, console = await stack.enter_async_context(children)
             stack.push_async_callback(heart.stop)
+            stack.push_async_callback(planner.stop)
             asyncio.get_running_loop().set_exception_handler(supervisor.take_stray)
             await stack.enter_async_context(supervisor)
             supervisor.start("journal", lambda: keep_journal(journal, recorder, dispatcher, machine))
@@ -140,8 +145,10 @@ class Daemon:
             supervisor.start("disk watch", space.run)
             procedure.start()
             heart.start(supervisor)
+            planner.start(supervisor)
             nodes.start(supervisor)
             await procedure.hearing.wait()
+            await planner.wait()
             stalls = StallWatch(dispatcher.report_later, procedure.moving, machine)
             stack.push_async_callback(stalls.close)
             stalls.start()

@@ -16,6 +16,7 @@ from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.remote import ActingDevice, RemoteEmg, RemotePointer, RemoteRobot, RemoteStimulator
 from pcmrs.devices.standstill import Standstill
 from pcmrs.dispatcher import Dispatcher, Recorder, Workflow
+from pcmrs.dispatcher.planner import Planner
 from pcmrs.errors import DeviceError
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
@@ -67,6 +68,7 @@ class RunningProcedure:
         clocks: Of the cell and of the machine.
         supervisor: Its tasks run there, and it reports to the dispatcher from now on.
         heart: Sends the signs of life of the loop; by default the loop itself does.
+        planner: Plans motions; by default the loop itself does.
 
     Attributes:
         session: Of this start of the daemon, as its heartbeats and requests have it.
@@ -89,6 +91,7 @@ class RunningProcedure:
         clocks: Clocks,
         supervisor: Supervisor,
         heart: Heart | None = None,
+        planner: Planner[Cell, PlacementData] | None = None,
     ) -> None:
         self._heart = heart or LoopHeart(link.publish, clocks.machine)
         self.session = self._heart.session
@@ -105,6 +108,7 @@ class RunningProcedure:
             self._publish,
             release=self.cell.release,
             lease_required=settings.access.is_open,
+            planner=planner,
         )
         self.tally = Tally(self.dispatcher.submit, clocks.machine)
         self.core = GatewayCore(self.dispatcher, self.cell, self.tally.submit)

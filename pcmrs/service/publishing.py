@@ -112,7 +112,7 @@ def answer_queries(
             role=bus.settings.role_of(user),
             arguments=question.arguments,
         )
-        return dispatcher.prospect(command)
+        return await dispatcher.prospect(command)
 
     async def page(_key: str, query: JournalQuery) -> JournalPage:
         return await asyncio.to_thread(journal_page, journal.path, query)

@@ -115,5 +115,5 @@ def _not_pressed(request: PressRequest, ended: MotionResult, travel: float) -> R
 def register_contact_operations(registry: Registry[Cell, PlacementData]) -> None:
     """Registers the names that blueprints use for pressing."""
     registry.payload("press", Press)
-    registry.check(press_possible)
+    registry.long_check(press_possible)
     registry.world_step(press_gently, moves=True)

@@ -146,7 +146,7 @@ def register(registry: Registry[Cell, PlacementData]) -> None:
     """Registers the names that the blueprint uses."""
     registry.payload("trajectory", Trajectory)
     registry.payload("confirmation", Confirmation)
-    registry.check(trajectory_reachable)
+    registry.long_check(trajectory_reachable)
     for step in (keep_hole, record_confirmation):
         registry.step(step)
     for world_step in (check_guide_on_plan, check_guide_pose):

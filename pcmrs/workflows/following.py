@@ -58,5 +58,5 @@ async def follow_head(act: Activity) -> None:
 
 def register_following(registry: Registry[Cell, PlacementData]) -> None:
     """Registers the names that blueprints use for this check and activity."""
-    registry.check(follow_possible)
+    registry.long_check(follow_possible)
     registry.activity(follow_head, moves=True)

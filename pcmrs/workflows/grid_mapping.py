@@ -137,7 +137,8 @@ def _next_pose(run: Run) -> ToolPose:
 def register(registry: Registry[Cell, PlacementData]) -> None:
     """Registers the names that the blueprint uses beside those of all procedures."""
     registry.payload("grid", Grid)
-    for check in (grid_fits, point_reachable, plan_is_of_point):
+    registry.long_check(point_reachable)
+    for check in (grid_fits, plan_is_of_point):
         registry.check(check)
     registry.world_step(measure_at_point)
     for step in (keep_grid, point_within_tolerance, count_as_performed, count_as_skipped):

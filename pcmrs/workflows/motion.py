@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TypeVar
 
@@ -21,11 +20,8 @@ from pcmrs.workflows.paths import along_axis
 from pcmrs.workflows.placement import (
     NOTHING,
     at_present_plan,
-    home_grows_distance,
-    initial_grows_distance,
     nudges_with,
     planned,
-    retreat_possible,
     target,
 )
 
@@ -46,24 +42,24 @@ async def follow_prepared(run: Run) -> None:
 
 async def back_off_anew(run: Run) -> None:
     """Plans the way back again where the arm followed body or teleoperator until now."""
-    await _plan_anew(run, retreat_possible)
+    await _plan_anew(run)
 
 
 async def home_anew(run: Run) -> None:
     """Plans the way home again where the arm followed body or teleoperator until now."""
-    await _plan_anew(run, home_grows_distance)
+    await _plan_anew(run)
 
 
 async def initial_anew(run: Run) -> None:
     """Plans the way to the initial posture again where the arm followed body or teleoperator until now."""
-    await _plan_anew(run, initial_grows_distance)
+    await _plan_anew(run)
 
 
-async def _plan_anew(run: Run, plan: Callable[[Run], None]) -> None:
+async def _plan_anew(run: Run) -> None:
     """The check has seen an arm that moved on after it: now it stands."""
     if run.states["placement"] in ("following", "guided"):
         await _seen_at_rest(run)
-        plan(run)
+        await run.plan_anew()
 
 
 def remember_approach(run: Run) -> None:

@@ -36,7 +36,7 @@ Run = AnyRun[Cell, PlacementData]
 NOTHING: Point = (0.0, 0.0, 0.0)
 
 WAYS = 3
-"""So many postures at the standoff are tried: each takes some 50 ms to plan, in which nothing else happens."""
+"""So many postures at the standoff are tried: each takes some 50 ms to plan."""
 
 SHORT_OF_LIMIT = 0.005
 """So far before the place where the arm cannot follow a line any more, it stops following it, m."""
@@ -257,6 +257,6 @@ def register_placement_checks(registry: Registry[Cell, PlacementData]) -> None:
     registry.payload("nudge", Nudge)
     registry.payload("retreat", Retreat)
     for check in (approach_possible, confirm_possible, nudge_possible, retreat_possible):
-        registry.check(check)
+        registry.long_check(check)
     for check in (home_grows_distance, initial_grows_distance):
-        registry.check(check)
+        registry.long_check(check)

@@ -140,8 +140,8 @@ def register_refinement_operations(registry: Registry[Cell, PlacementData]) -> N
     """Registers the names that blueprints use for these checks and steps."""
     registry.payload("surface_points", SurfacePoints)
     registry.payload("surface_name", SurfaceName)
-    for check in (surface_point_there, surface_refines):
-        registry.check(check)
+    registry.check(surface_point_there)
+    registry.long_check(surface_refines)
     registry.world_step(digitize_surface_points)
     for step in (drop_last_surface_point, drop_surface_points, keep_refined_registration):
         registry.step(step)

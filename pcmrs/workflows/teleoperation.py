@@ -82,8 +82,8 @@ async def _while_engaged(act: Activity, guiding: Guiding, user: str) -> None:
 
 def register_teleoperation(registry: Registry[Cell, PlacementData]) -> None:
     """Registers the names that blueprints use for these checks, steps and activity."""
-    for check in (guide_possible, engage_possible):
-        registry.check(check)
+    registry.long_check(guide_possible)
+    registry.check(engage_possible)
     registry.world_step(see_tool_and_body)
     registry.step(keep_teleoperator)
     registry.activity(teleoperate, moves=True)

@@ -151,6 +151,6 @@ def _missing(run: AnyRun[Cell, P]) -> str:
 def register_plan_operations(registry: Registry[Cell, PlacementData]) -> None:
     """Registers the names that blueprints use for these checks and steps."""
     registry.payload("tool_pose", ToolPose)
-    registry.check(plan_reachable)
-    registry.check(previous_plan_fits)
+    registry.long_check(plan_reachable)
+    registry.long_check(previous_plan_fits)
     registry.step(keep_plan)

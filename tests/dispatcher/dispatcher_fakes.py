@@ -14,6 +14,7 @@ from clock import ManualClock, settle
 from ratms_oracle import BLUEPRINT, INITIAL, Joint, all_operations, expected
 
 from pcmrs.dispatcher import Activity, Dispatcher, ProcedureData, Registry, Run, Workflow
+from pcmrs.dispatcher.planner import Planner
 from pcmrs.errors import JournalError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import Blueprint, Effect, load_blueprint
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
@@ -219,9 +220,21 @@ class Bench:
         published: Snapshots, verdicts and events in order of publication.
         holds: How often the robot was held; `hold_error` is raised by each of them.
         hold: How the robot is held.
+
+    Args:
+        blueprint: Of the workflow.
+        worldly_branches: Whose operations touch the world.
+        planner: Is asked the checks in `lasting`.
+        lasting: Names of checks that take long.
     """
 
-    def __init__(self, blueprint: Blueprint = RATMS, worldly_branches: Collection[str] = WORLDLY_BRANCHES) -> None:
+    def __init__(
+        self,
+        blueprint: Blueprint = RATMS,
+        worldly_branches: Collection[str] = WORLDLY_BRANCHES,
+        planner: Planner[Any, Notes] | None = None,
+        lasting: Collection[str] = (),
+    ) -> None:
         self.script = Script()
         self.clock = ManualClock()
         self.recorder = MemoryRecorder()
@@ -231,6 +244,7 @@ class Bench:
         self.hold: Callable[[], Awaitable[object]] = self._hold
         self._ids = itertools.count(1)
         workflow = make_workflow(self.script, blueprint, worldly_branches)
+        workflow.registry.lasting.update(lasting)
         self.latching: list[bool] = []
         self.releasing: asyncio.Event | None = None
         self.release_error: Exception | None = None
@@ -243,6 +257,7 @@ class Bench:
             self._hold_devices,
             self.published.append,
             release=self._release_devices,
+            planner=planner,
         )
 
     def _hold_devices(self, latch: bool) -> Awaitable[object]:

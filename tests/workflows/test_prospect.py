@@ -15,13 +15,13 @@ FAR = POSES[0] | {"position": [0.9, 0.9, 0.9]}
 TURNED = POSES[0] | {"quat_xyzw": [0.0, 1.0, 0.0, 0.0]}
 
 
-def ask(bench: WorkflowBench, name: str, role: Role = "operator", **arguments: Any) -> Prospect:
+async def ask(bench: WorkflowBench, name: str, role: Role = "operator", **arguments: Any) -> Prospect:
     branch, operation = name.split(".")
     command = Command(
         id="asked", branch=branch, operation=operation, source="test:user", role=role, arguments=arguments
     )
     before = bench.states, bench.data, len(bench.recorder.rows), len(bench.published)
-    found = bench.dispatcher.prospect(command)
+    found = await bench.dispatcher.prospect(command)
     assert (bench.states, bench.data, len(bench.recorder.rows), len(bench.published)) == before
     return found
 
@@ -30,7 +30,7 @@ def ask(bench: WorkflowBench, name: str, role: Role = "operator", **arguments: A
 async def test_it_is_what_is_said_when_the_command_is_given(pose: dict[str, Any]) -> None:
     async with open_bench() as bench:
         await bench.register()
-        asked = ask(bench, "toolplan.plan", **pose)
+        asked = await ask(bench, "toolplan.plan", **pose)
         said = await bench.do("toolplan.plan", **pose)
         assert asked.undecided == []
         assert (asked.reason is None) == (said.decision == "accepted")
@@ -44,12 +44,12 @@ async def test_it_is_what_is_said_when_the_command_is_given(pose: dict[str, Any]
 
 async def test_what_cannot_be_decided_yet_is_said() -> None:
     async with open_bench() as bench:
-        assert ask(bench, "toolplan.plan", **FAR).undecided == [
+        assert (await ask(bench, "toolplan.plan", **FAR)).undecided == [
             "Whether the arm reaches it is not known before a registration."
         ]
         await bench.register()
         await bench.accept("robot.disconnect")
-        (open_,) = ask(bench, "toolplan.plan", **FAR).undecided
+        (open_,) = (await ask(bench, "toolplan.plan", **FAR)).undecided
         assert "connected" in open_
 
 
@@ -68,7 +68,7 @@ async def test_what_is_refused_before_any_check_is_refused(
     name: str, role: Role, arguments: dict[str, Any], code: str | None
 ) -> None:
     async with open_bench() as bench:
-        found = ask(bench, name, role, **arguments)
+        found = await ask(bench, name, role, **arguments)
         assert found.reason is not None
         assert code in (None, found.reason.code)
 
@@ -77,7 +77,7 @@ async def test_nothing_is_looked_at_while_the_arm_moves() -> None:
     async with open_bench() as bench:
         await bench.register()
         async with bench.moving("placement.approach"):
-            found = ask(bench, "toolplan.plan", **POSES[1])
+            found = await ask(bench, "toolplan.plan", **POSES[1])
             assert found.reason is not None
             assert found.reason.code == "busy"
         assert bench.states["placement"] == "standoff"
@@ -85,6 +85,6 @@ async def test_nothing_is_looked_at_while_the_arm_moves() -> None:
 
 async def test_landmarks_are_judged_as_well() -> None:
     async with open_bench() as bench:
-        assert ask(bench, "registration.plan_landmarks", landmarks=LANDMARKS).reason is None
+        assert (await ask(bench, "registration.plan_landmarks", landmarks=LANDMARKS)).reason is None
         on_a_line = [{"name": f"l{k}", "position": [0.01 * k, 0.0, 0.0]} for k in range(5)]
-        assert ask(bench, "registration.plan_landmarks", landmarks=on_a_line).reason is not None
+        assert (await ask(bench, "registration.plan_landmarks", landmarks=on_a_line)).reason is not None

@@ -135,7 +135,8 @@ def search_of(run: Run) -> HotspotSearch:
 def register_hotspot(registry: Registry[Cell, PlacementData]) -> None:
     """Registers the names that blueprints use for these checks and steps."""
     registry.payload("hotspot_search", AskedSearch)
-    for check in (search_possible, search_pose_reachable, plan_is_of_search, intensity_is_of_search, place_known):
+    registry.long_check(search_pose_reachable)
+    for check in (search_possible, plan_is_of_search, intensity_is_of_search, place_known):
         registry.check(check)
     for step in (begin_search, learn_place, keep_hotspot):
         registry.step(step)

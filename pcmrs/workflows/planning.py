@@ -1,0 +1,170 @@
+"""Checks that take long, as data that another process can ask them by."""
+
+from __future__ import annotations
+
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass, fields
+from typing import Any, cast
+
+import msgspec
+import numpy as np
+
+from pcmrs.devices.poses import PoseFeed, Seen
+from pcmrs.devices.protocols import LatchingRobot, Pointer
+from pcmrs.dispatcher import Run as AnyRun
+from pcmrs.dispatcher import Workflow
+from pcmrs.dispatcher.perform import refusal
+from pcmrs.errors import PcmrsError, RefusalError
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.messages import Command, Reason
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.settings import ProcedureSettings
+
+Run = AnyRun[Cell, PlacementData]
+
+FRAMES = 64
+"""So many frames of each body are sent: one second at 60 Hz."""
+
+STILL = 0.01
+"""An arm at rest that has moved by more than this in a joint while a motion was planned has left its start, rad."""
+
+_OWN = {"robot", "pointer", "poses", "arm", "clock", "settings", "watchers", "name", "stimulator", "emg", "teleop"}
+"""What a cell in another process has of its own, or not at all; all else of it is sent."""
+_SENT = tuple(field.name for field in fields(Cell) if field.init and field.name not in _OWN)
+
+
+class PlanningSettings(msgspec.Struct, frozen=True):
+    """What a process needs to plan for a cell.
+
+    Attributes:
+        workflow: Its name, or the path of its blueprint.
+        procedure: The settings of the procedure.
+        arm: Name of the arm, or the path of its URDF.
+    """
+
+    workflow: str
+    procedure: ProcedureSettings
+    arm: str
+
+
+@dataclass(frozen=True, slots=True)
+class PlanRequest:
+    """Everything that the checks of one operation may read; times are those of the cell when it was asked."""
+
+    command: Command
+    payload: Any
+    states: dict[str, str]
+    data: PlacementData
+    cell: dict[str, Any]
+    seen: Seen
+    latched: bool
+    monotonic: float
+    wall: float
+
+
+@dataclass(frozen=True, slots=True)
+class PlanAnswer:
+    """What the checks have found: the first refusal, or what they leave in the run."""
+
+    refused: Reason | None
+    prepared: Any
+    result: dict[str, Any]
+    undecided: list[str]
+
+
+def request_of(run: Run) -> PlanRequest:
+    """Return the request for the checks of a run, by what is known now."""
+    cell = run.cell
+    return PlanRequest(
+        command=run.command,
+        payload=run.payload,
+        states=dict(run.states),
+        data=run.data,
+        cell={name: getattr(cell, name) for name in _SENT},
+        seen=cell.poses.seen_lately(FRAMES),
+        latched=run.latched,
+        monotonic=cell.clock.monotonic(),
+        wall=cell.clock.wall(),
+    )
+
+
+def check_stood_still(run: Run, request: PlanRequest) -> None:
+    """Refuses a motion that was planned for an arm at rest that has moved since. Raises `RefusalError`."""
+    before = request.cell["joints"]
+    if run.motion == "none" or before is None or before.moving:  # a step plans anew for an arm that was moving
+        return
+    moved = float(np.abs(run.cell.posture() - np.array(before.positions)).max())
+    if moved > STILL:
+        text = (
+            f"The arm has moved by {np.degrees(moved):.2f}° while its motion was planned, the limit is "
+            f"{np.degrees(STILL):.2f}°: ask again when it stands."
+        )
+        raise RefusalError("moved_while_planning", text, moved=moved, limit=STILL)
+
+
+class PlanningCell:
+    """Asks checks of one workflow in a process that has no devices.
+
+    Args:
+        workflow: With the checks.
+        settings: Of the procedure.
+        arm: Of the cell.
+    """
+
+    def __init__(self, workflow: Workflow[Cell, PlacementData], settings: ProcedureSettings, arm: ArmModel) -> None:
+        self._workflow = workflow
+        self._clock = _Moment()
+        self._cell = Cell(
+            robot=cast(LatchingRobot, None),
+            pointer=cast(Pointer, None),
+            poses=PoseFeed(self._clock, settings.max_pose_age),
+            arm=arm,
+            clock=self._clock,
+            settings=settings,
+        )
+
+    def answer(self, request: PlanRequest) -> PlanAnswer:
+        """Asks all checks of an operation as if it were the moment of the request."""
+        command, cell = request.command, self._cell
+        self._clock.now, self._clock.today = request.monotonic, request.wall
+        for name, value in request.cell.items():
+            setattr(cell, name, value)
+        cell.poses.show(request.seen)
+        spec = self._workflow.blueprint.branches[command.branch].operations[command.operation]
+        run = AnyRun(
+            command,
+            request.payload,
+            request.states,
+            cell,
+            self._clock,
+            request.data,
+            _nobody,
+            spec.motion,
+            request.latched,
+        )
+        refused = refusal(self._workflow.registry, spec, run)
+        return PlanAnswer(refused, run.prepared, run.result, run.undecided)
+
+
+class _Moment:
+    """A clock that stands at the moment of a request: checks wait for nothing."""
+
+    def __init__(self) -> None:
+        self.now = self.today = 0.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def wall(self) -> float:
+        return self.today
+
+    async def sleep(self, seconds: float) -> None:
+        raise PcmrsError(f"A check waits for {seconds:g} s: let a step do so.")
+
+    def timeout(self, seconds: float) -> AbstractAsyncContextManager[Any]:
+        raise PcmrsError(f"A check waits for up to {seconds:g} s: let a step do so.")
+
+
+def _nobody(_fraction: float) -> None:
+    pass
