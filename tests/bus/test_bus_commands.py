@@ -31,10 +31,17 @@ class Daemon:
         self.bus = bus
         self.submitted: asyncio.Queue[Command] = asyncio.Queue()
         self.stopped: asyncio.Queue[str] = asyncio.Queue()
+        self.stops = 0
         self.refused: list[tuple[str, str]] = []
 
     def refuse(self, source: str, code: str, text: str) -> None:
         self.refused.append((source, code))
+
+    def stop(self, source: str) -> int:
+        """Numbers each Stop, from 1."""
+        self.stopped.put_nowait(source)
+        self.stops += 1
+        return self.stops
 
     async def submit(self, command: Command) -> Verdict:
         self.submitted.put_nowait(command)
@@ -45,7 +52,7 @@ class Daemon:
 async def running_daemon(*members: Identity) -> AsyncIterator[tuple[Daemon, zenoh.Session]]:
     async with open_bus(replace(new_cell(), members=members)) as bus:
         daemon = Daemon(bus)
-        edge = await CommandEdge.open(bus, daemon.submit, daemon.refuse, daemon.stopped.put_nowait)
+        edge = await CommandEdge.open(bus, daemon.submit, daemon.refuse, daemon.stop)
         try:
             with plain_session(bus.settings) as session:
                 yield daemon, session
@@ -220,7 +227,7 @@ def await_busy(asked: list[Any], excess: int) -> list[Any]:
 async def test_a_closed_edge_takes_no_more_commands() -> None:
     async with open_bus(new_cell()) as bus:
         daemon = Daemon(bus)
-        edge = await CommandEdge.open(bus, daemon.submit, daemon.refuse, daemon.stopped.put_nowait)
+        edge = await CommandEdge.open(bus, daemon.submit, daemon.refuse, daemon.stop)
         with plain_session(bus.settings) as session:
             await get(daemon, session, PLAN)
             daemon.submitted.get_nowait()
@@ -234,7 +241,11 @@ async def test_stop_by_put_and_by_query() -> None:
     async with running_daemon() as (daemon, session):
         session.put(f"{daemon.bus.prefix}/stop/anna", b"whatever")
         assert await asyncio.wait_for(daemon.stopped.get(), TIMEOUT) == "bus:anna"
-        assert json.loads(await get(daemon, session, "stop/bert")) == {"source": "bus:bert"}
+        assert json.loads(await get(daemon, session, "stop/bert")) == {
+            "source": "bus:bert",
+            "number": 2,
+            "stage": "begun",
+        }
         assert daemon.stopped.get_nowait() == "bus:bert"
         reply = await get(daemon, session, "stop/carl", pack(Envelope()))
         assert unpack(reply, Stopping).source == "bus:carl"

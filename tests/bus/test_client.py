@@ -30,6 +30,11 @@ class Daemon:
         self.bus.publish("state/event", verdict)
         return verdict
 
+    def stop(self, source: str) -> int:
+        """Numbers each Stop, from 1."""
+        self.stops.append(source)
+        return len(self.stops)
+
     async def snapshot(self, _: str, __: Empty) -> Snapshot:
         return snapshot(len(self.commands))
 
@@ -38,7 +43,7 @@ class Daemon:
 async def connected() -> AsyncIterator[tuple[Daemon, Client]]:
     async with open_bus(new_cell()) as bus:
         daemon = Daemon(bus)
-        edge = await CommandEdge.open(bus, daemon.submit, lambda *_: None, daemon.stops.append)
+        edge = await CommandEdge.open(bus, daemon.submit, lambda *_: None, daemon.stop)
         try:
             settings = bus.settings
             async with Client.connect(settings.endpoint, settings.site, settings.cell, user="anna") as client:
