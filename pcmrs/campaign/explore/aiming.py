@@ -16,6 +16,8 @@ STRAIGHT = 10
 """Steps that lead from nothing to the tool at its place."""
 SHORT = 0.6
 """Longest pause between acts that are aimed, s."""
+DIRECTED = 0.3
+"""Part of the meetings that follow a known course to their windows."""
 LONGEST = 0.5
 """A window is held open so long at most, s."""
 
@@ -94,8 +96,8 @@ def draw_aimed(draw: random.Random) -> list[Act]:
 def _meeting(draw: random.Random) -> list[Act]:
     """Something begins, others act inside its windows, and somebody goes on."""
     acts = [draw.choice((_move, _move, _move, _old, _event))(draw)]
-    if draw.random() < 0.25:
-        acts = _retreat_after_stop(draw)
+    if draw.random() < DIRECTED:
+        acts = draw.choice((_retreat_after_stop, _answered_late, _followed, _silenced))(draw)
     for _ in range(draw.randint(1, 3)):
         act = draw.choice((_stop, _change, _change, _event, _host, _move, _old, _go_on, _reuse))(draw)
         acts.append(_inside(draw, act) if draw.random() < 0.6 else act)
@@ -110,8 +112,28 @@ def _retreat_after_stop(draw: random.Random) -> list[Act]:
     return [_move(draw), _stop(draw), acknowledged, retreat, *(_inside(draw, _change(draw)) for _ in range(2))]
 
 
-def _inside(draw: random.Random, act: Act) -> Act:
-    window, held = draw.choice(WINDOWS), round(draw.uniform(0.0, LONGEST), 3)
+def _answered_late(draw: random.Random) -> list[Act]:
+    """The daemon has no time between the acknowledgement of an old client's command and its result."""
+    asked = Act(_pause(draw), "old:start_registrati", "ben", {"tokens": []}, waits=False)
+    return [asked, _inside(draw, _fault(draw, ("held_up",)), "write:*:registration.*")]
+
+
+def _followed(draw: random.Random) -> list[Act]:
+    """The tool follows the body, and something goes wrong in a process."""
+    steps = [
+        Act(_pause(draw), what, "anna") for what in ("placement.approach", "placement.confirm", "placement.follow")
+    ]
+    going_wrong = _host(draw)
+    return [*steps, Act(2.0 + _pause(draw), going_wrong.what, "", going_wrong.arguments, waits=False)]
+
+
+def _silenced(draw: random.Random) -> list[Act]:
+    """Something moves while the daemon falls silent behind a network that delays."""
+    return [_move(draw), _fault(draw, ("delay",)), _fault(draw, ("crash_daemon", "held_up", "partition"))]
+
+
+def _inside(draw: random.Random, act: Act, window: str = "") -> Act:
+    window, held = window or draw.choice(WINDOWS), round(draw.uniform(0.0, LONGEST), 3)
     after = round(draw.uniform(0.0, held), 3)
     return Act(after, act.what, act.who, act.arguments, act.waits, window, held)
 
