@@ -7,13 +7,17 @@ from pathlib import Path
 import pytest
 
 from pcmrs.campaign.catalogue import catalogue
+from pcmrs.campaign.explore.invariants import INVARIANTS
 
 ROOT = Path(__file__).parents[2]
 THREATS = ROOT / "docs" / "threat-model.md"
 SAFETY = ROOT / "docs" / "safety.md"
 SEMANTICS = ROOT / "docs" / "semantics.md"
+SUPERVISION = ROOT / "docs" / "supervision.md"
 THREAT_TABLES = ("Threats from a network", "Threats on the machine")
 NAMED = re.compile(r"`([\w/]+\.py)::(test_\w+)`")
+NONE = re.compile(r"none: .+")
+CODE = re.compile(r"`(\w+)`")
 ROW = re.compile(r"\b[OSBNPTCA]\d{1,2}\b")
 
 
@@ -28,13 +32,51 @@ def all_threats() -> list[list[str]]:
     return [row for heading in THREAT_TABLES for row in rows_of(THREATS.read_text(), heading)]
 
 
-@pytest.mark.parametrize("document", [THREATS, SAFETY, SEMANTICS], ids=lambda path: path.stem)
+@pytest.mark.parametrize("document", [THREATS, SAFETY, SEMANTICS, SUPERVISION], ids=lambda path: path.stem)
 def test_every_test_that_is_named_exists(document: Path) -> None:
     named = NAMED.findall(document.read_text())
 
     assert named
     for file, test in named:
         assert re.search(rf"^(async )?def {test}\(", (ROOT / "tests" / file).read_text(), re.MULTILINE), (file, test)
+
+
+def invariants() -> set[str]:
+    """Names of what the explorer asks in its sessions."""
+    sources = (ROOT / "pcmrs" / "campaign" / "explore").glob("*.py")
+    watched = {name for path in sources for name in re.findall(r'_break\(\s*"(\w+)"', path.read_text())}
+    return watched | {each.__name__ for group in INVARIANTS.values() for each in group}
+
+
+def mutants() -> set[str]:
+    """Names of the guards that are taken out of the product, by the tests and by the explorer's."""
+    tables = [tomllib.loads(path.read_text()) for path in (ROOT / "tests" / "mutants").glob("*.toml")]
+    exploring = (ROOT / "tests" / "simulation").glob("*mutants*.py")
+    found = {name for path in exploring for name in re.findall(r"^def (\w+)\(", path.read_text(), re.MULTILINE)}
+    return found | {each["name"] for table in tables for each in table["mutant"]}
+
+
+@pytest.mark.parametrize(
+    ("document", "heading", "promises"),
+    [
+        (SAFETY, "Requirements and their tests", 26),
+        (SEMANTICS, "What holds", 15),
+        (SUPERVISION, "What is promised", 11),
+    ],
+    ids=lambda value: getattr(value, "stem", None),
+)
+def test_every_promise_names_the_test_the_invariant_and_the_mutant_that_prove_it(
+    document: Path, heading: str, promises: int
+) -> None:
+    rows = rows_of(document.read_text(), heading)
+
+    assert len(rows) == promises
+    for row in rows:
+        *_, shown, watched, without = row
+        assert NAMED.search(shown), row
+        for cell, known in ((watched, invariants()), (without, mutants())):
+            assert NONE.fullmatch(cell) or CODE.search(cell), row
+            assert set(CODE.findall(cell)) <= known, row
 
 
 def test_every_threat_has_a_control_and_what_shows_it() -> None:
