@@ -14,7 +14,7 @@ from pcmrs.campaign.driving import PATIENCE, accept, said, until
 from pcmrs.campaign.fault import Unmet
 from pcmrs.gateway.refusals import REFUSED
 from pcmrs.journal import JournalRow
-from pcmrs.messages import Snapshot, Verdict
+from pcmrs.messages import JointState, Snapshot, Verdict
 
 if TYPE_CHECKING:
     from pcmrs.campaign.lab import LabCell
@@ -25,6 +25,9 @@ STANDS_WITHIN = 2e-4
 LOOK = 0.5
 BRAKING = 1.0
 """Any motion has ended so long after it was stopped, s of the machine."""
+
+NO_MOTION = 2e-3
+"""A joint that has gone less than this was not moved, rad."""
 
 
 def shape(snapshot: Snapshot) -> bytes:
@@ -142,6 +145,31 @@ async def unmoved(cell: LabCell) -> AsyncIterator[None]:
     yield
     await asyncio.sleep(LOOK)
     await _still_at(before, cell)
+
+
+@asynccontextmanager
+async def standing(cell: LabCell) -> AsyncIterator[list[float]]:
+    """Checks by all published joints that none moves during the context, and a second after it.
+
+    Yields:
+        Where the largest displacement is put at the end, rad.
+
+    Raises:
+        Unmet: One has moved, or none was published.
+    """
+    found: list[float] = []
+    seen: list[tuple[float, ...]] = []
+    end = cell.client.listen("state/joints", JointState, lambda joints: seen.append(tuple(joints.positions)))
+    try:
+        yield found
+        await asyncio.sleep(BRAKING)
+    finally:
+        await end()
+    if len(seen) < 2:
+        raise Unmet("The arm's joints were not published.")
+    found.append(max(abs(now - begun) for joints in seen for now, begun in zip(joints, seen[0], strict=True)))
+    if found[0] > NO_MOTION:
+        raise Unmet(f"A joint has moved by {math.degrees(found[0]):.1f}° while nothing may move.")
 
 
 async def tool_position(cell: LabCell) -> tuple[float, float, float]:

@@ -68,9 +68,10 @@ class Raw(asyncio.DatagramProtocol):
 
 
 @asynccontextmanager
-async def raw_socket(address: tuple[str, int]) -> AsyncIterator[Raw]:
-    """A socket towards one of the daemon's UDP links."""
-    _, raw = await asyncio.get_running_loop().create_datagram_endpoint(Raw, remote_addr=address)
+async def raw_socket(address: tuple[str, int], port: int = 0) -> AsyncIterator[Raw]:
+    """A socket towards one of the daemon's UDP links, at a port of its own or a free one."""
+    loop = asyncio.get_running_loop()
+    _, raw = await loop.create_datagram_endpoint(Raw, local_addr=("127.0.0.1", port), remote_addr=address)
     try:
         yield raw
     finally:

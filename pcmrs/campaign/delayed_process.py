@@ -61,7 +61,8 @@ class Transport:
         version = (found.st_ino, found.st_mtime_ns)
         if version != self._version:
             self._version = version
-            self._left = {rule: rule.times for rule in msgspec.json.decode(file.read_bytes(), type=list[Rule])}
+            rules = msgspec.json.decode(file.read_bytes(), type=list[Rule])
+            self._left = {rule: self._left.get(rule, rule.times) for rule in rules}
 
     def _append(self, name: str, what: Rule | Delayed) -> None:
         with (self._folder / name).open("ab", buffering=0) as file:

@@ -7,6 +7,7 @@ every process looks at before each frame, so that they change while the daemon r
 from __future__ import annotations
 
 import os
+import uuid
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -35,6 +36,7 @@ class Rule(msgspec.Struct, frozen=True):
         word: The payload has it, such as the name of a method; empty for every payload.
         seconds: Delay.
         times: So many frames per process.
+        id: Of its own, so that no two rules are one.
     """
 
     place: Place
@@ -42,6 +44,7 @@ class Rule(msgspec.Struct, frozen=True):
     word: str = ""
     seconds: float = 0.0
     times: int = 1
+    id: str = msgspec.field(default_factory=lambda: uuid.uuid4().hex)
 
 
 class Delayed(msgspec.Struct, frozen=True):
@@ -69,10 +72,10 @@ class Delays:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._taken = 0
+        self._rules: list[Rule] = []
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "sitecustomize.py").write_text("import pcmrs.campaign.delayed_process as p\n\np.install()\n")
-        self._write()
+        self._write([])
 
     @property
     def environment(self) -> Mapping[str, str]:
@@ -81,20 +84,23 @@ class Delays:
         return {VARIABLE: str(self._folder), "PYTHONPATH": path}
 
     @asynccontextmanager
-    async def delaying(self, *rules: Rule) -> AsyncIterator[None]:
-        """The rules are in force for the length of the context; earlier records are forgotten.
+    async def delaying(self, *rules: Rule, ended: bool = True) -> AsyncIterator[None]:
+        """The rules are in force for the length of the context, beside those of contexts around it.
+
+        Args:
+            rules: That come into force.
+            ended: Each must have delayed a frame to its end; otherwise the process may have ended before.
 
         Raises:
             Unmet: One of them has delayed nothing by the end of the context and `PATIENCE`.
         """
-        self._taken = len(self._records())
-        self._write(*rules)
+        self._write([*self._rules, *rules])
         try:
             yield
             for rule in rules:
-                await self.took_place(rule)
+                await (self.took_place(rule) if ended else self.begins(rule))
         finally:
-            self._write()
+            self._write([rule for rule in self._rules if rule not in rules])
 
     async def took_place(self, rule: Rule, count: int = 1) -> list[Delayed]:
         """Waits until a rule has delayed so many frames to their end, and returns them.
@@ -104,7 +110,7 @@ class Delays:
         """
         clock = SystemClock()
         begun = clock.monotonic()
-        while len(found := [each for each in self._records()[self._taken :] if each.rule == rule]) < count:
+        while len(found := [each for each in self._records() if each.rule == rule]) < count:
             if clock.monotonic() - begun > PATIENCE:
                 raise Unmet(f"The fault did not take place: {rule} delayed {len(found)} frames, not {count}.")
             await clock.sleep(PERIOD)
@@ -123,17 +129,18 @@ class Delays:
                 raise Unmet(f"The fault did not take place: {rule} delays nothing.")
             await clock.sleep(PERIOD / 4)
 
-    def _write(self, *rules: Rule) -> None:
-        (self._folder / "begun").write_bytes(b"")
+    def _write(self, rules: list[Rule]) -> None:
+        self._rules = rules
         scratch = self._folder / "rules.new"
         scratch.write_bytes(msgspec.json.encode(rules))
-        scratch.replace(self._folder / "rules")
+        scratch.replace(self._folder / "rules")  # whole for every process that looks
 
     def _begun(self) -> list[Rule]:
-        lines = (self._folder / "begun").read_bytes().splitlines()
-        return [msgspec.json.decode(line, type=Rule) for line in lines]
+        return [msgspec.json.decode(line, type=Rule) for line in self._lines("begun")]
 
     def _records(self) -> list[Delayed]:
-        file = self._folder / "done"
-        lines = file.read_bytes().splitlines() if file.exists() else []
-        return [msgspec.json.decode(line, type=Delayed) for line in lines]
+        return [msgspec.json.decode(line, type=Delayed) for line in self._lines("done")]
+
+    def _lines(self, name: str) -> list[bytes]:
+        file = self._folder / name
+        return file.read_bytes().splitlines() if file.exists() else []

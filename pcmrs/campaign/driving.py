@@ -222,7 +222,10 @@ async def until(client: Client, condition: Callable[[Snapshot], bool], within: f
 
 @asynccontextmanager
 async def moving(
-    client: Client, name: str = "placement.approach", id: str | None = None
+    client: Client,
+    name: str = "placement.approach",
+    id: str | None = None,
+    arguments: dict[str, Any] | None = None,
 ) -> AsyncIterator[asyncio.Task[Verdict]]:
     """A motion in the middle of which the arm moves; its verdict has come when the context ends.
 
@@ -230,13 +233,14 @@ async def moving(
         client: Of the cell.
         name: ``branch.operation`` that moves it.
         id: Of the command; one of its own by default.
+        arguments: Of the operation.
 
     Raises:
         Unmet: The arm did not move, or no verdict came within `PATIENCE`.
     """
     await asyncio.sleep(SEEN)
     moves, end = await _motion(client)
-    verdict = asyncio.create_task(client.call(name, id=id, timeout=PATIENCE))
+    verdict = asyncio.create_task(client.call(name, arguments, id=id, timeout=PATIENCE))
     try:
         await asyncio.wait((verdict, moves), timeout=PATIENCE, return_when=asyncio.FIRST_COMPLETED)
         if not moves.done() or verdict.done():

@@ -23,7 +23,7 @@ class Daemons:
         self.seeds: list[int] = []
 
     @asynccontextmanager
-    async def open_cell(self, folder: Path, overrides: Sequence[str]) -> AsyncIterator[Any]:
+    async def open_cell(self, folder: Path, overrides: Sequence[str], *, delayed: bool) -> AsyncIterator[Any]:
         cell = Stand(self)
         self.begun.append(cell)
         yield cell
