@@ -98,13 +98,17 @@ class ServeProcess:
         return run_pcmrs(words[0], *address, *words[1:])
 
     def children(self) -> list[int]:
-        """Ids of the daemon's child processes but its heart: the device nodes, and recorder and console if they run."""
-        return [pid for pid in _children(self.process.pid) if pid != self.heart()]
+        """Ids of the daemon's children but heart and planner: the nodes, and recorder and console if they run."""
+        return self._run_as(b"pcmrs.cli")
 
     def heart(self) -> int:
         """Id of the process that sends the daemon's heartbeats."""
+        (found,) = self._run_as(b"pcmrs.bus.heart")
+        return found
+
+    def _run_as(self, module: bytes) -> list[int]:
         found = _children(self.process.pid)
-        return next(pid for pid in found if b"pcmrs.bus.heart" in Path(f"/proc/{pid}/cmdline").read_bytes())
+        return [pid for pid in found if module in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")]
 
     def end(self, number: int = signal.SIGTERM) -> int:
         """Sends a signal and returns the exit status."""
