@@ -45,9 +45,9 @@ class Lateness:
         return max(0.0, now - sent - least) if least < inf else 0.0
 
     def here(self, sent: float) -> float:
-        """Return the moment of our clock at which a moment of the sender's clock came, s; never too late.
+        """Return the moment of our clock at which a moment of the sender's clock came, s; minus infinity at first.
 
-        The quickest message of late counts as one that took no time. Without any message, minus infinity.
+        The quickest message of late counts as one that took no time: by so much as it took, the moment comes too late.
         """
         least = min(self._least, self._least_before)
         return sent + least if least < inf else -inf
