@@ -65,41 +65,38 @@ def _repetition(space: Space, branch: str, key: str, allowing: set[str]) -> Iter
     again = _first_again(space, begun, asked, onwards, accepted)
     if again is None:
         return
-    # A way that shows it: from one joint state in which it is done first, the nearest that has one.
-    for code in space.reached.which(accepted.mark):
-        single = np.array([code], dtype=np.int64)
-        for transition in _enabled(space, single, asked):
-            after = single + transition.shift
-            found = _search(space, after, onwards)
-            second = found.first(accepted.mark)
-            if second is not None:
-                way = (*space.way_to(int(code)), transition.command, *found.way_to(second, others))
-                text = f"{branch}.{key} is irreversible, and after it was done is accepted again in "
-                text += (
-                    f"{shown(space, second)}: bar it there, or name it in `allows_again` of an operation on the way."
-                )
-                yield Finding(code="repeatable", text=text, path=path_of(f"{branch}.{key}"), commands=way)
-                return
+    # A way that shows it: from a nearest joint state in which doing it leads there.
+    back = leading_to(space.reached, np.array([again], dtype=np.int64), others)
+    for transition in asked:
+        starts = _enabled(space, begun, transition)
+        showing = starts[back.has(starts + transition.shift)]
+        if not len(showing):
+            continue
+        first = int(showing[0])
+        found = _search(space, np.array([first + transition.shift], dtype=np.int64), onwards)
+        second = found.first(accepted.mark)
+        if second is None:
+            raise LookupError("a joint state is known that cannot be reached")
+        way = (*space.way_to(first), transition.command, *found.way_to(second, others))
+        text = f"{branch}.{key} is irreversible, and after it was done is accepted again in "
+        text += f"{shown(space, second)}: bar it there, or name it in `allows_again` of an operation on the way."
+        yield Finding(code="repeatable", text=text, path=path_of(f"{branch}.{key}"), commands=way)
+        return
 
 
 def _first_again(
     space: Space, begun: Codes, asked: Sequence[Transition], onwards: Choices, accepted: Choices
 ) -> int | None:
     """A joint state after the operation in which it is accepted, reached without what allows it again."""
-    after = [_after(space, begun, transition) for transition in asked]
+    after = [_enabled(space, begun, each) + each.shift for each in asked]
     if not after:
         return None
     return _search(space, np.unique(np.concatenate(after)), onwards).first(accepted.mark)
 
 
-def _after(space: Space, codes: Codes, transition: Transition) -> Codes:
-    batch = Batch(space.encoding, codes)
-    return codes[Choices([transition]).mark(batch)] + transition.shift
-
-
-def _enabled(space: Space, code: Codes, transitions: Sequence[Transition]) -> list[Transition]:
-    batch = Batch(space.encoding, code)
-    return [each for each in transitions if Choices([each]).mark(batch)[0]]
+def _enabled(space: Space, codes: Codes, transition: Transition) -> Codes:
+    """Those of the joint states in which the transition can be taken."""
+    return codes[Choices([transition]).mark(Batch(space.encoding, codes))]
 
 
 def _search(space: Space, initial: Codes, onwards: Choices) -> Reached:
