@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from pcmrs.campaign.explore.view import MOVING_SPEED, Answered, Event, Fired, Moved, View
+from pcmrs.campaign.explore.view import MOVING_SPEED, Answered, Event, Fired, Moved, View, refuses_the_id
 from pcmrs.errors import JournalError
 from pcmrs.fsm.blueprint import Condition
 from pcmrs.messages import DeviceEvent, Snapshot, Verdict
@@ -129,6 +129,8 @@ def durable_before_known(view: View, event: Event) -> str | None:
     if not isinstance(event, Verdict | Answered):
         return None
     verdict = event.verdict if isinstance(event, Answered) else event
+    if refuses_the_id(verdict):
+        return None
     if isinstance(event, Answered):
         journalled = view.outcomes.get((event.command.source, event.command.id))
     else:
@@ -155,7 +157,7 @@ def performed_once(view: View, event: Event) -> str | None:
 
 def repeats_get_the_recorded_verdict(view: View, event: Event) -> str | None:
     """14: a repeat returns the recorded decision."""
-    if not isinstance(event, Answered):
+    if not isinstance(event, Answered) or refuses_the_id(event.verdict):
         return None
     key = (event.command.source, event.command.id)
     first = view.accounts.setdefault(key, event.verdict)

@@ -16,6 +16,11 @@ MOVING_SPEED = 1e-3
 """A joint that is slower than this stands, rad/s."""
 
 
+def refuses_the_id(verdict: Verdict) -> bool:
+    """Whether another command has that id: what was decided on that one stays as it is."""
+    return verdict.reason is not None and verdict.reason.code == "id_reused"
+
+
 @dataclass
 class Since:
     """Whether something is so, and since when or until when it was, s."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 
-from pcmrs.campaign.explore.view import REGISTERING, View
+from pcmrs.campaign.explore.view import REGISTERING, View, refuses_the_id
 from pcmrs.fsm.blueprint import OperationSpec
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
 
@@ -211,7 +211,8 @@ class Watcher:
         if about != (command.branch, command.operation):
             text = f"{command.branch}.{command.operation} got the verdict on {'.'.join(about)}: {verdict.decision}."
             self._break("answers_are_about_the_command", text)
-        self._told[command.source, command.id] = verdict.decision
+        if not refuses_the_id(verdict):
+            self._told[command.source, command.id] = verdict.decision
 
     def arrived(self, name: str, now: float) -> None:
         """A command without an id, which leads to this operation, has arrived at a link."""
