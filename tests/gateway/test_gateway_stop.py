@@ -84,3 +84,13 @@ async def test_stop_is_honoured_every_time_whatever_its_id(cell: Any) -> None:
     for _ in range(3):
         assert (await cell.ask("stop_now_xxxxxxx_#7;")).startswith("7_accepted_robot")
     assert len(cell.core.stops) == 3
+
+
+async def test_stop_passes_what_it_would_have_to_wait_for(cell: Any) -> None:
+    cell.core.gates["digitize_all"].clear()
+    for command in ("start_autodigitz", "stop_now_xxxxxxx"):
+        assert await cell.tell(f"{command};") == "ack"
+    assert (await cell.ask("get_jnt_angsxxxx_#900;")).startswith("900_accepted")  # everything before has arrived
+
+    assert len(cell.core.stops) == 1
+    cell.core.open_gates()
