@@ -5,9 +5,15 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from pcmrs.devices.gate import Gate
+from pcmrs.errors import DeviceError
+from pcmrs.messages import ActToken
 
 MODEL = Path(__file__).with_name("stop.pml")
 MISSING = [program for program in ("spin", "cc") if shutil.which(program) is None]
@@ -59,3 +65,57 @@ def test_without_a_rule_there_is_a_counterexample(rule: str, tmp_path: Path) -> 
 
 def test_motions_go_on_after_an_acknowledged_stop(tmp_path: Path) -> None:
     assert "assertion violated (confirmed==0)" in search(tmp_path, "REACHES")
+
+
+STEP = re.compile(r"gate (hold|restart|release|admit) ([\d ]+?)(?: -> ([01]))?$", re.MULTILINE)
+TRACES = 150
+
+
+def replayed(trace: str) -> Iterator[tuple[str, bool, bool]]:
+    """Each step of a trace on the code: its kind, whether the model took it, and whether the gate does."""
+    gate = Gate("robot", "1")
+    for kind, numbers, taken in STEP.findall(trace):
+        values = [int(number) for number in numbers.split()]
+        if kind == "restart":
+            gate = Gate("robot", str(values[0]))
+            yield kind, True, gate.state.latched
+        elif kind == "hold":
+            gate.hold(latch=True)
+            yield (
+                kind,
+                True,
+                (gate.state.node, gate.state.epoch, gate.state.latched) == (str(values[0]), values[1], True),
+            )
+        else:
+            daemon, node, epoch, *count = values
+            token = ActToken(daemon=str(daemon), node=str(node), epoch=epoch, number=sum(count))
+            yield kind, taken == "1", takes(gate, kind, token)
+
+
+def takes(gate: Gate, kind: str, token: ActToken) -> bool:
+    try:
+        (gate.admit if kind == "admit" else gate.release)(token)
+    except DeviceError:
+        return False
+    return True
+
+
+def test_the_gate_does_what_the_model_does(tmp_path: Path) -> None:
+    shutil.copy(MODEL, tmp_path)
+    seen: Counter[tuple[str, bool]] = Counter()
+    for seed in range(1, TRACES + 1):
+        macros = ("-DNODE_HOLDS", "-DTWO_ACKNOWLEDGEMENTS")
+        trace = run(tmp_path, "spin", f"-n{seed}", "-u2000", *macros, MODEL.name)
+        for kind, model, code in replayed(trace):
+            assert model == code, (seed, kind)
+            seen[kind, model] += 1
+    wanted = {(kind, taken) for kind in ("admit", "release") for taken in (False, True)}
+    assert seen.keys() == {("hold", True), ("restart", True)} | wanted
+
+
+@pytest.mark.parametrize("rule", ["NO_EPOCH", "NO_SESSIONS", "NO_RELEASE_CHECK"])
+def test_the_gate_refuses_the_counterexamples_of_a_model_without_a_rule(rule: str, tmp_path: Path) -> None:
+    search(tmp_path, rule)
+    trace = run(tmp_path, "spin", "-t", f"-D{rule}", MODEL.name)
+    steps = list(replayed(trace))
+    assert [(kind, model, code) for kind, model, code in steps if model and not code], steps
