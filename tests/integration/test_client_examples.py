@@ -37,7 +37,7 @@ async def test_each_program_does_what_it_says(tmp_path: Path) -> None:
         stopped = await run(cell, "stop_in_motion.py")
         assert "approach: failed" in stopped
         assert "meanwhile: rejected, Stop is latched" in stopped
-        assert "placement.back_off: accepted" in stopped
+        assert "back_off: accepted" in stopped
         rows = list(csv.DictReader(StringIO(await poses)))
         assert {row["body"] for row in rows} >= {"coil", "body_ref"}
         seen = await watching
