@@ -24,7 +24,8 @@ class Activities(Generic[C, D]):
     Args:
         stage: What they are performed with.
         submit: Decides on a command.
-        stop: Stops everything; returns whether the robot has confirmed that it stands.
+        stop: Stops everything, and submits what follows at once; returns whether the robot has confirmed that it
+            stands.
         tell: Makes an event known and durable.
         broken: Ends the dispatcher for safety.
     """
@@ -33,7 +34,7 @@ class Activities(Generic[C, D]):
         self,
         stage: Stage[C, D],
         submit: Callable[[Command], asyncio.Future[Verdict]],
-        stop: Callable[[str, Reason], Awaitable[bool]],
+        stop: Callable[[str, Reason, Callable[[], list[asyncio.Future[Verdict]]]], Awaitable[bool]],
         tell: Callable[[DeviceEvent], Awaitable[None]],
         broken: Callable[[BaseException], Reason],
     ) -> None:
@@ -126,18 +127,37 @@ class Activities(Generic[C, D]):
             danger = await pursuit.run(before)
         finally:
             self._pursuits.remove(pursuit)
-        stands = danger is None
-        if danger is not None and not pursuit.stopped:  # Stop waits for what this returns, so it must not be waited for
-            stands = await self._stop(pursuit.act.source, danger)
-        await pursuit.tell_end(danger)
+        told: Awaitable[None] | None = None
+
+        def tell_and_leave() -> list[asyncio.Future[Verdict]]:
+            nonlocal told
+            told = pursuit.tell_end(danger)
+            return self._submit_ended(pursuit)
+
+        if danger is None or pursuit.stopped:  # Stop waits for what this returns, so it must not be waited for
+            stands, told = danger is None, pursuit.tell_end(danger)
+        else:
+            stands = await self._stop(pursuit.act.source, danger, tell_and_leave)
+        if told is not None:
+            await told
         await self._leave(pursuit)
         return stands
 
     async def _leave(self, pursuit: Pursuit[C, D]) -> None:
-        """Performs its `ended` where the branch is still in its state, and no motion leads out of that."""
-        act, ended = pursuit.act, pursuit.spec.ended
-        if self._closed or pursuit.relieved or self._current.get(act.branch) is not pursuit:
+        """Performs its `ended`, which a Stop because of it has submitted already; that has to lead out of the state."""
+        act = pursuit.act
+        submitted = [pursuit.left] if pursuit.left is not None else self._submit_ended(pursuit)
+        if not submitted:
             return
-        await asyncio.wait([self._submit(act.command_to(act.branch, ended, {}))])
+        await asyncio.wait(submitted)
         if self._current.get(act.branch) is pursuit:
+            ended = pursuit.spec.ended
             self._broken(PcmrsError(f"{act.branch} is {act.state} without {act.name}: {ended} has not led out of it."))
+
+    def _submit_ended(self, pursuit: Pursuit[C, D]) -> list[asyncio.Future[Verdict]]:
+        """Submits its `ended` where the branch is still in its state, and no motion leads out of that."""
+        act = pursuit.act
+        if self._closed or pursuit.relieved or self._current.get(act.branch) is not pursuit:
+            return []
+        pursuit.left = self._submit(act.command_to(act.branch, pursuit.spec.ended, {}))
+        return [pursuit.left]

@@ -15,6 +15,8 @@ from pcmrs.messages import Command
 
 EVENT_SOURCES = ("device:", "detector:", "timer:", "operation:", "activity:")
 
+CHECKS_BEGIN_WITHIN = 0.1
+"""The checks of what moves or acts on the patient begin so soon after it has arrived, s of the event loop's clock."""
 CLOCK_TOLERANCE = 5.0
 """A sender's wall clock may be so far ahead of ours, s."""
 
@@ -100,6 +102,24 @@ def check_fresh(clock: Clock, command: Command) -> None:
     if ttl is not None and age > ttl:
         text = f"The command is {age:.3f} s old; its sender set a limit of {ttl:.3f} s. Send it anew."
         raise RefusalError("expired", text, age=age, limit=ttl)
+
+
+def check_in_time(name: str, age: float) -> None:
+    """Refuses what moves or acts, and comes to be looked at when who asked may not expect it any more.
+
+    Args:
+        name: Branch and operation.
+        age: Since it arrived, s.
+
+    Raises:
+        RefusalError: ``expired``.
+    """
+    if age > CHECKS_BEGIN_WITHIN:
+        text = (
+            f"{name} was to begin {age:.3f} s after it had arrived, and may not later than {CHECKS_BEGIN_WITHIN:g} s: "
+            "the daemon was held up. Look, then ask again."
+        )
+        raise RefusalError("expired", text, age=age, limit=CHECKS_BEGIN_WITHIN)
 
 
 def _numbers(value: Any, path: str) -> list[tuple[str, float]]:

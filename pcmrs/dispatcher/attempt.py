@@ -27,11 +27,15 @@ class Attempt:
     """One accepted-for-consideration command until its verdict.
 
     Attributes:
+        arrived: When it arrived, s of the event loop's clock.
+        worldly: It takes steps in the world.
+        since: Number of the newest commit that its checks and steps have seen.
         begun: Its steps have begun, so that cancelling its task reaches them.
         ending: Its steps have ended and it is being committed: too late to stop.
         committing: It waits for nothing but its commit.
         stopped: Why it was stopped by Stop or a danger event.
         planning: What its checks wait for, where a planner asks them.
+        patience: Ends its wait, where that is limited.
     """
 
     command: Command
@@ -39,6 +43,9 @@ class Attempt:
     payload: Any
     verdict: asyncio.Future[Verdict]
     locks: Locks
+    arrived: float
+    worldly: bool
+    since: int = 0
     task: asyncio.Task[None] | None = None
     progress: float = 0.0
     begun: bool = False
@@ -46,11 +53,17 @@ class Attempt:
     committing: bool = False
     stopped: Reason | None = None
     planning: asyncio.Future[Reason | None] | None = None
+    patience: asyncio.TimerHandle | None = None
 
     @property
     def moves(self) -> bool:
         """Whether it moves the robot."""
         return self.spec.moves
+
+    @property
+    def acts(self) -> bool:
+        """Whether it moves the robot or acts on the patient otherwise."""
+        return self.spec.moves or self.spec.affects_patient
 
     @property
     def name(self) -> str:
@@ -62,6 +75,20 @@ class Attempt:
         """What the snapshot shows of it."""
         command = self.command
         return Running(branch=command.branch, operation=command.operation, id=command.id, progress=self.progress)
+
+    def replaces(self, other: Attempt) -> bool:
+        """Whether both report the same event: the newer one says all that the other does."""
+        mine, theirs = self.command, other.command
+        return self.spec.event and (mine.source, self.name, mine.arguments) == (
+            theirs.source,
+            other.name,
+            theirs.arguments,
+        )
+
+    def end_wait(self) -> None:
+        """It waits no longer: it starts, or is turned away."""
+        if self.patience is not None:
+            self.patience.cancel()
 
     def stop(self, reason: Reason) -> None:
         """Cancels its planning or its steps; harmless once they have ended."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import uuid
 from collections.abc import Awaitable, Callable, Container, Iterable, Sequence
+from functools import partial
 from typing import Any, Generic
 
 import msgspec
@@ -12,7 +13,14 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.activities import Activities
-from pcmrs.dispatcher.admission import EVENT_SOURCES, check_fresh, check_role, find_operation, read_payload
+from pcmrs.dispatcher.admission import (
+    CHECKS_BEGIN_WITHIN,
+    EVENT_SOURCES,
+    check_fresh,
+    check_role,
+    find_operation,
+    read_payload,
+)
 from pcmrs.dispatcher.attempt import Attempt, locks_for
 from pcmrs.dispatcher.checks import Checks
 from pcmrs.dispatcher.decisions import Conclusion, Decisions, reason_for
@@ -25,6 +33,7 @@ from pcmrs.dispatcher.perform import reason_of
 from pcmrs.dispatcher.performer import Performer
 from pcmrs.dispatcher.planner import Planner
 from pcmrs.dispatcher.procedure import Procedure
+from pcmrs.dispatcher.queued import QueuedRow
 from pcmrs.dispatcher.reconcile import Reconciliation
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.run import C, D, Run
@@ -33,7 +42,7 @@ from pcmrs.dispatcher.stops import STANDSTILL, Stops
 from pcmrs.dispatcher.tasks import Tasks
 from pcmrs.dispatcher.unsettled import Unsettled
 from pcmrs.dispatcher.workflow import Workflow
-from pcmrs.errors import JournalError, PcmrsError, ReentrancyError
+from pcmrs.errors import JournalError, PcmrsError, ReentrancyError, RefusalError
 from pcmrs.fsm import Closure, Denial
 from pcmrs.messages import Command, DeviceEvent, Prospect, Reason, Snapshot, UnknownOutcome, Verdict
 
@@ -149,18 +158,22 @@ class Dispatcher(Generic[C, D]):
         if latched:
             self._latch()
 
-    async def submit(self, command: Command) -> Verdict:
+    async def submit(self, command: Command, *, arrived: float | None = None) -> Verdict:
         """Decides on a command, performs it when it is allowed, and returns the verdict.
 
         Cancelling the caller does not cancel the operation. A repeat of (source, id) gets the recorded
         verdict, or waits for the one under way, and runs nothing.
+
+        Args:
+            command: What is asked.
+            arrived: When it arrived at the edge of the daemon, s of the event loop's clock; by default now.
 
         Raises:
             ReentrancyError: An operation awaits its own dispatcher; it may `Run.post` instead.
         """
         if performing.get() == id(self.procedure):
             raise ReentrancyError(f"{command.branch}.{command.operation} was awaited by a running operation: post it.")
-        verdict = self._verdict_of(command)
+        verdict = self._verdict_of(command, arrived)
         return verdict.result() if verdict.done() else await asyncio.shield(verdict)
 
     async def prospect(self, command: Command) -> Prospect:
@@ -195,15 +208,31 @@ class Dispatcher(Generic[C, D]):
         """Has `callback` called, too, with every new snapshot, verdict and device event."""
         self._publishers.append(callback)
 
-    async def stop(self, source: str, reason: Reason | None = None) -> bool:
+    async def stop(
+        self,
+        source: str,
+        reason: Reason | None = None,
+        then: Callable[[], list[asyncio.Future[Verdict]]] = list,
+    ) -> bool:
         """Stops everything: never queues, wins in every state, latches until acknowledged.
 
         Returns when every running operation, and every activity that moves, has ended: whether the robot has confirmed
         that it stands.
-        """
-        return await asyncio.shield(self.begin_stop(source, reason))
 
-    def begin_stop(self, source: str, reason: Reason | None = None) -> asyncio.Task[bool]:
+        Args:
+            source: Who stops.
+            reason: Why; by default that `source` has asked for it.
+            then: Submits what follows from a danger event, before anything is awaited, and returns the verdicts to
+                come: nobody can acknowledge or move before what has happened is taken into account.
+        """
+        return await asyncio.shield(self.begin_stop(source, reason, then))
+
+    def begin_stop(
+        self,
+        source: str,
+        reason: Reason | None = None,
+        then: Callable[[], list[asyncio.Future[Verdict]]] = list,
+    ) -> asyncio.Task[bool]:
         """Begins to stop everything; see `stop`.
 
         When this returns, the Stop has its number, the latch is set and the holds are on their way. The result of the
@@ -217,19 +246,19 @@ class Dispatcher(Generic[C, D]):
         for attempt in self._lanes.running:
             attempt.stop(reason)
         for callback in self._stop_listeners:
-            callback()
+            _guarded(callback)
         for attempt in self._lanes.turn_away():
+            attempt.end_wait()
             self._reject(attempt.command, attempt.verdict, reason)
         event = stopped(source, reason, number)
         self._publish(event)
+        recorded = self._record_event(event)
+        following = self._follow_danger(then)
         self._show_snapshot()
-        row = self._row_of(event)
-        return self._tasks.spawn(self._end_stop(number, source, row, [holding, *ending, *moving]))
+        return self._tasks.spawn(self._end_stop(number, source, recorded, [holding, *ending, *moving, *following]))
 
-    async def _end_stop(
-        self, number: int, source: str, row: Awaitable[None] | JournalError, ending: list[asyncio.Future[Any]]
-    ) -> bool:
-        await self._recorded(row)
+    async def _end_stop(self, number: int, source: str, recorded: QueuedRow, ending: list[asyncio.Future[Any]]) -> bool:
+        await recorded
         await asyncio.wait(ending)
         confirmed = all(each.result() is not False for each in ending)
         if confirmed:
@@ -246,20 +275,16 @@ class Dispatcher(Generic[C, D]):
         return self._stops.state.number
 
     async def report(self, event: DeviceEvent) -> None:
-        """Takes a device's event: danger goes the way of Stop; then its event operations are submitted."""
+        """Takes a device's event: danger goes the way of Stop; its event operations are submitted at once."""
         self.lease.follow(event)
         if event.danger:
-            await self.stop(f"device:{event.device}", Reason(code=event.code, text=event.text, fields=event.fields))
-        else:
-            await self._tell(event)
-        for name, branch in self._workflow.blueprint.branches.items():
-            operation = branch.operations.get(event.code)
-            if operation is not None and operation.event:
-                command_id = f"{event.code}-{uuid.uuid4().hex}"
-                source = f"device:{event.device}"
-                await self.submit(
-                    Command(id=command_id, branch=name, operation=event.code, source=source, user=DAEMON, role="daemon")
-                )
+            reason = Reason(code=event.code, text=event.text, fields=event.fields)
+            await self.stop(f"device:{event.device}", reason, partial(self._submit_operations_of, event))
+            return
+        told = self._tell(event)
+        following = self._submit_operations_of(event)
+        await told
+        await _all_of(following)
 
     def report_later(self, event: DeviceEvent) -> None:
         """Reports an event without waiting until it is durable."""
@@ -284,12 +309,12 @@ class Dispatcher(Generic[C, D]):
                 attempt.stop(reason)
             self._tasks.spawn(self._hold_or_doubt())
             for callback in self._break_listeners:
-                callback()
+                _guarded(callback)
         event = failed(reason)
         self._publish(event)
         self._show_snapshot()
         if reason.code != JournalError.code:
-            self._tasks.spawn(self._record_event(event))
+            self._tasks.spawn(self._record_event(event).durable())
         return reason
 
     def suspend(self, reason: Reason | None) -> None:
@@ -338,11 +363,12 @@ class Dispatcher(Generic[C, D]):
             self._activities.close()
             return
         self._broken = None
+        missed = self._follow_danger(self._submit_missed)
         self._publish(REOPENED)
         self._show_snapshot()
         log.warning("resumed", after=broken.text)
         await self._activities.leave_ended()
-        await self._submit_missed()
+        await _all_of(missed)
         if not stands:
             await self._doubt(REOPENED.device)
 
@@ -354,17 +380,21 @@ class Dispatcher(Generic[C, D]):
 
     # -- from command to attempt -----------------------------------------------------------------------
 
-    def _verdict_of(self, command: Command) -> asyncio.Future[Verdict]:
+    def _verdict_of(self, command: Command, arrived: float | None = None) -> asyncio.Future[Verdict]:
         try:
             verdict, is_new = self._memory.verdict_of(command)
+        except RefusalError as error:  # no row: the one of this id is about something else
+            verdict, is_new = asyncio.get_running_loop().create_future(), False
+            self._decisions.answer_unrecorded(Conclusion(command, verdict, "rejected", reason_of(error)))
+            self._publish(verdict.result())
         except JournalError as error:
             verdict, is_new = asyncio.get_running_loop().create_future(), False
             self._decisions.break_off(Conclusion(command, verdict, "rejected"), error)
         if is_new:
-            self._admit(command, verdict)
+            self._admit(command, verdict, arrived)
         return verdict
 
-    def _admit(self, command: Command, verdict: asyncio.Future[Verdict]) -> None:
+    def _admit(self, command: Command, verdict: asyncio.Future[Verdict], arrived: float | None) -> None:
         """Turns a command into an attempt that starts, waits or is rejected."""
         if self._suspended is not None and not command.source.startswith(EVENT_SOURCES):
             self._decisions.answer_unrecorded(Conclusion(command, verdict, "rejected", self._suspended))
@@ -375,7 +405,7 @@ class Dispatcher(Generic[C, D]):
             self._admit_lease(command, verdict)
             return
         try:
-            attempt, answer = self._attempt(command, verdict)
+            attempt, answer = self._attempt(command, verdict, arrived)
         except PcmrsError as error:
             self._reject(command, verdict, reason_of(error))
             return
@@ -386,11 +416,28 @@ class Dispatcher(Generic[C, D]):
         if reason is not None:
             self._reject(command, verdict, reason)
         elif blocked:
-            self._lanes.waiting.append(attempt)
+            self._wait(attempt)
         else:
             self._performer.start(attempt)
 
-    def _attempt(self, command: Command, verdict: asyncio.Future[Verdict]) -> tuple[Attempt, Closure | Denial]:
+    def _wait(self, attempt: Attempt) -> None:
+        replaced = self._lanes.wait(attempt)
+        if replaced is not None:
+            text = f"{attempt.command.source} has reported {attempt.name} again: the newer report counts."
+            reason = Reason(code="replaced", text=text)
+            self._decisions.answer_unrecorded(Conclusion(replaced.command, replaced.verdict, "rejected", reason))
+        if attempt.moves:
+            latest = attempt.arrived + CHECKS_BEGIN_WITHIN
+            attempt.patience = asyncio.get_running_loop().call_at(latest, self._lose_patience, attempt)
+
+    def _lose_patience(self, motion: Attempt) -> None:
+        """It has waited as long as a motion may."""
+        self._lanes.waiting.remove(motion)
+        self._reject(motion.command, motion.verdict, self._lanes.busy(motion))
+
+    def _attempt(
+        self, command: Command, verdict: asyncio.Future[Verdict], arrived: float | None = None
+    ) -> tuple[Attempt, Closure | Denial]:
         """The command as an attempt, and what the states say to it.
 
         Raises:
@@ -401,7 +448,10 @@ class Dispatcher(Generic[C, D]):
         check_fresh(self._clock, command)
         payload = read_payload(self._workflow, command, spec)
         answer = self.procedure.ask(command.branch, command.operation)
-        return Attempt(command, spec, payload, verdict, locks_for(self._workflow.blueprint, command, answer)), answer
+        locks = locks_for(self._workflow.blueprint, command, answer)
+        arrived = asyncio.get_running_loop().time() if arrived is None else arrived
+        worldly = self._performer.touches_world(spec)
+        return Attempt(command, spec, payload, verdict, locks, arrived, worldly), answer
 
     def _admit_lease(self, command: Command, verdict: asyncio.Future[Verdict]) -> None:
         """Decides at once; what renews a lease changes nothing, and leaves no row."""
@@ -426,7 +476,7 @@ class Dispatcher(Generic[C, D]):
         return self._stops.objection(attempt.command, latched=self.procedure.latched)
 
     def _moves(self) -> bool:
-        return self._activities.moving or any(attempt.moves for attempt in self._lanes.running)
+        return self._activities.moving or self._lanes.moving
 
     def _too_old(self, command: Command) -> Reason | None:
         try:
@@ -452,11 +502,16 @@ class Dispatcher(Generic[C, D]):
         for attempt in self._lanes.take_waiting():
             answer = self.procedure.ask(attempt.command.branch, attempt.command.operation)
             attempt.locks = locks_for(self._workflow.blueprint, attempt.command, answer)
-            reason = self._barred(attempt) or self._too_old(attempt.command) or self._refused(attempt, answer)
-            if self._lanes.blocked(attempt):
-                self._lanes.waiting.append(attempt)
-            elif reason is not None:
+            blocked = self._lanes.blocked(attempt)
+            if blocked:
+                reason = self._lanes.why_not_wait(attempt) if attempt.moves else None
+            else:
+                reason = self._barred(attempt) or self._too_old(attempt.command) or self._refused(attempt, answer)
+            if reason is not None:
+                attempt.end_wait()
                 self._reject(attempt.command, attempt.verdict, reason)
+            elif blocked:
+                self._lanes.waiting.append(attempt)
             else:
                 self._performer.start(attempt)
 
@@ -466,17 +521,25 @@ class Dispatcher(Generic[C, D]):
         self._decisions.conclude(Conclusion(command, verdict, "rejected", reason))
 
     def _settle(self, conclusion: Conclusion[C, D], verdict: Verdict) -> None:
-        """The verdict is given: shows it, and lets others have the locks."""
+        """The verdict is given: shows it, and lets others have the locks, whatever fails of what follows from it."""
         loop = asyncio.get_running_loop()
-        self.in_doubt = self.in_doubt and not conclusion.unlatches
-        self._unsettled.follow(conclusion.command, verdict, self._clock.wall())
-        self._activities.follow(conclusion.command)
-        self._remember_missed(conclusion.command, verdict)
         loop.call_soon(self._show, verdict)  # those who asked hear of it before those who watch
         if conclusion.attempt is not None:
             self._lanes.running.remove(conclusion.attempt)
             if self._lanes.waiting:
                 loop.call_soon(self._start_waiting)
+        try:
+            self._follow(conclusion, verdict)
+        except Exception as error:
+            log.exception("verdict_not_followed", command=verdict.id)
+            self._break(error)
+
+    def _follow(self, conclusion: Conclusion[C, D], verdict: Verdict) -> None:
+        """Does what follows from a verdict."""
+        self.in_doubt = self.in_doubt and not conclusion.unlatches
+        self._unsettled.follow(conclusion.command, verdict, self._clock.wall())
+        self._activities.follow(conclusion.command)
+        self._remember_missed(conclusion.command, verdict)
         if conclusion.run is not None and verdict.decision == "accepted":
             self._submit_posts(conclusion.command, conclusion.run)
 
@@ -520,10 +583,40 @@ class Dispatcher(Generic[C, D]):
         if self._broken is not None and verdict.decision != "accepted" and command.source.startswith("device:"):
             self._missed[command.branch, command.operation] = command
 
-    async def _submit_missed(self) -> None:
+    def _submit_missed(self) -> list[asyncio.Future[Verdict]]:
         missed, self._missed = self._missed, {}
-        for command in missed.values():
-            await self.submit(msgspec.structs.replace(command, id=f"{command.operation}-{uuid.uuid4().hex}"))
+        return [
+            self._verdict_of(msgspec.structs.replace(command, id=f"{command.operation}-{uuid.uuid4().hex}"))
+            for command in missed.values()
+        ]
+
+    def _submit_operations_of(self, event: DeviceEvent) -> list[asyncio.Future[Verdict]]:
+        """Submits what follows from an event of a device, and returns the verdicts to come."""
+        return [
+            self._verdict_of(
+                Command(
+                    id=f"{event.code}-{uuid.uuid4().hex}",
+                    branch=name,
+                    operation=event.code,
+                    source=f"device:{event.device}",
+                    user=DAEMON,
+                    role="daemon",
+                )
+            )
+            for name, branch in self._workflow.blueprint.branches.items()
+            if event.code in branch.operations and branch.operations[event.code].event
+        ]
+
+    def _follow_danger(self, submit: Callable[[], list[asyncio.Future[Verdict]]]) -> list[asyncio.Future[Verdict]]:
+        """Submits what follows from danger: no acknowledgement before it is decided.
+
+        What the state does not allow is decided already, and neither runs nor waits.
+        """
+        following = submit()
+        for attempt in (*self._lanes.running, *self._lanes.waiting):
+            if attempt.verdict in following:
+                self._stops.wait_for(attempt.name, attempt.verdict)
+        return following
 
     async def _hold_or_doubt(self) -> None:
         if not await self._hold.stop():
@@ -536,30 +629,31 @@ class Dispatcher(Generic[C, D]):
 
     def _publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
         for publish in self._publishers:
-            publish(message)
+            _guarded(publish, message)
 
-    async def _tell(self, event: DeviceEvent) -> None:
-        """Makes an event known, and durable."""
+    def _tell(self, event: DeviceEvent) -> QueuedRow:
+        """Makes an event known at once; it is durable once what is returned has been awaited."""
         self._publish(event)
-        await self._record_event(event)
+        return self._record_event(event)
 
-    async def _record_event(self, event: DeviceEvent) -> None:
-        await self._recorded(self._row_of(event))
-
-    def _row_of(self, event: DeviceEvent) -> Awaitable[None] | JournalError:
-        """Hands the event's row to the journal at once: no other row comes between it and those before."""
-        try:
-            return self._recorder.event(event, self.procedure.promised())
-        except JournalError as error:
-            return error
-
-    async def _recorded(self, row: Awaitable[None] | JournalError) -> None:
-        try:
-            if isinstance(row, JournalError):
-                raise row
-            await row
-        except JournalError as error:
-            self._break(error)
+    def _record_event(self, event: DeviceEvent) -> QueuedRow:
+        """Queues an event's row at once, so that what is submitted from now on is journalled after it."""
+        return QueuedRow(partial(self._recorder.event, event, self.procedure.promised()), self._break)
 
     def _break(self, error: BaseException) -> Reason:
         return self.fail(reason_for(error))
+
+
+def _guarded(callback: Callable[..., object], *arguments: object) -> None:
+    """Calls somebody who watches: what fails there is reported by the loop, and keeps nobody from stopping."""
+    try:
+        callback(*arguments)
+    except Exception as error:
+        context = {"message": f"{callback} has failed", "exception": error}
+        asyncio.get_running_loop().call_exception_handler(context)
+
+
+async def _all_of(verdicts: list[asyncio.Future[Verdict]]) -> None:
+    """Returns when all are given; whoever awaits it may be cancelled, and they are not."""
+    if verdicts:
+        await asyncio.wait(verdicts)

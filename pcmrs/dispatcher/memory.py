@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import asyncio
 from collections import OrderedDict
+from collections.abc import Mapping
+from hashlib import blake2b
+from typing import Any
+
+import msgspec
 
 from pcmrs.dispatcher.recorder import Recorder
+from pcmrs.errors import RefusalError
 from pcmrs.messages import Command, Verdict
 
 MAX_REMEMBERED = 10_000
 """Verdicts kept in memory; older ones are looked up in the journal."""
+
+Key = tuple[str, str]
+"""Source and id of a command."""
 
 
 class Memory:
@@ -17,28 +26,33 @@ class Memory:
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
-        self._verdicts: OrderedDict[tuple[str, str], asyncio.Future[Verdict]] = OrderedDict()
+        self._known: OrderedDict[Key, tuple[bytes, asyncio.Future[Verdict]]] = OrderedDict()
 
     def verdict_of(self, command: Command) -> tuple[asyncio.Future[Verdict], bool]:
         """The verdict of a command, done or to come, and whether the command is new.
 
         Raises:
+            RefusalError: ``id_reused``: the same source has asked for something else by this id.
             JournalError: Nobody can say whether the command has been decided before.
         """
-        key = (command.source, command.id)
-        if key in self._verdicts:
-            return self._verdicts[key], False
+        key, asked = (command.source, command.id), _digest(command.branch, command.operation, command.arguments)
+        if key in self._known:
+            before, verdict = self._known[key]
+            _check_same(command, asked, before)
+            return verdict, False
         recorded = self._recorder.recall(*key)
-        verdict: asyncio.Future[Verdict] = asyncio.get_running_loop().create_future()
-        self._verdicts[key] = verdict
-        self._forget_oldest()
+        verdict = asyncio.get_running_loop().create_future()
         if recorded is not None:
-            verdict.set_result(recorded)
+            answer = recorded.verdict
+            _check_same(command, asked, _digest(answer.branch, answer.operation, recorded.arguments))
+            verdict.set_result(answer)
+        self._known[key] = asked, verdict
+        self._forget_oldest()
         return verdict, recorded is None
 
     def forget(self, command: Command) -> None:
         """What has been answered was not made durable: what the journal says counts."""
-        self._verdicts.pop((command.source, command.id), None)
+        self._known.pop((command.source, command.id), None)
 
     @staticmethod
     def settle(verdict: asyncio.Future[Verdict], answer: Verdict) -> None:
@@ -47,9 +61,24 @@ class Memory:
             verdict.set_result(answer)
 
     def _forget_oldest(self) -> None:
-        if len(self._verdicts) > MAX_REMEMBERED:
-            key, verdict = next(iter(self._verdicts.items()))
+        if len(self._known) > MAX_REMEMBERED:
+            key, (_, verdict) = next(iter(self._known.items()))
             if verdict.done():
-                del self._verdicts[key]
+                del self._known[key]
             else:
-                self._verdicts.move_to_end(key)
+                self._known.move_to_end(key)
+
+
+def _digest(branch: str, operation: str, arguments: Mapping[str, Any]) -> bytes:
+    """Of what is asked: arguments may be long, and are not kept for the sake of a comparison."""
+    asked = msgspec.json.encode((branch, operation, arguments), enc_hook=repr, order="sorted")
+    return blake2b(asked, digest_size=16).digest()
+
+
+def _check_same(command: Command, asked: bytes, before: bytes) -> None:
+    if asked != before:
+        text = (
+            f"{command.source} has used the id {command.id!r} before, for another operation or other arguments than "
+            f"{command.branch}.{command.operation} now: give every command an id of its own."
+        )
+        raise RefusalError("id_reused", text, id=command.id)

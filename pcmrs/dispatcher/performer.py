@@ -6,6 +6,7 @@ import asyncio
 from typing import Generic
 
 from pcmrs.dispatcher.activities import Activities
+from pcmrs.dispatcher.admission import check_in_time
 from pcmrs.dispatcher.attempt import Attempt, Locks
 from pcmrs.dispatcher.checks import Checks
 from pcmrs.dispatcher.decisions import Conclusion, Decisions
@@ -14,9 +15,9 @@ from pcmrs.dispatcher.perform import Ending, consequence, reason_of, take_steps,
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.dispatcher.stage import Stage, performing
-from pcmrs.errors import PcmrsError, UnknownOutcomeError
+from pcmrs.errors import PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.failpoints import failpoint
-from pcmrs.fsm import Denial
+from pcmrs.fsm import Denial, OperationSpec
 from pcmrs.messages import Prospect, Reason
 
 
@@ -52,7 +53,8 @@ class Performer(Generic[C, D]):
     def start(self, attempt: Attempt) -> None:
         """Performs an operation: at once, or as a task of its own where it touches the world or is planned."""
         self._lanes.running.append(attempt)
-        if self._touches_world(attempt) or self._checks.take_time(attempt.spec):
+        attempt.end_wait()
+        if attempt.worldly or self._checks.take_time(attempt.spec):
             attempt.task = self._stage.tasks.spawn(self._perform(attempt))
         else:
             self._perform_at_once(attempt)
@@ -62,9 +64,10 @@ class Performer(Generic[C, D]):
         run, refused = await self._checks.ask(attempt, lambda: self._run_of(attempt))
         return Prospect(reason=refused, undecided=run.undecided, result=run.result)
 
-    def _touches_world(self, attempt: Attempt) -> bool:
-        releases = attempt.spec.unlatches and self._stage.release is not None
-        return releases or not self._registry.worldly.isdisjoint(attempt.spec.steps)
+    def touches_world(self, spec: OperationSpec) -> bool:
+        """Whether an operation takes steps in the world."""
+        releases = spec.unlatches and self._stage.release is not None
+        return releases or not self._registry.worldly.isdisjoint(spec.steps)
 
     def _perform_at_once(self, attempt: Attempt) -> None:
         """Performs an operation that touches nothing outside, from its checks to its conclusion."""
@@ -72,7 +75,7 @@ class Performer(Generic[C, D]):
         token = performing.set(id(self._stage.procedure))
         run = self._run_of(attempt)
         try:
-            refused = self._checks.ask_at_once(attempt.spec, run)
+            refused = self._late(attempt) or self._checks.ask_at_once(attempt.spec, run)
             ending = None if refused else take_steps_at_once(self._registry, attempt.spec, run)
         finally:
             performing.reset(token)
@@ -81,8 +84,11 @@ class Performer(Generic[C, D]):
     async def _perform(self, attempt: Attempt) -> None:
         """Performs an operation that touches the world or is planned, as a task of its own."""
         performing.set(id(self._stage.procedure))
+        run = self._run_of(attempt)
         try:
-            run, refused = await self._checks.ask(attempt, lambda: self._run_of(attempt))
+            refused = self._late(attempt)
+            if refused is None:
+                run, refused = await self._checks.ask(attempt, lambda: self._run_of(attempt))
             ending = None if refused else await self._steps(attempt, run)
         except Exception as error:
             attempt.end_steps()
@@ -92,6 +98,15 @@ class Performer(Generic[C, D]):
             attempt.end_steps()
             await self._let_others_end(attempt)
             self._conclude(attempt, run, refused, ending)
+
+    def _late(self, attempt: Attempt) -> Reason | None:
+        """Why the checks of what moves or acts do not begin: whoever asked may not expect it any more."""
+        if attempt.acts:
+            try:
+                check_in_time(attempt.name, asyncio.get_running_loop().time() - attempt.arrived)
+            except RefusalError as error:
+                return reason_of(error)
+        return None
 
     async def _let_others_end(self, attempt: Attempt) -> None:
         """Waits while other operations run on branches that this one would move now, and did not when it began.
@@ -113,7 +128,7 @@ class Performer(Generic[C, D]):
     async def _steps(self, attempt: Attempt, run: Run[C, D]) -> Ending:
         """Takes the steps, those in the world after the intent is durable; holds what has failed to move."""
         attempt.begun = True
-        if not self._touches_world(attempt):
+        if not attempt.worldly:
             attempt.end_steps()
             return take_steps_at_once(self._registry, attempt.spec, run)
         try:
@@ -171,6 +186,7 @@ class Performer(Generic[C, D]):
 
         stage = self._stage
         states, data = stage.procedure.joint(), stage.procedure.data
+        attempt.since = stage.procedure.sequence
         motion, latched = attempt.spec.motion, stage.procedure.latched
         run = Run(
             attempt.command,
@@ -192,11 +208,25 @@ class Performer(Generic[C, D]):
         if ending is None:
             self._decisions.conclude(Conclusion(command, verdict, "rejected", refused, attempt))
             return
-        at_once = not self._touches_world(attempt)
+        at_once = not attempt.worldly
         closure = self._stage.procedure.ask(command.branch, command.operation)
         if isinstance(closure, Denial):
             error = PcmrsError(f"{closure.text} It was allowed when {attempt.name} began.")
             self._decisions.break_off(Conclusion(command, verdict, "unknown", attempt=attempt), error)
             return
-        decision, change, reason = consequence(closure, ending, attempt.name)
+        decision, change, reason = consequence(closure, self._still_so(attempt, ending), attempt.name)
         self._decisions.conclude(Conclusion(command, verdict, decision, reason, attempt, run, change, at_once))
+
+    def _still_so(self, attempt: Attempt, ending: Ending) -> Ending:
+        """How the steps ended, if the branches that this rests on are as the steps have seen them.
+
+        A retreat keeps nobody from changing those: a standoff counts for no other plan than the one it was found by.
+        """
+        outcome = attempt.spec.endings.get(ending.outcome)
+        if ending.kind != "done" or outcome is None:
+            return ending
+        changed = self._stage.procedure.changed_since(outcome.requires, attempt.since)
+        if not changed:
+            return ending
+        text = f"{attempt.name} ended as {ending.outcome!r}, but {' and '.join(changed)} has changed meanwhile."
+        return Ending("failed", reason=Reason(code="outcome_outdated", text=text, fields={"branches": changed}))

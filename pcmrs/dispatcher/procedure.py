@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Generic
 
 import msgspec
@@ -34,6 +34,7 @@ class Procedure(Generic[C, D]):
         self._engine = Engine(workflow.blueprint)
         self._flags = flags_of(workflow.blueprint, self._engine.joint())
         self._promised = self._engine.joint()
+        self._changed = dict.fromkeys(workflow.blueprint.branches, 0)
 
     def joint(self) -> dict[str, str]:
         """The joint state: branch to state."""
@@ -50,14 +51,22 @@ class Procedure(Generic[C, D]):
         return [name for name in able if not (self.latched and operations[name].blocked_when_latched)]
 
     def ask(self, branch: str, operation: str) -> Closure | Denial:
-        """Asks the active state object, then works out the closure of what it allows."""
-        return self._engine.ask(branch, operation)
+        """Asks the state object of a branch, then works out the closure of what it allows.
+
+        The states are those promised: nothing is decided by states that a row on its way to the disk has ended.
+        """
+        return self._engine.ask(branch, operation, states=self._promised)
+
+    def changed_since(self, branches: Iterable[str], sequence: int) -> list[str]:
+        """Those of the branches that a commit changes which comes after `sequence`, promised ones too."""
+        return [branch for branch in branches if self._changed[branch] > sequence]
 
     def reserve(self, change: Change | None = None) -> int:
         """Promises a commit of `change` and returns its sequence number, for the journal to write first."""
         self._reserved += 1
         if change is not None:
             self._promised |= change.targets
+            self._changed |= dict.fromkeys(change.moved, self._reserved)
         return self._reserved
 
     def commit(self, sequence: int, change: Change | None, changes: Mapping[str, Any], *, unlatch: bool) -> None:
@@ -78,6 +87,8 @@ class Procedure(Generic[C, D]):
         self.latched = self.latched and not unlatch
         overtaken = sequence <= self.sequence  # by Stop, which shows the latch without waiting for the journal
         self.sequence = self.reserve() if overtaken else sequence
+        if change is not None:
+            self._changed |= dict.fromkeys(change.moved, self.sequence)
 
     def latch(self) -> None:
         """Forbids motion until an operation that unlatches is committed."""

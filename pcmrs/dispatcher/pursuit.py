@@ -15,7 +15,7 @@ from pcmrs.dispatcher.run import C, D
 from pcmrs.dispatcher.stage import Stage, performing
 from pcmrs.errors import PcmrsError
 from pcmrs.fsm.blueprint import ActivitySpec
-from pcmrs.messages import DeviceEvent, Reason
+from pcmrs.messages import DeviceEvent, Reason, Verdict
 
 log = structlog.get_logger(__name__)
 
@@ -33,6 +33,7 @@ class Pursuit(Generic[C, D]):
         task: Attends to it; the result is whether the robot stands, or a motion moves it.
         ending: It has been told to end, or not to begin.
         relieved: A motion takes over from it.
+        left: The verdict on its `ended`, once that is submitted.
         quiet: It does nothing any more, and where it moved the robot and no motion takes over, that has been held.
     """
 
@@ -48,6 +49,7 @@ class Pursuit(Generic[C, D]):
         self.task: asyncio.Task[bool] | None = None
         self.ending = spec.moves and stage.procedure.latched
         self.relieved = False
+        self.left: asyncio.Future[Verdict] | None = None
         self.quiet = asyncio.Event()
         self._stage = stage
         self._tell = tell
@@ -82,11 +84,12 @@ class Pursuit(Generic[C, D]):
         finally:
             self.quiet.set()
 
-    async def tell_end(self, danger: Reason | None) -> None:
-        """Makes known that it has ended, if it had begun."""
-        if self._begun:
-            how = danger.text if danger is not None else "as it was told to."
-            await self._tell(self._event(ACTIVITY_ENDED, f"{self.act.name} has ended: {how}"))
+    def tell_end(self, danger: Reason | None) -> Awaitable[None] | None:
+        """Makes known at once that it has ended, if it had begun; returns what ends when that is durable."""
+        if not self._begun:
+            return None
+        how = danger.text if danger is not None else "as it was told to."
+        return self._tell(self._event(ACTIVITY_ENDED, f"{self.act.name} has ended: {how}"))
 
     async def _perform(self) -> Reason | None:
         """Performs its function as soon as its beginning is durable."""

@@ -37,13 +37,18 @@ class Engine:
         """The joint state: branch to state."""
         return self._here.states.copy()
 
-    def ask(self, branch: str, operation: str) -> Closure | Denial:
-        """What the operation would change now, or why it is not allowed.
+    def ask(self, branch: str, operation: str, *, states: Mapping[str, str] | None = None) -> Closure | Denial:
+        """What the operation would change, or why it is not allowed.
+
+        Args:
+            branch: The branch asked.
+            operation: Any of its operations.
+            states: A joint state; the present one by default.
 
         Raises:
             KeyError: There is no such branch or operation.
         """
-        return self._ask(self._here, branch, operation)
+        return self._ask(self._here if states is None else self._situation(states), branch, operation)
 
     def allowed(self, branch: str, states: Mapping[str, str] | None = None) -> list[str]:
         """Operations of a branch that users may ask for and would not be denied, in the blueprint's order.

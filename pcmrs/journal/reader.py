@@ -6,12 +6,12 @@ import sqlite3
 from collections.abc import Iterator, Sequence
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from pcmrs.errors import JournalError
 from pcmrs.journal.chain import COLUMNS, follow_files, stored_row
 from pcmrs.journal.files import journal_files, numbered
-from pcmrs.journal.rows import Kind, StoredRow
+from pcmrs.journal.rows import JournalRow, Kind, StoredRow
 from pcmrs.journal.schema import DATABASE_ERRORS, last_sequence, open_for_reading
 from pcmrs.messages import Verdict
 
@@ -81,11 +81,24 @@ class JournalReader:
 
     def verdict_of(self, source: str, command_id: str) -> Verdict | None:
         """The recorded verdict on a command, so that a repeat runs nothing; None when there is none."""
-        query = f"SELECT {COLUMNS} FROM journal WHERE kind = 'outcome' AND source = ? AND command_id = ?"
-        for file in reversed(self._followed()):
-            for stored in self._rows(file, query, (source, command_id)):
-                return stored.row.verdict
-        return None
+        outcome = self.outcome_of(source, command_id)
+        return None if outcome is None else outcome.verdict
+
+    def outcome_of(self, source: str, command_id: str) -> JournalRow | None:
+        """The row with the verdict on a command; None when there is none."""
+        return self._row_of("outcome", source, command_id)
+
+    def intent_of(self, source: str, command_id: str) -> JournalRow | None:
+        """The row that was written before a command began; None when there is none."""
+        return self._row_of("intent", source, command_id)
+
+    def decided(self) -> Iterator[tuple[str, str]]:
+        """Source and id of every command that has a verdict."""
+        for path, connection in self._followed():
+            try:
+                yield from connection.execute("SELECT source, command_id FROM journal WHERE kind = 'outcome'")
+            except DATABASE_ERRORS as error:
+                raise JournalError(f"{path} cannot be read: {error}.", path=str(path)) from error
 
     def read_whole(self) -> Iterator[StoredRow]:
         """All rows, each only when it is whole and follows from the one before; a journal that is not ends in an error.
@@ -128,6 +141,14 @@ class JournalReader:
             if len(found) < last:
                 found.extend(self._rows(file, query, [*values, last - len(found)]))
         return reversed(found)
+
+    def _row_of(self, kind: Literal["intent", "outcome"], source: str, command_id: str) -> JournalRow | None:
+        # The kind is part of the text: only so does SQLite use the index of that kind.
+        query = f"SELECT {COLUMNS} FROM journal WHERE kind = '{kind}' AND source = ? AND command_id = ?"
+        for file in reversed(self._followed()):
+            for stored in self._rows(file, query, (source, command_id)):
+                return stored.row
+        return None
 
     def _rows(self, file: _File, query: str, values: Sequence[Any]) -> Iterator[StoredRow]:
         path, connection = file

@@ -86,10 +86,9 @@ class Book:
         """See `Recorder.event`."""
         return self._write(event_key(event.device, event.code, danger=event.danger), states)
 
-    def recall(self, source: str, command_id: str) -> Verdict | None:
+    def recall(self, source: str, command_id: str) -> None:
         """See `Recorder.recall`; a repeat leaves no row, so that none is ever replayed."""
         self.asked.add((source, command_id))
-        return None
 
     # -- what the replay calls --------------------------------------------------------------------------
 

@@ -14,11 +14,13 @@ import msgspec
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.events import DAEMON
 from pcmrs.dispatcher.procedure import Procedure
+from pcmrs.dispatcher.recorder import Recorded
 from pcmrs.errors import JournalError
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.journal import Journal, JournalRow, Kind
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Verdict
+from pcmrs.service.decided import DecidedKeys
 from pcmrs.service.ledger import ENDED, TAKEN_BACK, Begun, Kept, Ledger
 from pcmrs.workflows.data import PlacementData
 
@@ -36,12 +38,16 @@ class JournalRecorder:
         clock: The cell's clock.
         session: Id of this run.
         blueprint: The workflow that is decided under.
+
+    Raises:
+        JournalError: The journal cannot be read.
     """
 
     def __init__(self, journal: Journal, clock: Clock, session: str, blueprint: BlueprintTag) -> None:
         self._journal = journal
         self._clock = clock
         self._common: dict[str, Any] = {"session_id": session, "boot_id": _boot_id(), "blueprint": blueprint}
+        self._decided = DecidedKeys(journal.reader.decided())
         self._ledger: Ledger | None = None
         self._procedure: Procedure[Any, Any] | None = None
         self._since_snapshot = 0
@@ -76,9 +82,17 @@ class JournalRecorder:
         )
         return self._append([row])
 
-    def recall(self, source: str, command_id: str) -> Verdict | None:
+    def recall(self, source: str, command_id: str) -> Recorded | None:
         """See `Recorder.recall`."""
-        return self._journal.reader.verdict_of(source, command_id)
+        if (source, command_id) not in self._decided:
+            return None
+        reader = self._journal.reader
+        outcome = reader.outcome_of(source, command_id)
+        if outcome is None or outcome.verdict is None:
+            return None
+        # What an earlier run left unfinished was closed by a row that repeats no arguments.
+        asked = outcome if outcome.arguments is not None else reader.intent_of(source, command_id)
+        return Recorded(outcome.verdict, {} if asked is None else asked.arguments or {})
 
     def read_back(self, blueprint: Blueprint) -> Kept:
         """Reads what earlier rows leave, from the last snapshot on; from now on every thousandth row is one.
@@ -155,6 +169,9 @@ class JournalRecorder:
 
         After a failure the ledger may hold what the disk does not: there is no snapshot before it has been read back.
         """
+        for row in rows:
+            if row.kind == "outcome":
+                self._decided.add(row.source or "", row.command_id or "")
         if self._ledger is not None:
             rows = self._followed(rows, self._ledger)
         try:

@@ -14,7 +14,7 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, as_point
 from pcmrs.workflows.guard import guarded
 from pcmrs.workflows.paths import along_axis
-from pcmrs.workflows.placement import check_nudges, nudge_of, planned
+from pcmrs.workflows.placement import check_at_present_plan, check_nudges, nudge_of, planned
 from pcmrs.workflows.settings import PressForce
 from pcmrs.workflows.ways import check_towards, straight_way
 
@@ -43,6 +43,7 @@ class Press(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def press_possible(run: Run) -> None:
     """Prepares a press; refuses it where its whole travel would pass a zone, or exceed what nudges may add up to."""
+    check_at_present_plan(run.data)
     cell, contact = run.cell, run.cell.settings.contact
     base_from_target = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE) @ planned(run.data)
     base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil

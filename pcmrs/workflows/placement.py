@@ -72,11 +72,13 @@ def approach_possible(run: Run) -> None:
 
 def confirm_possible(run: Run) -> None:
     """Plans the straight way along the tool's axis to the target."""
+    check_at_present_plan(run.data)
     run.prepared = _straight_to(run, target(run.data, run.cell.settings.placement.confirm_offset))
 
 
 def nudge_possible(run: Run) -> None:
     """Plans the straight way to the nudged pose, and refuses a sum of nudges that is too large."""
+    check_at_present_plan(run.data)
     limits = run.cell.settings.placement
     translation, rotation = nudges_with(run)
     check_nudges(run, translation, rotation)
@@ -250,6 +252,17 @@ def _way_to_standoff(run: Run) -> float | None:
 def at_present_plan(data: PlacementData) -> bool:
     """Whether the tool was brought to the plan and registration that are in force."""
     return data.approached is not None and data.approached == (data.plan_id, data.registration_id)
+
+
+def check_at_present_plan(data: PlacementData) -> None:
+    """Refuses to go on from where the tool was not brought for this plan, whatever the states say.
+
+    Raises:
+        RefusalError: ``not_at_plan``.
+    """
+    if not at_present_plan(data):
+        text = "The tool was not brought to the plan and registration in force: back off, then approach anew."
+        raise RefusalError("not_at_plan", text, plan=data.plan_id, registration=data.registration_id)
 
 
 def register_placement_checks(registry: Registry[Cell, PlacementData]) -> None:

@@ -12,6 +12,7 @@ from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.following import FIRST_FRAMES, FIRST_TIME
 from pcmrs.workflows.guide import Guide
 from pcmrs.workflows.guiding import TELL_EVERY, Activity, Guiding, planned_in_body_ref
+from pcmrs.workflows.placement import check_at_present_plan
 from pcmrs.workflows.ways import arrange
 
 Run = AnyRun[Cell, PlacementData]
@@ -22,6 +23,7 @@ BUS = "bus:"
 
 def guide_possible(run: Run) -> None:
     """Refuses to guide a tool that is not seen with the body, or from where the arm cannot go to its planned pose."""
+    check_at_present_plan(run.data)
     cell = run.cell
     body_ref_from_plan = planned_in_body_ref(cell, run.data)
     arrange(cell, run.data)

@@ -90,7 +90,7 @@ async def test_an_arm_that_has_not_confirmed_to_stand_after_a_failure_is_told_of
 @pytest.mark.parametrize("danger", [True, False])
 async def test_an_event_that_cannot_be_written(bench: Bench, danger: bool) -> None:
     await bench.go(PLACED)
-    bench.recorder.failing.add("event")
+    bench.recorder.failing |= {"event", "decision"}
     await bench.dispatcher.report(DeviceEvent(device="tracker", code="reference_moved", text="Moved.", danger=danger))
     await settle()
     assert bench.holds >= 1
@@ -163,7 +163,7 @@ async def test_a_motion_that_has_become_forbidden_under_way_is_fail_stop(bench: 
     await bench.go(RETRACTED)
     gate = bench.script.hang("placement.approach")
     motion = await bench.begin("placement.approach")
-    bench.dispatcher.procedure._engine.place({"robot": "0"})
+    bench.dispatcher.procedure._promised["robot"] = "0"
     gate.set()
     async with asyncio.timeout(10.0):
         verdict = await motion

@@ -13,6 +13,7 @@ from dispatcher_fakes import HELD, PLACED, RATMS, RETRACTED, STANDOFF, Bench, No
 from ratms_oracle import INITIAL
 
 from pcmrs.dispatcher import Run
+from pcmrs.dispatcher.recorder import Recorded
 from pcmrs.errors import BlueprintError, DeviceError, ReentrancyError, RefusalError
 from pcmrs.fsm import Blueprint, close
 from pcmrs.fsm.closure import MAX_EFFECTS, Denial
@@ -421,9 +422,32 @@ async def test_14_the_key_is_source_and_id(bench: Bench) -> None:
 
 async def test_14_verdicts_of_an_earlier_run_are_recalled(bench: Bench) -> None:
     earlier = Verdict(id="9", branch="toolplan", operation="plan", decision="unknown", state="0", sequence=4)
-    bench.recorder.earlier["test:user", "9"] = earlier
+    bench.recorder.earlier["test:user", "9"] = Recorded(earlier, {})
     assert await bench.do("toolplan.plan", id="9") == earlier
     assert bench.joint == INITIAL
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"), [("toolplan.clear", {}), ("robot.connect", {}), ("toolplan.plan", {"values": [1.0]})]
+)
+@pytest.mark.parametrize("earlier_run", [True, False])
+async def test_14_an_id_stands_for_one_command(
+    bench: Bench, name: str, arguments: dict[str, Any], earlier_run: bool
+) -> None:
+    """Whoever uses it for something else is not told that this was done."""
+    if earlier_run:
+        done = Verdict(id="9", branch="toolplan", operation="plan", decision="accepted", state="1", sequence=4)
+        bench.recorder.earlier["test:user", "9"] = Recorded(done, {"values": [2.0]})
+    else:
+        await bench.do("toolplan.plan", id="9", arguments={"values": [2.0]})
+    rows, joint = len(bench.recorder.rows), bench.joint
+    reused = await bench.do(name, id="9", arguments=arguments)
+    assert reused.reason is not None
+    assert (reused.decision, reused.reason.code) == ("rejected", "id_reused")
+    assert (len(bench.recorder.rows), bench.joint) == (rows, joint)
+    assert reused in bench.published
+    again = await bench.do("toolplan.plan", id="9", arguments={"values": [2.0]})
+    assert again.decision == "accepted", "what it stands for is as before"
 
 
 async def test_15_flags_follow_the_states_and_decide_nothing(bench: Bench) -> None:

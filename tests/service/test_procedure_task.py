@@ -26,7 +26,6 @@ from pcmrs.messages import (
     JointState,
     NodeBeat,
     StimulatorState,
-    Verdict,
 )
 from pcmrs.service.procedure import Clocks, RunningProcedure
 from pcmrs.service.publishing import Publishing
@@ -98,8 +97,8 @@ class FakeRecorder:
     async def event(self, event: DeviceEvent, states: Mapping[str, str]) -> None:
         self.events.append(event)
 
-    def recall(self, source: str, command_id: str) -> Verdict | None:
-        return None
+    def recall(self, source: str, command_id: str) -> None:
+        """Nothing was decided before."""
 
 
 class Bench:

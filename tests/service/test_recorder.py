@@ -9,6 +9,8 @@ import msgspec
 import pytest
 from clock import ManualClock
 
+from pcmrs.dispatcher.recorder import Recorded
+from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalRow
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, PoseMessage, Verdict
 from pcmrs.service.recorder import JournalRecorder
@@ -77,9 +79,27 @@ async def test_device_events_are_journalled_with_their_values(journal: Journal) 
 async def test_a_verdict_is_recalled_by_source_and_id_also_from_an_earlier_run(journal: Journal) -> None:
     await _recorder(journal, "s1").decision(COMMAND, _verdict(), STATES, {}, with_intent=True)
     later = _recorder(journal, "s2")
-    assert later.recall("udp:planner", "c1") == _verdict()
+    assert later.recall("udp:planner", "c1") == Recorded(_verdict(), COMMAND.arguments)
     assert later.recall("bus:local", "c1") is None
     assert later.recall("udp:planner", "c2") is None
+
+
+async def test_a_new_command_is_known_to_be_new_without_a_look_at_the_disk(
+    journal: Journal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await _recorder(journal, "s1").decision(COMMAND, _verdict(), STATES, {}, with_intent=True)
+    recorder = _recorder(journal, "s2")
+    own = Command(id="c2", branch="robot", operation="connect", source="bus:local")
+    await recorder.decision(own, _verdict(), STATES, {}, with_intent=True)
+
+    def read(*_: str) -> None:
+        raise JournalError("The disk does not answer.")
+
+    monkeypatch.setattr(journal.reader, "outcome_of", read)
+    assert recorder.recall("udp:planner", "c3") is None
+    for source, known in (("udp:planner", "c1"), ("bus:local", "c2")):
+        with pytest.raises(JournalError):
+            recorder.recall(source, known)
 
 
 async def test_what_an_earlier_run_had_begun_is_closed_as_unknown_once(journal: Journal) -> None:
@@ -94,7 +114,7 @@ async def test_what_an_earlier_run_had_begun_is_closed_as_unknown_once(journal: 
     assert (unknown.id, unknown.decision, unknown.state) == ("c1", "unknown", "retracted")
     assert unknown.reason is not None
     assert unknown.reason.code == "daemon_ended"
-    assert later.recall("udp:planner", "c1") == unknown
+    assert later.recall("udp:planner", "c1") == Recorded(unknown, COMMAND.arguments)
     assert _recorder(journal, "s3").read_back(RATMS).begun == ()
 
 

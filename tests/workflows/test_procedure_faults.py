@@ -309,6 +309,7 @@ async def test_an_arm_that_was_moved_meanwhile_is_looked_for_anew(bench: Workflo
     await bench.scene.inject("drop_client", {})
     await bench.until(lambda: bench.states["robot"] == "0")
     assert bench.states["placement"] == "unknown"
+    await stands(bench)
     await bench.scene.inject("guide_by_hand", {"joint": 1, "angle": 0.4})
     await bench.clock.sleep(4.0)
     await bench.connect()

@@ -63,6 +63,7 @@ async def test_a_bumped_reference_latches_and_takes_the_registration_back(
     (event,) = _moved(bench)
     assert event.danger
     assert event.fields["translation"] > 0.0015 or event.fields["rotation"] > 0.0175
+    assert await bench.dispatcher.stop("test:operator"), "the arm stands"
     await bench.accept("robot.acknowledge")
     await bench.accept("placement.back_off")
     await bench.accept("digitization.digitize_all")

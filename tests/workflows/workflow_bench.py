@@ -83,8 +83,8 @@ class ListRecorder:
     async def event(self, event: DeviceEvent, states: Mapping[str, str]) -> None:
         self.rows.append(("event", event.code))
 
-    def recall(self, source: str, command_id: str) -> Verdict | None:
-        return None
+    def recall(self, source: str, command_id: str) -> None:
+        """Nothing was decided before."""
 
 
 class Latched:

@@ -102,7 +102,7 @@ class Forgetful:
     async def event(self, event: DeviceEvent, states: Mapping[str, str]) -> None:
         """Nothing is kept."""
 
-    def recall(self, source: str, command_id: str) -> Verdict | None:
+    def recall(self, source: str, command_id: str) -> None:
         """Nothing has been kept."""
 
 

@@ -1,0 +1,170 @@
+"""A motion waits for what an event is about to change, for a moment; and what moves begins in time or not at all."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from clock import settle
+from dispatcher_fakes import HELD, PLACED, RATMS, STANDOFF, Bench
+from test_locks import code
+
+from pcmrs.dispatcher import admission
+from pcmrs.messages import Verdict
+
+TRACKER = "activity:watch_alignment"
+
+
+async def within_on_its_way(bench: Bench) -> tuple[asyncio.Event, asyncio.Task[Verdict]]:
+    """The tool is placed, and an event of the alignment is being journalled."""
+    await bench.go(PLACED)
+    gate = bench.recorder.gates["decision"] = asyncio.Event()
+    return gate, await bench.begin("alignment.within", source=TRACKER)
+
+
+async def test_a_motion_waits_for_an_event_that_is_being_journalled(bench: Bench) -> None:
+    gate, event = await within_on_its_way(bench)
+    motion = await bench.begin("placement.nudge")
+    assert not motion.done()
+    gate.set()
+    assert [(await task).decision for task in (event, motion)] == ["accepted", "accepted"]
+
+
+async def test_a_motion_does_not_wait_for_long(bench: Bench) -> None:
+    gate, event = await within_on_its_way(bench)
+    asked = asyncio.get_running_loop().time()
+    motion = await bench.begin("placement.nudge")
+    asyncio.get_running_loop().call_at(asked + 2 * admission.CHECKS_BEGIN_WITHIN, gate.set)
+    assert code(await motion) == "busy"
+    assert (await event).decision == "accepted"
+    assert "placement.nudge" not in bench.script.entered
+
+
+async def test_one_motion_waits_and_nothing_that_acts_otherwise(bench: Bench) -> None:
+    gate, event = await within_on_its_way(bench)
+    motion, other = [await bench.begin(f"placement.{name}") for name in ("nudge", "back_off")]
+    gate.set()
+    assert code(await other) == "busy"
+    assert [(await task).decision for task in (event, motion)] == ["accepted", "accepted"]
+
+
+async def test_a_motion_waits_for_no_command(bench: Bench) -> None:
+    await bench.go(PLACED)
+    gate = bench.recorder.gates["decision"] = asyncio.Event()
+    stopping = await bench.begin("alignment.reinit")
+    motion = await bench.begin("placement.nudge")
+    gate.set()
+    assert code(await motion) == "busy"
+    await stopping
+
+
+async def test_a_motion_that_waits_counts_as_moving(bench: Bench) -> None:
+    gate, event = await within_on_its_way(bench)
+    motion = await bench.begin("placement.nudge")
+    prospect = await bench.dispatcher.prospect(bench.command("digitization.clear_surface"))
+    plan = await bench.begin("toolplan.plan")
+    gate.set()
+    assert prospect.reason is not None
+    assert (prospect.reason.code, code(await plan)) == ("busy", "busy")
+    assert [(await task).decision for task in (event, motion)] == ["accepted", "accepted"]
+
+
+async def test_a_motion_is_asked_again_whether_it_may_still_wait(bench: Bench) -> None:
+    """An event with a step in the world has come ahead of it."""
+    gate, _ = await within_on_its_way(bench)
+    motion = await bench.begin("placement.nudge")
+    outside = await bench.begin("alignment.outside", source=TRACKER)
+    (waiting,) = (each for each in bench.dispatcher._lanes.waiting if each.spec.event)
+    waiting.worldly = True
+    gate.set()
+    assert code(await motion) == "busy"
+    await outside
+
+
+async def test_stop_rejects_a_motion_that_waits(bench: Bench) -> None:
+    gate, event = await within_on_its_way(bench)
+    motion = await bench.begin("placement.nudge")
+    stop = asyncio.create_task(bench.dispatcher.stop("test:operator"))
+    gate.set()
+    assert code(await motion) == "stopped"
+    assert (await event).decision == "accepted"
+    await stop
+
+
+@pytest.mark.parametrize("name", ["placement.confirm", "teleoperation.engage"])
+async def test_what_moves_or_acts_is_looked_at_in_time_or_refused(bench: Bench, name: str) -> None:
+    joint = STANDOFF if name == "placement.confirm" else ("111", "1", "1", "1", "guided", "0", "off")
+    await bench.go(joint)
+    bench.script.entered.clear()
+    arrived = asyncio.get_running_loop().time() - 2 * admission.CHECKS_BEGIN_WITHIN
+    verdict = await bench.dispatcher.submit(bench.command(name), arrived=arrived)
+    await settle()
+    assert (verdict.decision, code(verdict), bench.joint) == ("rejected", "expired", joint)
+    assert (bench.recorder.kinds(verdict.id), verdict in bench.published) == (["decision"], True)
+    assert bench.script.entered == []
+
+
+async def test_what_neither_moves_nor_acts_may_begin_late(bench: Bench) -> None:
+    arrived = asyncio.get_running_loop().time() - 60.0
+    assert (await bench.dispatcher.submit(bench.command("toolplan.plan"), arrived=arrived)).decision == "accepted"
+
+
+@pytest.mark.parametrize("name", ["toolplan.clear", "toolplan.plan", "registration.clear_registration"])
+async def test_nothing_takes_away_what_a_standoff_rests_on_while_that_is_journalled(bench: Bench, name: str) -> None:
+    await bench.go(HELD)
+    gate = bench.recorder.gates["decision"] = asyncio.Event()
+    retreat = await bench.begin("placement.back_off")
+    change = await bench.begin(name)
+    gate.set()
+    assert (await retreat).state == "standoff"
+    assert code(await change) == "busy"
+    assert bench.joint == STANDOFF
+    assert (await bench.do(name)).decision == "accepted"
+    assert bench.joint[4] == "held"
+
+
+@pytest.mark.parametrize("name", ["toolplan.clear", "toolplan.plan", "registration.clear_registration"])
+async def test_a_retreat_ends_at_no_standoff_of_what_has_changed_meanwhile(bench: Bench, name: str) -> None:
+    await bench.go(HELD)
+    at_the_end = bench.script.hang("placement.back_off")
+    retreat = await bench.begin("placement.back_off")
+    gate = bench.recorder.gates["decision"] = asyncio.Event()
+    change = await bench.begin(name)
+    at_the_end.set()
+    await settle()
+    gate.set()
+    assert (await change).decision == "accepted"
+    assert (code(await retreat), bench.joint[4]) == ("outcome_outdated", "held")
+
+
+async def test_a_plan_that_was_being_journalled_when_a_retreat_began_is_not_what_it_ends_at(bench: Bench) -> None:
+    await bench.go(HELD)
+    gate = bench.recorder.gates["decision"] = asyncio.Event()
+    plan = await bench.begin("toolplan.plan")
+    retreat = await bench.begin("placement.back_off")
+    gate.set()
+    assert (await plan).decision == "accepted"
+    assert (code(await retreat), bench.joint[4]) == ("outcome_outdated", "held")
+
+
+async def test_what_fails_after_a_verdict_is_fail_stop_and_keeps_no_locks(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("The test wants it to fail.")
+
+    await bench.go(STANDOFF)
+    monkeypatch.setattr(bench.dispatcher._activities, "follow", fail)
+    assert (await bench.do("placement.back_off")).decision == "accepted"
+    await settle()
+    assert bench.dispatcher.broken is not None
+    assert bench.dispatcher.broken.code == "internal_error"
+    assert bench.dispatcher._lanes.running == []
+    assert (bench.holds, bench.dispatcher.snapshot().latched) == (1, True)
+    assert code(await bench.do("toolplan.plan")) == "internal_error"
+
+
+def test_no_event_moves_or_acts() -> None:
+    """Nothing that moves waits for its turn, and an event is never turned away."""
+    operations = (spec for branch in RATMS.branches.values() for spec in branch.operations.values())
+    assert not any(spec.event and spec.blocked_when_latched for spec in operations)
