@@ -15,6 +15,8 @@ from typing import Any
 
 import pytest
 
+from pcmrs.messages import DeviceEvent, Reason
+
 FOLDER = Path(__file__).parent / "defects"
 
 
@@ -114,6 +116,51 @@ def _sends_late(send_second: Any) -> Any:
     return changed
 
 
+def _submits_after_the_hold(_: Any) -> Any:
+    async def changed(self: Any, event: DeviceEvent) -> None:
+        if event.danger:
+            await self.stop(f"device:{event.device}", Reason(code=event.code, text=event.text, fields=event.fields))
+        else:
+            await self._tell(event)
+        self._submit_operations_of(event)
+
+    return changed
+
+
+def _turns_events_away(why_not_wait: Any) -> Any:
+    def changed(self: Any, attempt: Any) -> Any:
+        if attempt.spec.event and attempt.locks.writes & self._revokers and self.moving:
+            return self.busy(attempt)
+        return why_not_wait(self, attempt)
+
+    return changed
+
+
+def _waits_for_nothing_pending(objection: Any) -> Any:
+    def changed(self: Any, command: Any, *, latched: bool) -> Any:
+        pending, self._pending = self._pending, {}
+        try:
+            return objection(self, command, latched=latched)
+        finally:
+            self._pending = pending
+
+    return changed
+
+
+def _asks_the_committed_states(_: Any) -> Any:
+    def changed(self: Any, branch: str, operation: str) -> Any:
+        return self._engine.ask(branch, operation)
+
+    return changed
+
+
+def _takes_the_ending_as_it_was(_: Any) -> Any:
+    def changed(_self: Any, _attempt: Any, ending: Any) -> Any:
+        return ending
+
+    return changed
+
+
 DEFECTS: dict[str, Defect] = {
     each.name: each
     for each in (
@@ -125,6 +172,31 @@ DEFECTS: dict[str, Defect] = {
                 "pcmrs.devices.gate:Gate.check": _does_nothing,
                 "pcmrs.devices.gate:Gate.admit": _does_nothing,
             },
+        ),
+        Defect(
+            name="a_danger_event_is_refused",
+            harm="The operations of a danger event come after its hold, behind an acknowledgement and the next motion.",
+            found_by=("dangers_are_decided_first", "no_event_is_turned_away"),
+            put_back={
+                "pcmrs.dispatcher.dispatcher:Dispatcher.report": _submits_after_the_hold,
+                "pcmrs.dispatcher.lanes:Lanes.why_not_wait": _turns_events_away,
+                "pcmrs.dispatcher.stops:Stops.objection": _waits_for_nothing_pending,
+            },
+        ),
+        Defect(
+            name="a_change_meets_the_commit_of_a_retreat",
+            harm="The plan is taken away while the outcome of a retreat is written, and the standoff is committed.",
+            found_by=("promises_are_kept", "the_tool_is_at_its_plan"),
+            put_back={
+                "pcmrs.dispatcher.procedure:Procedure.ask": _asks_the_committed_states,
+                "pcmrs.dispatcher.performer:Performer._still_so": _takes_the_ending_as_it_was,
+            },
+        ),
+        Defect(
+            name="a_reused_id_gets_another_verdict",
+            harm="A command with an id that another one had gets the verdict on that one.",
+            found_by=("answers_are_about_the_command",),
+            put_back={"pcmrs.dispatcher.memory:_check_same": _does_nothing},
         ),
         Defect(
             name="motions_queue_in_the_gateway",
