@@ -193,11 +193,11 @@ async def test_stop_passes_what_runs_and_rejects_what_waits(cell: Any) -> None:
 
 
 async def test_stop_without_an_id_waits_for_nothing_either(cell: Any) -> None:
-    cell.core.gates["approach"].clear()
-    await cell.tell("execute_motionxx;", cell.robot)
+    cell.core.gates["digitize_all"].clear()
+    await cell.tell("start_autodigitz;", cell.robot)
     assert await cell.tell("stop_now_xxxxxxx;", cell.robot) == "ack"
     await settle(cell, cell.robot)
-    assert cell.core.operations == ["approach"]
+    assert cell.core.operations == ["digitize_all"]
     assert len(cell.core.stops) == 1
 
 
