@@ -152,6 +152,7 @@ class WorkflowBench:
         """Submits a command and waits for its verdict."""
         branch, operation = name.split(".")
         if name in self.dispatcher.snapshot().release:
+            await self.until(lambda: not self.dispatcher.snapshot().stop.pending)
             arguments = {"stop": self.dispatcher.stop_number} | arguments
         command = Command(
             id=f"c{next(self._ids)}", branch=branch, operation=operation, source="test:user", arguments=arguments
