@@ -63,8 +63,8 @@ BAD_VALUES = {
         "branches.robot.operations.connect.when",
     ),
     "motion that is none": (
-        'motion = "retreat"\nrequires = { robot = ["1"] }\nchecks = ["home_',
-        'motion = "sideways"\nrequires = { robot = ["1"] }\nchecks = ["home_',
+        'motion = "retreat"\npayload = "retreat"\nrequires = { robot = ["1"] }\nchecks = ["home_',
+        'motion = "sideways"\npayload = "retreat"\nrequires = { robot = ["1"] }\nchecks = ["home_',
         "sideways",
         "branches.placement.operations.home.motion",
     ),

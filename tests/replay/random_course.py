@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,6 +96,10 @@ class Course:
     def verdict_of(self, source: str, command_id: str) -> Verdict | None:
         asked = ((each.row.source, each.row.command_id, each.row.verdict) for each in self.rows)
         return next((verdict for at, by, verdict in asked if verdict and (at, by) == (source, command_id)), None)
+
+    def decided(self) -> Iterator[tuple[str, str]]:
+        rows = (each.row for each in self.rows if each.row.verdict is not None)
+        return ((row.source or "", row.command_id or "") for row in rows)
 
     # -- what a course is made of -----------------------------------------------------------------------
 
