@@ -52,8 +52,8 @@ class Gate:
         self._number = 0
         self.state = GateState(node=node or uuid.uuid4().hex, epoch=0, latched=device in LATCHING)
 
-    def check(self, token: ActToken | None) -> None:
-        """Checks that a request was made for the present situation.
+    def check(self, token: ActToken | None) -> ActToken:
+        """Checks that a request was made for the present situation, and returns its token.
 
         Raises:
             DeviceError: The device is latched (``device_latched``), or the request names another session or epoch
@@ -71,6 +71,7 @@ class Gate:
             text = f"The request was made before the {self._device} was held or restarted, and came after that: "
             text += f"it names epoch {token.epoch}, the present one is {state.epoch}. Ask again."
             raise DeviceError(text, code=STALE, epoch=token.epoch, present=state.epoch)
+        return token
 
     def admit(self, token: ActToken | None) -> None:
         """Lets one request act, each once and none after a newer one.
@@ -78,8 +79,7 @@ class Gate:
         Raises:
             DeviceError: See `check`; or its number is not greater than the last one (``stale_request``).
         """
-        self.check(token)
-        assert token is not None  # checked above
+        token = self.check(token)
         if token.number <= self._number:
             text = f"Request {token.number} of the {self._device} came after request {self._number}: ask again."
             raise DeviceError(text, code=STALE, number=token.number, last=self._number)
@@ -109,8 +109,6 @@ class Gate:
         if token is None or (token.node, token.epoch) != (state.node, state.epoch):
             text = f"The {self._device} was held or restarted after this release was decided: acknowledge again."
             raise DeviceError(text, code=STALE, present=state.epoch)
-        if token.daemon != state.daemon:
-            self._number = 0  # numbers are a daemon's own
         self._change(epoch=state.epoch, latched=False, daemon=token.daemon)
 
     def forget_daemon(self) -> None:
@@ -120,5 +118,5 @@ class Gate:
     def _change(self, *, epoch: int, latched: bool, daemon: str) -> None:
         state = self.state
         if daemon != state.daemon:
-            self._number = 0
+            self._number = 0  # numbers are a daemon's own
         self.state = GateState(node=state.node, epoch=epoch, latched=latched, daemon=daemon, changes=state.changes + 1)

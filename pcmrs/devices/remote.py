@@ -133,17 +133,16 @@ class ActingDevice(RemoteDevice):
         """Whether the device acts for an earlier daemon."""
         return self.gate is not None and self.gate.daemon not in ("", self._daemon)
 
-    def take(self, gate: GateState | None) -> bool:
-        """Takes a report of the device's node, from a beat or a reply; whether it is newer than the last one."""
+    def take(self, gate: GateState | None) -> None:
+        """Takes a report of the device's node, from a beat or a reply, if it is newer than the last one."""
         known = self.gate
         if gate is None or gate.node in self._replaced:
-            return False
+            return
         if known is not None and known.node == gate.node and gate.changes <= known.changes:
-            return False
+            return
         if known is not None and known.node != gate.node:
             self._replaced.add(known.node)
         self.gate = gate
-        return True
 
     async def act(self, method: str, kind: type[T], timeout: float = ANSWER_TIME, **arguments: Any) -> T:
         """Calls a method that acts, for the situation that is known now.
