@@ -52,6 +52,18 @@ def parse(datagram: bytes) -> Request:
     return Request(spec, values, client_id)
 
 
+def may_become_command(beginning: bytes) -> bool:
+    """Return whether further bytes could make a datagram of `beginning` that names a command; a whole one may be wrong.
+
+    Args:
+        beginning: First bytes of a datagram, or all of them.
+    """
+    if len(beginning) > MAX_BYTES or not _PRINTABLE.fullmatch(beginning):
+        return False
+    name = beginning[:NAME_LENGTH].decode("ascii")
+    return name in COMMANDS or any(each.startswith(name) for each in COMMANDS)
+
+
 def format_command(name: str, *values: Value, client_id: str | None = None) -> bytes:
     """The datagram of a command; `parse` returns exactly these values.
 

@@ -82,8 +82,10 @@ class Intake:
         self._memory = Memory()
         self._clock: Clock = services.clock
 
-    def receive(self, link: str, peer: tuple[str, int], exposed: bool, data: bytes, answer: Answer) -> None:
-        """Takes one datagram or frame; what is refused is counted, told and changes nothing.
+    def receive(
+        self, link: str, peer: tuple[str, int], exposed: bool, data: bytes, answer: Answer
+    ) -> PayloadError | RefusalError | None:
+        """Take one datagram or frame; what is refused is counted, reported and changes nothing.
 
         Args:
             link: Name of the link it came by.
@@ -91,6 +93,10 @@ class Intake:
             exposed: Whether the link is bound to another address than loopback.
             data: The bytes.
             answer: Where answers go.
+
+        Returns:
+            None where the sender is known and the grammar holds; `PayloadError` where the grammar is broken or nothing
+            unsigned is taken from there; `RefusalError` where a signature does not hold.
         """
         arrived = self._clock.monotonic()
         self.counters.received += 1
@@ -103,6 +109,12 @@ class Intake:
                 self._receive_unsigned(link, peer, data, answer, arrived)
         except (PayloadError, RefusalError) as error:
             self.refuse(link, peer, error)
+            return error
+        return None
+
+    def takes_unsigned(self, host: str, exposed: bool) -> bool:
+        """Return whether unsigned commands from `host` count on a link that is `exposed` or not."""
+        return not exposed and host in self._unsigned_peers
 
     def refuse(self, link: str, peer: tuple[str, int], error: Exception) -> None:
         """Counts what cannot be taken, and has it told."""

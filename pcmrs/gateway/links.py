@@ -84,7 +84,7 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
             if link.port is not None
         }
         if config.tcp_port is not None:
-            addresses[LINK] = await _open_tcp(stack, TcpLink(intake, tasks), config.host, config.tcp_port)
+            addresses[LINK] = await _open_tcp(stack, TcpLink(intake, tasks, clock), config.host, config.tcp_port)
         if config.openigtlink.enabled:
             addresses["openigtlink"] = await _open_openigtlink(stack, core, config, clock, intake, tasks, jobs)
         # Left first, while the sockets are open: clients learn what became of commands that the daemon has ended.

@@ -131,7 +131,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         host: Address that all links are bound to. On one other than loopback, commands have to be signed.
         client_host: IPv4 address that the streams for planner and visualization go to.
         mixed_reality_host: IPv4 address that the mixed reality stream goes to.
-        tcp_port: Port of the TCP link; 0 takes any free port, None has no TCP link.
+        tcp_port: Port of the TCP link, 8058 by convention; 0 takes any free port. None, the default: no TCP link.
         stream_rate_hz: Rate of the pose streams.
         openigtlink: The link with 3D Slicer.
         markers: Markers of what the procedure does, on Lab Streaming Layer.
@@ -151,7 +151,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     visualization: LinkConfig = LinkConfig(port=8077, reply_port=8069, stream_port=8079)
     mixed_reality: LinkConfig = LinkConfig(reply_port=28051, stream_port=8051)
     mep: LinkConfig = LinkConfig(port=8085)
-    tcp_port: Port | None = 8058
+    tcp_port: Port | None = None
     stream_rate_hz: float = 100.0
     openigtlink: OpenIgtLinkConfig = OpenIgtLinkConfig()
     markers: MarkersConfig = MarkersConfig()

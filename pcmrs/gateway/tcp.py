@@ -1,16 +1,18 @@
-"""The TCP link: the same grammar as a stream, one command per ``;``.
+"""The TCP link: the same grammar as a stream, cut into frames by `pcmrs.gateway.frames`.
 
-A connection that begins with ``|;`` signs: each of its commands is followed by a signature, which a ``;`` ends too,
-``<command>;|<peer>|<counter>|<tag>;``. On any other, each ``;`` ends a command without signature, which begins at once.
-
-Answers go back over the connection, each ended by ``;``: ``ack;``, the second answer, or the verdict reply.
+Answers go back over the connection, each ended by ``;``: ``ack;``, the second answer, or the verdict reply. The first
+byte or frame that breaks the grammar ends the connection: a web page can open one, and the body of its request may hold
+commands.
 """
 
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 
-from pcmrs.errors import PayloadError
+from pcmrs.clock import Clock
+from pcmrs.errors import PayloadError, RefusalError
+from pcmrs.gateway.frames import Frames
 from pcmrs.gateway.grammar import MAX_BYTES
 from pcmrs.gateway.intake import Intake
 from pcmrs.gateway.session import Answer
@@ -18,23 +20,32 @@ from pcmrs.gateway.tasks import Tasks
 from pcmrs.hosts import is_loopback
 
 LINK = "tcp"
-SIGNS = b"|;"
-"""With this a connection begins whose commands are signed."""
+MOST = 32
+"""Connections that are open at once. Each needs a descriptor, and Stop must always find one."""
+MOST_OF_A_HOST = 8
+"""Of these from one address."""
+FIRST_WITHIN = 10.0
+"""A peer that has to sign is disconnected if no signed frame of it has arrived after so long, s of the machine."""
+TOO_MANY = "too_many_connections"
+SILENT = "not_authenticated"
 
 
 class TcpLink:
-    """Serves any number of connections.
+    """Serves a bounded number of connections.
 
     Args:
         intake: Takes what arrives.
         tasks: Owns the connections.
+        clock: The machine's.
     """
 
-    def __init__(self, intake: Intake, tasks: Tasks) -> None:
+    def __init__(self, intake: Intake, tasks: Tasks, clock: Clock) -> None:
         self._intake = intake
         self._tasks = tasks
+        self._clock = clock
         self._server: asyncio.Server
         self._exposed = True
+        self._open: Counter[str] = Counter()
 
     async def listen(self, host: str, port: int) -> tuple[str, int]:
         """Begins to accept connections; returns the address it is bound to."""
@@ -48,49 +59,87 @@ class TcpLink:
         self._server.close()
 
     def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._tasks.spawn(self._serve(reader, writer))
+        name = writer.get_extra_info("peername")
+        if name is None:  # it has closed again already
+            writer.transport.abort()
+            return
+        peer = name[:2]
+        host = peer[0]
+        for count, limit, whose in (
+            (self._open[host], MOST_OF_A_HOST, f"from {host}"),
+            (self._open.total(), MOST, "in all"),
+        ):
+            if count >= limit:
+                text = f"{count} connections are open {whose}, limit {limit}; close one that you do not need."
+                self._intake.refuse(LINK, peer, RefusalError(TOO_MANY, text, count=count, limit=limit))
+                writer.transport.abort()
+                return
+        self._open[host] += 1
+        self._tasks.spawn(self._serve(reader, writer, peer))
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Reads until the client closes; a frame without an end cannot be skipped, so it ends the connection."""
-        host, port = writer.get_extra_info("peername")[:2]
-        answer = Answer(verdict=lambda text: _send(writer, text), acknowledge=lambda text: _send(writer, text))
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, peer: tuple[str, int]) -> None:
+        """Read until the peer closes, breaks the grammar, or has not shown in time who it is."""
+        connection = _Connection(self._intake, reader, writer, peer, self._exposed)
         try:
-            first = await reader.readuntil(b";")
-            signs = first == SIGNS
-            frame = await _signed_frame(reader) if signs else first
-            while True:
-                self._intake.receive(LINK, (host, port), self._exposed, frame, answer)
-                await writer.drain()
-                frame = await (_signed_frame(reader) if signs else reader.readuntil(b";"))
+            async with self._clock.timeout(FIRST_WITHIN):
+                while not connection.known and await connection.read():
+                    pass
+            while await connection.read():
+                pass
+        except TimeoutError:
+            text = f"No signed frame came within {FIRST_WITHIN:g} s; the connection ends. Connect again, and sign."
+            self._intake.refuse(LINK, peer, RefusalError(SILENT, text, limit=FIRST_WITHIN))
         except PayloadError as error:
-            self._intake.refuse(LINK, (host, port), error)
-        except asyncio.IncompleteReadError as error:
-            if error.partial:
-                self._intake.refuse(LINK, (host, port), error)
-        except asyncio.LimitOverrunError as error:
-            self._intake.refuse(LINK, (host, port), error)
+            self._intake.refuse(LINK, peer, error)
         except ConnectionError:
             pass
         finally:
+            self._open[peer[0]] -= 1
             writer.close()
 
 
-async def _signed_frame(reader: asyncio.StreamReader) -> bytes:
-    """A command and its signature, as one datagram has them.
+class _Connection:
+    """One connection.
 
-    Raises:
-        PayloadError: The command has no signature, so that nobody knows where the next one begins.
+    Attributes:
+        known: Whether the peer is configured, or one of its signatures held.
     """
-    command = await reader.readuntil(b";")
-    try:
-        signature = await reader.readuntil(b";")
-    except asyncio.IncompleteReadError as error:
-        signature = error.partial
-    if not (signature.startswith(b"|") and signature.endswith(b";")):
-        raise PayloadError(f"{command[:40]!r} has no signature, on a connection that signs; the connection ends.")
-    return command + signature.removesuffix(b";")
 
+    def __init__(
+        self,
+        intake: Intake,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+        peer: tuple[str, int],
+        exposed: bool,
+    ) -> None:
+        self._intake = intake
+        self._reader = reader
+        self._writer = writer
+        self._peer = peer
+        self._exposed = exposed
+        self._frames = Frames()
+        self._answer = Answer(verdict=self._send, acknowledge=self._send)
+        self.known = intake.takes_unsigned(peer[0], exposed)
 
-def _send(writer: asyncio.StreamWriter, text: str) -> None:
-    if not writer.is_closing():
-        writer.write((text if text.endswith(";") else text + ";").encode("ascii"))
+    async def read(self) -> bool:
+        """Take the frames that have arrived; return False when there will be no more.
+
+        Raises:
+            PayloadError: The grammar is broken between two frames, or the last one is not complete.
+            ConnectionError: The peer is gone.
+        """
+        data = await self._reader.read(MAX_BYTES)
+        for frame in self._frames.feed(data):
+            error = self._intake.receive(LINK, self._peer, self._exposed, frame, self._answer)
+            if isinstance(error, PayloadError):
+                return False
+            self.known = self.known or error is None
+            await self._writer.drain()
+        if not data and self._frames.unfinished:
+            raise PayloadError(f"{self._frames.unfinished[:40]!r} is no complete frame.")
+        return bool(data)
+
+    def _send(self, text: str) -> None:
+        if not self._writer.is_closing():
+            self._writer.write((text if text.endswith(";") else text + ";").encode("ascii"))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from typing import Any, Self, cast
 
 import numpy as np
@@ -154,15 +155,20 @@ class ManualClock:
         self.now += max(0.0, seconds)
         await asyncio.sleep(0)
 
-    def timeout(self, seconds: float) -> asyncio.Timeout:
-        self._timeouts.append((seconds, asyncio.timeout(None)))
-        return self._timeouts[-1][1]
+    @asynccontextmanager
+    async def timeout(self, seconds: float) -> AsyncIterator[None]:
+        async with asyncio.timeout(None) as timeout:
+            entry = (seconds, timeout)
+            self._timeouts.append(entry)
+            try:
+                yield
+            finally:
+                self._timeouts.remove(entry)
 
     def expire(self, within: float) -> None:
-        """Lets the timeouts entered so far pass, those of at most so many seconds."""
+        """Lets the timeouts that run now pass, those of at most so many seconds."""
         for timeout in (timeout for seconds, timeout in self._timeouts if seconds <= within):
             timeout.reschedule(0.0)
-        self._timeouts.clear()
 
 
 class UdpClient(asyncio.DatagramProtocol):

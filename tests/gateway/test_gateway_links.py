@@ -331,23 +331,6 @@ async def test_tool_points_from_mixed_reality_reach_the_planner(cell: Any) -> No
     assert await cell.stream.received.get() == "__msg_toolpose_1.00000_2.00000_3.00000_4.00000_5.00000_6.50000"
 
 
-async def test_tcp_takes_split_and_merged_segments(cell: Any) -> None:
-    cell.core.results["register"] = {"residual": 0.0023}
-    reader, writer = await asyncio.open_connection(*cell.gateway.addresses["tcp"])
-    for part in (b"rob_conn_", b"onxxxxx_#1;rob_conn_onxxxxx;start_re", b"gistrati;"):
-        writer.write(part)
-        await writer.drain()
-    answers = [(await reader.readuntil(b";")).decode() for _ in range(4)]
-    assert sorted(answers) == sorted(["1_accepted_robot_1;", "ack;", "ack;", "2.300000;"])
-    assert answers.index("ack;") < answers.index("2.300000;")
-    writer.write(b"bad;execute_homexxxx_#2;")
-    assert await reader.readuntil(b";") == b"2_accepted_placement_retracted;"
-    writer.write(b"x" * 1000)
-    assert await reader.read() == b""  # a frame without an end closes the connection
-    writer.close()
-    assert cell.gateway.counters.refused == 2
-
-
 @pytest.fixture
 def refused(monkeypatch: pytest.MonkeyPatch) -> asyncio.Semaphore:
     """Released once for every refusal, which by design nobody is told of."""

@@ -409,14 +409,13 @@ async def test_a_signature_that_is_cut_off_is_refused(room: Room, cut: int) -> N
     writer.close()
 
 
-async def test_over_tcp_signatures_without_the_opening_do_not_count(tmp_path: Path) -> None:
+async def test_over_tcp_signatures_without_the_opening_end_the_connection(tmp_path: Path) -> None:
     """On loopback the command has begun at its ';', unsigned, before its signature is seen."""
     async with open_room(tmp_path, {"planner": peer(tmp_path, "planner")}, host="127.0.0.1") as room:
         reader, writer = await asyncio.open_connection(*room.tcp)
         writer.write(room.sign("rob_conn_onxxxxx_#1;") + b";rob_conn_onxxxxx_#2;")
-        assert (await reader.readuntil(b";")).startswith(b"1_accepted")
-        assert (await reader.readuntil(b";")).startswith(b"2_accepted")
-        assert all(command.source.startswith("tcp:127.0.0.1:") for command in room.core.commands)
+        assert await reader.read() in (b"", b"1_accepted_robot_1;")  # the answer may come too late for the connection
+        assert [command.source.startswith("tcp:127.0.0.1:") for command in room.core.commands] == [True]
         assert room.gateway.counters.refused == 1
         writer.close()
 
