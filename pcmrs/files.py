@@ -11,6 +11,8 @@ from pcmrs.errors import ConfigurationError
 
 SECRET: Final = 0o600
 """Mode of a file that holds a secret."""
+OWN: Final = 0o700
+"""Mode of a folder that only its owner may look into."""
 _LONGEST: Final = 64 * 1024
 
 
@@ -26,6 +28,17 @@ def write_durably(path: Path, content: bytes, *, mode: int) -> None:
     except OSError:
         part.unlink(missing_ok=True)
         raise
+
+
+def make_private(folder: Path) -> None:
+    """Make a folder that only its owner may look into; one that is there and open to others is closed to them.
+
+    Raises:
+        OSError: It cannot be made, or its rights cannot be changed.
+    """
+    folder.mkdir(mode=OWN, parents=True, exist_ok=True)
+    if folder.stat().st_mode & 0o777 & ~OWN:
+        folder.chmod(OWN)
 
 
 def publish(part: Path, path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 import sys
 from pathlib import Path
@@ -41,6 +42,7 @@ def serve(file: Path | None, overrides: tuple[str, ...], as_json: bool, verbose:
     """
     from pcmrs.settings import read_settings
 
+    os.umask(0o077)  # journal and recordings name the patient; the daemon's children inherit this
     log_to_stderr(verbose=verbose)
     run(_serve(read_settings(file, overrides), as_json=as_json))
 

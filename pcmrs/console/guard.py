@@ -8,6 +8,11 @@ from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs
 
+from pcmrs.errors import ConfigurationError
+
+SHORTEST = 20
+"""Characters of the shortest token that is taken: one of `secrets.token_urlsafe` has more."""
+
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
@@ -25,9 +30,16 @@ class Guard:
         app: What is behind it.
         token: Whoever has it is let in.
         hosts: ``host:port`` of the addresses at which the console is reached.
+
+    Raises:
+        ConfigurationError: The token is so short that it could be guessed, or empty.
     """
 
     def __init__(self, app: App, token: str, hosts: Iterable[str]) -> None:
+        if len(token) < SHORTEST:
+            text = f"The console's token has {len(token)} characters, the limit is {SHORTEST}: anybody could guess it. "
+            text += "Delete the file, and the daemon makes a new one; or write a longer one into it."
+            raise ConfigurationError(text, characters=len(token), limit=SHORTEST)
         self._app = app
         self._token = token.encode()
         self._hosts = frozenset(hosts)

@@ -15,6 +15,7 @@ import msgspec
 
 from pcmrs.clock import SystemClock
 from pcmrs.console.settings import HOST
+from pcmrs.devices.lsl.library import lab_configuration
 from pcmrs.doctor.finding import Finding, bad, good, warning
 from pcmrs.errors import ConfigurationError
 from pcmrs.hosts import is_loopback
@@ -33,6 +34,8 @@ EXTRAS: Final = {
 """Driver to the extras of the distribution that it needs."""
 DIALLED: Final = ("ndi", "plus")
 """Devices that take a second client for a moment. A cabinet takes one, and may end its application when that goes."""
+LSL_DRIVERS: Final = frozenset({"lsl", "trigger"})
+"""Drivers that use Lab Streaming Layer."""
 DIAL_TIME: Final = 2.0
 
 Port = tuple[str, int, socket.SocketKind, str]
@@ -95,6 +98,17 @@ def devices(settings: Settings, *, running: bool) -> Iterator[Finding]:
             yield _serial(name, place) if isinstance(place, Path) else _network(driver, name, *place)
         else:
             yield good("devices", f"{name}: no address to look at")
+
+
+def streams(settings: Settings) -> Iterator[Finding]:
+    """Whether streams of Lab Streaming Layer stay on this machine."""
+    if not (LSL_DRIVERS.intersection(settings.drivers()) or settings.gateway.markers.enabled):
+        yield good("streams", "Lab Streaming Layer is not used")
+    elif own := lab_configuration():
+        remedy = f"Set ResolveScope = machine in {own}, or give these streams a network of their own."
+        yield warning("streams", f"{own} configures Lab Streaming Layer; other machines may reach its streams", remedy)
+    else:
+        yield good("streams", "Lab Streaming Layer is offered to this machine only")
 
 
 def certificates(settings: Settings) -> Iterator[Finding]:

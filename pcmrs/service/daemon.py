@@ -17,6 +17,7 @@ from pcmrs.bus import Bus, CommandEdge
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.console.settings import HOST
 from pcmrs.errors import ConfigurationError
+from pcmrs.files import make_private
 from pcmrs.fsm import Blueprint
 from pcmrs.gateway.links import Gateway, open_gateway
 from pcmrs.gateway.refusals import Refusals
@@ -260,7 +261,7 @@ def _tell_counters(sources: Iterable[Source]) -> None:
 def _only_daemon_of(folder: Path) -> Iterator[None]:
     """Holds the lock of the cell's folder. Raises `ConfigurationError` when another daemon has it."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_private(folder)
         lock = (folder / "lock").open("w")
     except OSError as error:
         raise ConfigurationError(f"{folder} cannot be used: {error.strerror}.", folder=str(folder)) from None

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import http.client
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import HTTPCookieProcessor, build_opener
 
 import pytest
 from consoles import console
 
+from pcmrs.cli.running import EXIT_BAD_CONFIGURATION
 from pcmrs.console.guard import cookie_name
 from pcmrs.experiment.process import free_port
 
@@ -92,3 +96,14 @@ def test_a_browser_can_be_signed_in_to_two_consoles_of_one_host(address: tuple[s
         for url in (f"http://{netloc}/?token={token}", other, f"http://{netloc}/", other.partition("?")[0]):
             with browser.open(url, timeout=20.0) as page:
                 assert page.status == 200
+
+
+@pytest.mark.parametrize("token", ["", "\n", "nineteen-characters"])
+def test_a_token_that_could_be_guessed_opens_no_console(tmp_path: Path, token: str) -> None:
+    file = tmp_path / "token"
+    file.write_text(token)
+    file.chmod(0o600)
+    words = ["--endpoint", f"tcp/127.0.0.1:{free_port()}", "--port", "0", "--token-file", str(file)]
+    ended = subprocess.run([sys.executable, "-m", "pcmrs.cli", "console", *words], capture_output=True, text=True)
+    assert ended.returncode == EXIT_BAD_CONFIGURATION
+    assert "limit is 20" in ended.stderr

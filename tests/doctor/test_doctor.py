@@ -17,7 +17,7 @@ from pcmrs.cli.doctor import doctor
 from pcmrs.doctor import Examination, Finding, surroundings
 from pcmrs.doctor.disk import disk, free_space, judged
 from pcmrs.doctor.machine import clock_source, kernel, limits, scheduling
-from pcmrs.doctor.surroundings import certificates, devices, extras, is_running, ports
+from pcmrs.doctor.surroundings import certificates, devices, extras, is_running, ports, streams
 from pcmrs.settings import Settings, read_settings
 
 
@@ -184,6 +184,15 @@ def test_a_device_that_is_not_there_is_bad_and_a_cabinet_is_not_dialled(tmp_path
     assert found["ndi"].verdict == "bad"
     assert "ttyUSB9" in found["ndi"].found
     assert found["kst"].verdict == "good"  # nothing listens there: it was not dialled
+
+
+def test_streams_that_other_machines_may_reach_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("LSLAPICFG", raising=False)
+    assert "not used" in only(streams(settings(tmp_path)), "streams").found
+    used = settings(tmp_path, "emg.driver=lsl")
+    assert only(streams(used), "streams").verdict == "good"
+    monkeypatch.setenv("LSLAPICFG", "/etc/lab.cfg")
+    assert only(streams(used), "streams").verdict == "warning"
 
 
 def test_an_identity_that_cannot_be_used_is_bad(tmp_path: Path) -> None:

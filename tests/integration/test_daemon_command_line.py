@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
-from daemon_process import ServeProcess, as_words, own_settings, run_pcmrs
+from daemon_process import ServeProcess, as_words, own_settings, run_pcmrs, running_daemon
 
 from pcmrs.experiment.process import free_port
 
@@ -81,6 +82,19 @@ def test_a_second_daemon_of_the_same_cell_is_refused(daemon: ServeProcess) -> No
 def test_a_second_daemon_on_the_same_link_is_refused(daemon: ServeProcess, tmp_path: Path) -> None:
     _, port = daemon.ready.links["planner"]
     _starts_not([*own_settings(tmp_path), f"gateway.planner={{port={port}}}"], 4, str(port))
+
+
+def test_what_a_cell_keeps_is_its_owners_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "cell"
+    folder.mkdir(mode=0o755)  # as an earlier version left it
+    before = os.umask(0o022)  # as a shell has it
+    try:
+        with running_daemon(own_settings(folder), tmp_path):
+            kept = [folder, *folder.rglob("*")]
+            assert len(kept) > 2
+            assert {path.name: oct(path.stat().st_mode & 0o077) for path in kept} == {path.name: "0o0" for path in kept}
+    finally:
+        os.umask(before)
 
 
 def test_a_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:

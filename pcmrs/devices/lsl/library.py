@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
+import structlog
 
 from pcmrs.errors import ConfigurationError
+
+_log = structlog.get_logger(__name__)
 
 CONFIGURATION_FILES = ("lsl_api.cfg", "~/lsl_api/lsl_api.cfg", "/etc/lsl_api/lsl_api.cfg")
 """Where the library itself looks, besides the environment variable ``LSLAPICFG``; a lab's own file goes before ours."""
@@ -17,11 +20,19 @@ CONFIGURATION_FILES = ("lsl_api.cfg", "~/lsl_api/lsl_api.cfg", "/etc/lsl_api/lsl
 CONFIGURATION = """
 [lab]
 KnownPeers = {127.0.0.1}
+[multicast]
+ResolveScope = machine
+ListenAddress = 127.0.0.1
 [log]
 level = -3
 """
-"""Streams of this machine are asked for by unicast as well as by multicast, which a machine without network has not;
-only fatal errors are printed: what matters comes as an error code."""
+"""Streams are offered to, and looked for on, this machine only. They are asked for by unicast as well, since a machine
+without network has no multicast. Only fatal errors are printed: what matters comes as an error code."""
+
+OPENED = (
+    "The lab's own file configures Lab Streaming Layer. Streams have neither passwords nor encryption: if its "
+    "ResolveScope is wider than machine, everybody on that network may read and replace them."
+)
 
 StreamName = Annotated[str, msgspec.Meta(pattern=r"^[^'\"]+$")]
 """Of a stream in configuration: streams are asked for by an XPath predicate, in which a quote would end it."""
@@ -44,6 +55,16 @@ def load_lsl() -> Any:
             f"Lab Streaming Layer cannot be used ({error}); install the extra `hardware`: "
             "pip install 'pcmrs[hardware]'."
         ) from None
-    if "LSLAPICFG" not in os.environ and not any(Path(name).expanduser().exists() for name in CONFIGURATION_FILES):
+    own = lab_configuration()
+    if own is None:
         pylsl.set_config_content(CONFIGURATION)
+    else:
+        _log.warning("lsl_configured_by_lab", file=own, text=OPENED)
     return pylsl
+
+
+def lab_configuration() -> str | None:
+    """Path of the file with which the lab configures Lab Streaming Layer; None where PCMRS configures it."""
+    if named := os.environ.get("LSLAPICFG"):
+        return named
+    return next((name for name in CONFIGURATION_FILES if Path(name).expanduser().exists()), None)
