@@ -9,11 +9,11 @@ from typing import Any
 
 import click
 import msgspec
-from rich.console import Console
 from rich.table import Table
 
 from pcmrs.bus.keys import KeyTable
 from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.printing import Terminal, say
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
 from pcmrs.client import Event
 from pcmrs.errors import PayloadError, PcmrsError
@@ -36,9 +36,9 @@ def call(operation: str, arguments: str, as_json: bool, address: Address) -> Non
     Example: pcmrs call digitization.digitize_one '{"index": 0}'
     """
     verdict = run(_call(address, operation, _arguments(arguments)))
-    click.echo(_json(verdict) if as_json else event_line(verdict))
+    say(_json(verdict) if as_json else event_line(verdict))
     if verdict.decision != "accepted" and verdict.allowed and not as_json:
-        click.echo(f"  allowed now: {', '.join(verdict.allowed)}")
+        say(f"  allowed now: {', '.join(verdict.allowed)}")
     sys.exit(STATUS[verdict.decision])
 
 
@@ -50,7 +50,7 @@ def state(as_json: bool, address: Address) -> None:
     """Print the state of all branches, the flags, what is running, and outcomes that nobody knows yet."""
     snapshot = run(_state(address))
     if as_json:
-        click.echo(_json(snapshot))
+        say(_json(snapshot))
     else:
         _print_snapshot(snapshot)
 
@@ -72,12 +72,12 @@ def keys(as_json: bool, address: Address) -> None:
     """List what can be published and subscribed, with payloads."""
     table = run(_keys(address))
     if as_json:
-        click.echo(_json(table))
+        say(_json(table))
         return
     shown = Table("key", "use", "payload", "what for", title=f"below {table.prefix}/", title_justify="left")
     for row in table.keys:
         shown.add_row(row.key, row.use, row.payload, row.text)
-    Console().print(shown)
+    Terminal().print(shown)
 
 
 @click.command()
@@ -87,9 +87,9 @@ def stop(address: Address) -> None:
     """Stop every motion and latch: nothing moves until somebody acknowledges it, as by robot.acknowledge in RATMS."""
     number, stands, release = run(_stop(address))
     if not stands:
-        click.echo(f"Stop {number} has begun, but it is not confirmed that the robot stands: look at it.", err=True)
+        say(f"Stop {number} has begun, but it is not confirmed that the robot stands: look at it.", err=True)
         raise SystemExit(1)
-    click.echo(f"stopped, and {_latched(release)}")
+    say(f"stopped, and {_latched(release)}")
 
 
 async def _call(address: Address, operation: str, arguments: dict[str, Any]) -> Verdict:
@@ -108,14 +108,14 @@ async def _watch(address: Address, *, as_json: bool) -> None:
         async for event in client.watch():
             if client.missed > missed:
                 text = f"{client.missed - missed} events are left out: they came faster than they were read."
-                click.echo(text, err=True)
+                say(text, err=True)
                 missed = client.missed
             line = _json(event) if as_json else event_line(event)
             if isinstance(event, Snapshot):
                 if line == shown:
                     continue  # what has changed, such as the values of an activity, is not on the line
                 shown = line
-            click.echo(line)
+            say(line)
 
 
 async def _keys(address: Address) -> KeyTable:
@@ -177,7 +177,7 @@ def _print_snapshot(snapshot: Snapshot) -> None:
     )
     for branch, name in snapshot.branches.items():
         table.add_row(branch, name)
-    console = Console()
+    console = Terminal()
     console.print(table)
     raised = [flag for flag, value in snapshot.flags.items() if value]
     console.print(f"flags: {', '.join(raised) or 'none'}; sequence {snapshot.sequence}")

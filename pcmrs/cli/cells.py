@@ -7,13 +7,12 @@ from dataclasses import replace
 from typing import Any
 
 import click
-import msgspec
-from rich.console import Console
 from rich.table import Table
 
 from pcmrs.bus import BusSettings
 from pcmrs.bus.cells import find_cells
 from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.printing import Terminal, say_json
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import Snapshot
@@ -34,12 +33,12 @@ def cells(as_json: bool, address: Address) -> None:
     """
     found = run(_cells(address))
     if as_json:
-        click.echo(msgspec.json.encode(found).decode())
+        say_json(found)
         return
     table = Table("cell", "workflow", "latched", "held by", "connected")
     for each in found:
         table.add_row(each["cell"], each["workflow"], each["latched"], each["holder"], " ".join(each["components"]))
-    Console().print(table)
+    Terminal().print(table)
 
 
 async def _cells(address: Address) -> list[dict[str, Any]]:

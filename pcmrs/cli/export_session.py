@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import msgspec
 
 from pcmrs.cli.options import config_options, json_option
+from pcmrs.cli.printing import say_json
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
 
@@ -47,7 +47,10 @@ def export_session(
     journal = settings.cell.journal(read_workflow(settings.workflow).id)
     with progress_bar(transient=True) as progress:
         exported = export(settings, journal, session, output, progress)
-    click.echo(msgspec.json.encode(exported).decode() if as_json else _text(exported))
+    if as_json:
+        say_json(exported)
+    else:
+        click.echo(_text(exported))
     if exported.problems:
         sys.exit(EXIT_REJECTED)
 

@@ -6,13 +6,11 @@ import sys
 from collections.abc import AsyncIterator
 
 import click
-import msgspec
-from rich.console import Console
 from rich.live import Live
 
 from pcmrs.cli.health_table import health_table
 from pcmrs.cli.options import Address, address_options, json_option
-from pcmrs.cli.printing import NARROWEST
+from pcmrs.cli.printing import NARROWEST, Terminal, say_json
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
 from pcmrs.clock import SystemClock
 from pcmrs.messages.health import Health
@@ -67,8 +65,8 @@ async def _looks(address: Address) -> AsyncIterator[Health]:
 
 
 def _print_json(found: Health) -> None:
-    click.echo(msgspec.json.encode(found).decode())
+    say_json(found)
 
 
-def _console() -> Console:
-    return Console(width=max(Console().width, NARROWEST), highlight=False)
+def _console() -> Terminal:
+    return Terminal(width=max(Terminal().width, NARROWEST), highlight=False)

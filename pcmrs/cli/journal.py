@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, get_args
 
 import click
-import msgspec
 
 from pcmrs.cli.lazy import LazyGroup
 from pcmrs.cli.options import config_options, json_option
+from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.clock import SystemClock
 from pcmrs.journal import JournalReader, Kind, StoredRow
@@ -77,7 +77,10 @@ def show(
     with JournalReader(path or of_cell(file, overrides)) as reader:
         shown = 0
         for row in reader.read(last=last or None, **filters):
-            click.echo(msgspec.json.encode(row).decode() if as_json else _line(row))
+            if as_json:
+                say_json(row)
+            else:
+                say(_line(row))
             shown = row.sequence
         if follow:
             run(_follow(reader, shown, filters, as_json=as_json))
@@ -87,7 +90,10 @@ async def _follow(reader: JournalReader, after: int, filters: dict[str, Any], *,
     while True:
         await SystemClock().sleep(FOLLOWING)
         for row in reader.read(after=after, **filters):
-            click.echo(msgspec.json.encode(row).decode() if as_json else _line(row))
+            if as_json:
+                say_json(row)
+            else:
+                say(_line(row))
             after = row.sequence
 
 

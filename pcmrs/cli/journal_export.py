@@ -11,6 +11,7 @@ import click
 
 from pcmrs.cli.journal import filter_options, of_cell, path_argument
 from pcmrs.cli.options import OutputFile, config_options
+from pcmrs.cli.printing import say
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
 from pcmrs.errors import JournalError
@@ -57,9 +58,9 @@ def export(
         part.replace(output)
     finally:
         part.unlink(missing_ok=True)
-    click.echo(f"{rows.count} rows in {output}.")
+    say(f"{rows.count} rows in {output}.")
     if rows.broken is not None:
-        click.echo(f"Only the good part: {rows.broken.text}", err=True)
+        say(f"Only the good part: {rows.broken.text}", err=True)
         sys.exit(EXIT_REJECTED)
 
 

@@ -7,11 +7,11 @@ import signal
 import sys
 
 import click
-import msgspec
 
 from pcmrs.cli.cell import STATUS, event_line
 from pcmrs.cli.lazy import LazyGroup
 from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.messages import LeaseState, Verdict
 
@@ -39,11 +39,11 @@ def show(as_json: bool, address: Address) -> None:
     """Say who holds the cell, and who asks for it."""
     found = run(_shown(address))
     if as_json:
-        click.echo(msgspec.json.encode(found).decode())
+        say_json(found)
     elif found is None:
-        click.echo("nobody holds it")
+        say("nobody holds it")
     else:
-        click.echo(f"{found.holder} holds it" + (f"; {found.asking} asks for it" if found.asking else ""))
+        say(f"{found.holder} holds it" + (f"; {found.asking} asks for it" if found.asking else ""))
 
 
 @click.command()
@@ -113,11 +113,14 @@ async def _hold(address: Address, *, over: bool) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
     async with address.connect() as client, client.holding(over=over):
-        click.echo("held; interrupt to release it")
+        say("held; interrupt to release it")
         sys.stdout.flush()
         await ended.wait()
 
 
 def _end_with(verdict: Verdict, *, as_json: bool) -> None:
-    click.echo(msgspec.json.encode(verdict).decode() if as_json else event_line(verdict))
+    if as_json:
+        say_json(verdict)
+    else:
+        say(event_line(verdict))
     sys.exit(STATUS[verdict.decision])

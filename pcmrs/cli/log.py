@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import atexit
+import io
 import logging
 import os
 import queue
 import sys
 import threading
-from typing import TextIO, cast
+from collections.abc import MutableMapping
+from typing import Any, TextIO, cast
 
 import structlog
+from structlog.typing import ExcInfo
+
+from pcmrs.visible import visible
 
 STANDARD_ERROR = 2
 WAITING = 1000
@@ -94,12 +99,33 @@ def log_to_stderr(*, verbose: bool = False) -> LogStream:
             structlog.contextvars.merge_contextvars,
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso"),
+            _escape,
             # A rich traceback with its locals takes the event loop most of a second.
-            structlog.dev.ConsoleRenderer(
-                colors=os.isatty(descriptor), exception_formatter=structlog.dev.plain_traceback
-            ),
+            structlog.dev.ConsoleRenderer(colors=os.isatty(descriptor), exception_formatter=_write_traceback),
         ],
         logger_factory=structlog.WriteLoggerFactory(cast(TextIO, stream)),
     )
-    logging.basicConfig(level=level, stream=stream)
+    handler = logging.StreamHandler(stream)
+    handler.setFormatter(_Escaping(logging.BASIC_FORMAT))
+    logging.basicConfig(level=level, handlers=[handler])
     return stream
+
+
+def _escape(_logger: object, _name: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    """Make every text of an event safe to show: names and reasons may come from outside."""
+    return {visible(name): visible(value) if isinstance(value, str) else value for name, value in event.items()}
+
+
+def _write_traceback(out: TextIO, info: ExcInfo) -> None:
+    """Write a traceback, its lines indented: what an exception says may come from outside, and have lines."""
+    text = io.StringIO()
+    structlog.dev.plain_traceback(text, info)
+    out.write("".join(f"  {visible(line)}\n" for line in text.getvalue().splitlines()))
+
+
+class _Escaping(logging.Formatter):
+    """Of the standard library's log: its own records and those of libraries."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        first, *more = super().format(record).split("\n")
+        return "\n".join([visible(first), *(f"  {visible(line)}" for line in more)])

@@ -9,6 +9,7 @@ import msgspec
 
 from pcmrs.cli.lazy import LazyGroup
 from pcmrs.cli.options import json_option
+from pcmrs.cli.printing import say_json
 from pcmrs.cli.running import readable_errors
 
 COMMANDS = {"new": "pcmrs.cli.peers:new"}
@@ -48,7 +49,7 @@ def new(name: str, folder: Path, as_json: bool) -> None:
     GatewayConfig(peers={name: PeerConfig(key_file=str(file))})  # refuses the name before there is a file
     new_key(file)
     if as_json:
-        click.echo(msgspec.json.encode({"peer": name, "key_file": str(file), "allow": DEFAULT}).decode())
+        say_json({"peer": name, "key_file": str(file), "allow": DEFAULT})
         return
     click.echo(f"# {file} is made. To your configuration add:")
     click.echo(f"[gateway.peers.{name}]")

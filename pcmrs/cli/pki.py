@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import msgspec
 
 from pcmrs.cli.lazy import LazyGroup
 from pcmrs.cli.options import json_option
+from pcmrs.cli.printing import Terminal, say, say_json
 from pcmrs.cli.running import readable_errors
 from pcmrs.messages.roles import ROLES, Role
 
@@ -55,9 +55,9 @@ def init(site: str, folder: Path, as_json: bool) -> None:
 
     authority = Authority.init(folder, site, _now())
     if as_json:
-        click.echo(msgspec.json.encode({"folder": str(authority.folder)}).decode())
+        say_json({"folder": str(authority.folder)})
     else:
-        click.echo(f"{folder} is the authority of {site}. Now issue: pcmrs pki issue operator NAME --folder {folder}")
+        say(f"{folder} is the authority of {site}. Now issue: pcmrs pki issue operator NAME --folder {folder}")
 
 
 @click.command()
@@ -108,12 +108,10 @@ def issue(
 
     issued = Authority(folder).issue(role, name, _now(), days=days, hosts=hosts, cells=cells, into=output)
     if as_json:
-        click.echo(msgspec.json.encode(issued).decode())
+        say_json(issued)
     else:
-        click.echo(
-            f"{issued.folder}: certificate and key of the {role} {name}, valid until {_day(issued.identity.ends)}."
-        )
-        click.echo("Carry the folder over a safe way to the machine that uses it, and delete it here.")
+        say(f"{issued.folder}: certificate and key of the {role} {name}, valid until {_day(issued.identity.ends)}.")
+        say("Carry the folder over a safe way to the machine that uses it, and delete it here.")
 
 
 @click.command()
@@ -132,9 +130,9 @@ def revoke(name: str, folder: Path, as_json: bool) -> None:
 
     identity = Authority(folder).revoke(name, _now())
     if as_json:
-        click.echo(msgspec.json.encode(identity).decode())
+        say_json(identity)
     else:
-        click.echo(f"{name} is revoked. Give routers and daemons the new register, and start them again.")
+        say(f"{name} is revoked. Give routers and daemons the new register, and start them again.")
 
 
 @click.command("list")
@@ -147,19 +145,18 @@ def list_(folder: Path, as_json: bool) -> None:
     Example: pcmrs pki list
     """
     from rich.box import SIMPLE_HEAD
-    from rich.console import Console
     from rich.table import Table
 
     from pcmrs.pki import Authority
 
     identities = Authority(folder).identities()
     if as_json:
-        click.echo(msgspec.json.encode(identities).decode())
+        say_json(identities)
         return
     table, now = Table("name", "role", "cells", "until", "state", box=SIMPLE_HEAD), _now()
     for each in identities:
         table.add_row(each.name, each.role, " ".join(each.cells), _day(each.ends), _state(each, now))
-    Console().print(table)
+    Terminal().print(table)
 
 
 @click.command()
@@ -170,7 +167,10 @@ def roles(as_json: bool) -> None:
     from pcmrs.bus.keys import KEYS
     from pcmrs.bus.roles import roles_as_markdown
 
-    click.echo(msgspec.json.encode(KEYS).decode() if as_json else roles_as_markdown(), nl=as_json)
+    if as_json:
+        say_json(KEYS)
+    else:
+        click.echo(roles_as_markdown(), nl=False)
 
 
 def _state(identity: Identity, now: float) -> str:

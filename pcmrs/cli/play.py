@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import msgspec
 
 from pcmrs.cli.number import POSITIVE, Finite
 from pcmrs.cli.options import json_option
+from pcmrs.cli.printing import say_json
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import readable_errors, run
 
@@ -60,7 +60,10 @@ def play(
     excerpt = Excerpt(begin, end, topics, rate)
     with progress_bar(transient=True) as progress:
         played = run(_play(files, excerpt, endpoint, name or recorded_cell(files[0]), progress))
-    click.echo(msgspec.json.encode(played).decode() if as_json else _text(played))
+    if as_json:
+        say_json(played)
+    else:
+        click.echo(_text(played))
 
 
 async def _play(files: tuple[Path, ...], excerpt: Excerpt, endpoint: str, name: str, progress: Progress) -> Played:

@@ -16,12 +16,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import msgspec
-from rich.console import Console
 
 from pcmrs.cli.lifeline import NICENESS, settings_from_daemon
 from pcmrs.cli.number import POSITIVE
 from pcmrs.cli.options import OutputFile, config_options, json_option
+from pcmrs.cli.printing import Terminal, say_json
 from pcmrs.cli.running import EXIT_FAILED, readable_errors, run
 from pcmrs.cli.sizes import Size
 
@@ -96,7 +95,10 @@ def record(
     check_new(recording)
     plan = Plan(recording, limits, _origin(settings, session), pool)
     report = run(_record(settings, plan, chosen, lifeline=lifeline))
-    click.echo(msgspec.json.encode(report).decode() if as_json else _recorded(report))
+    if as_json:
+        say_json(report)
+    else:
+        click.echo(_recorded(report))
     if report.error is not None:
         sys.exit(EXIT_FAILED)
 
@@ -116,7 +118,10 @@ def repair(damaged: Path, output: Path, as_json: bool) -> None:
     from pcmrs.recording.repair import repair as save
 
     saved = save(damaged, output)
-    click.echo(msgspec.json.encode(saved).decode() if as_json else _saved(saved))
+    if as_json:
+        say_json(saved)
+    else:
+        click.echo(_saved(saved))
 
 
 def _origin(settings: Settings, session: str) -> dict[str, str]:
@@ -164,7 +169,7 @@ async def _record(settings: Settings, plan: Plan, topics: tuple[str, ...], *, li
 @contextmanager
 def _status(recorder: Recorder, name: str) -> Iterator[Callable[[], Coroutine[Any, Any, None]]]:
     """A line on a terminal that says how much has been recorded; what it gives keeps it up to date."""
-    with Console(stderr=True).status(f"recording {name}") as status:
+    with Terminal(stderr=True).status(f"recording {name}") as status:
 
         async def show() -> None:
             while True:

@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 
 import click
-import msgspec
 
 from pcmrs.cli.options import OutputFile, json_option
+from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
 
 
@@ -53,11 +53,11 @@ def report(path: Path, output: Path, pdf: Path | None, session: str | None, as_j
 
         _write(pdf, render_pdf(page, found.begun))
     if as_json:
-        click.echo(msgspec.json.encode(found).decode())
+        say_json(found)
     else:
-        click.echo(f"The report of {found.patient or 'a patient not named'} is in {output}.")
+        say(f"The report of {found.patient or 'a patient not named'} is in {output}.")
         for problem in found.problems:
-            click.echo(f"not sound: {problem}", err=True)
+            say(f"not sound: {problem}", err=True)
     if found.problems:
         sys.exit(EXIT_REJECTED)
 

@@ -13,6 +13,7 @@ import msgspec
 
 from pcmrs.cli.log import log_to_stderr
 from pcmrs.cli.options import identity_option, json_option
+from pcmrs.cli.printing import say_json
 from pcmrs.cli.running import readable_errors, run
 
 if TYPE_CHECKING:
@@ -71,7 +72,10 @@ async def _route(settings: BusSettings, *, as_json: bool) -> None:
         loop.add_signal_handler(number, ended.set)
     async with routing(settings):
         said = {"name": settings.user, "listen": settings.listen, "members": len(settings.members)}
-        click.echo(msgspec.json.encode(said).decode() if as_json else _text(settings))
+        if as_json:
+            say_json(said)
+        else:
+            click.echo(_text(settings))
         sys.stdout.flush()
         manager.tell("READY=1")
         await ended.wait()

@@ -10,6 +10,7 @@ from typing import Any, NoReturn, ParamSpec, TypeVar
 
 import click
 
+from pcmrs.cli.printing import say
 from pcmrs.errors import BlueprintError, BusError, ConfigurationError, JournalError, PcmrsError
 
 P = ParamSpec("P")
@@ -49,7 +50,7 @@ def readable_errors(function: Callable[P, T]) -> Callable[P, T]:
             raise  # whoever read the output has had enough: click ends in silence
         except OSError as error:
             place = "" if error.filename is None else f"{error.filename}: "
-            click.echo(f"{click.get_current_context().command_path}: {place}{error.strerror or error}", err=True)
+            say(f"{click.get_current_context().command_path}: {place}{error.strerror or error}", err=True)
             sys.exit(EXIT_FAILED)
         except KeyboardInterrupt:
             sys.exit(130)
@@ -59,5 +60,5 @@ def readable_errors(function: Callable[P, T]) -> Callable[P, T]:
 
 def fail(error: PcmrsError) -> NoReturn:
     """Ends the process with the error's text and status."""
-    click.echo(f"{click.get_current_context().command_path}: {error.text}", err=True)
+    say(f"{click.get_current_context().command_path}: {error.text}", err=True)
     sys.exit(next((status for kind, status in STATUS if isinstance(error, kind)), EXIT_FAILED))

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import msgspec
 import structlog
 
 from pcmrs.cli.lifeline import settings_from_daemon
 from pcmrs.cli.log import log_to_stderr
 from pcmrs.cli.options import config_options
+from pcmrs.cli.printing import say_json
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.files import read_secret
 
@@ -74,7 +74,10 @@ async def _serve(settings: Settings, *, as_json: bool) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
     async with Daemon(settings).running() as ready:
-        click.echo(msgspec.json.encode(ready).decode() if as_json else _text(ready))
+        if as_json:
+            say_json(ready)
+        else:
+            click.echo(_text(ready))
         sys.stdout.flush()
         await ended.wait()
         log.info("ending: motion is held first")

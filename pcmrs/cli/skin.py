@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-import msgspec
 
 from pcmrs.cli.options import OutputFile, json_option
+from pcmrs.cli.printing import say_json
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import readable_errors
 
@@ -43,7 +43,7 @@ def skin(volume: Path, out: Path, threshold: float | None, as_json: bool) -> Non
     edges_mm = (1000.0 * (solid.bounds[1] - solid.bounds[0])).round(1).tolist()
     found = {"file": str(out), "faces": len(mesh.faces), "edges_mm": edges_mm, "closed": bool(solid.is_watertight)}
     if as_json:
-        click.echo(msgspec.json.encode(found).decode())
+        say_json(found)
         return
     extent = " x ".join(f"{edge:.1f}" for edge in edges_mm)
     closed = "closed" if solid.is_watertight else "not closed"

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import click
 import msgspec
-from rich.console import Console
 from rich.live import Live
 
 from pcmrs.background import meanwhile
 from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.printing import Terminal, say, say_json
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
 from pcmrs.cli.teleop_line import line_of, told_line
 from pcmrs.client import Client
@@ -63,10 +63,10 @@ def teleop(
     try:
         ended = run(_teleoperate(address, device, script, Mapping(linear, angular), rate, as_json))
     except CommandRefusedError as error:
-        click.echo(error.text, err=True)
+        say(error.text, err=True)
         sys.exit(EXIT_REJECTED)
     if ended:
-        click.echo(ended, err=True)
+        say(ended, err=True)
         sys.exit(EXIT_FAILED)
 
 
@@ -74,7 +74,7 @@ async def _teleoperate(
     address: Address, device: str, script: Path | None, mapping: Mapping, rate: float, as_json: bool
 ) -> str:
     def tell(told: Told) -> None:
-        click.echo(msgspec.json.encode(told).decode() if as_json else told_line(told), err=not as_json)
+        say(msgspec.json.encode(told).decode() if as_json else told_line(told), err=not as_json)
 
     async with address.connect() as client, _held(client):
         with open_device(device, mapping, script) as hands:
@@ -95,12 +95,12 @@ async def _held(client: Client) -> AsyncIterator[None]:
 async def _as_json(session: TeleopSession) -> None:
     while True:
         if session.status is not None:
-            click.echo(msgspec.json.encode(session.status).decode())
+            say_json(session.status)
         await SystemClock().sleep(SHOW_EVERY)
 
 
 async def _on_a_line(session: TeleopSession, *, keys: bool) -> None:
-    with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as live:
+    with Live(console=Terminal(stderr=True), auto_refresh=False, transient=True) as live:
         while True:
             live.update(line_of(session.status, keys=keys), refresh=True)
             await SystemClock().sleep(SHOW_EVERY)

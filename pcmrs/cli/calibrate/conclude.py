@@ -10,13 +10,13 @@ from typing import Any, NoReturn
 
 import click
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from pcmrs.calibration import next_version, write_calibration
 from pcmrs.cli.calibrate.options import About, Asked
 from pcmrs.cli.calibrate.plot import draw_residuals
 from pcmrs.cli.calibrate.solved import Solved
+from pcmrs.cli.printing import Terminal, say
 from pcmrs.cli.running import EXIT_REJECTED
 from pcmrs.errors import DegenerateMotionError, RefusalError
 
@@ -40,11 +40,11 @@ def conclude(asked: Asked, solve: Callable[[], Solved]) -> None:
         _end_refused(asked, error, solved.values)
     written = _write(asked.about, asked.about.output, solved) if asked.about.output is not None else {}
     if asked.as_json:
-        click.echo(json.dumps({"accepted": True, "reason": None, **solved.values, **written}))
+        say(json.dumps({"accepted": True, "reason": None, **solved.values, **written}))
         return
     _show(solved)
     if written:
-        click.echo(f"written: {written['file']}, version {written['version']}")
+        say(f"written: {written['file']}, version {written['version']}")
 
 
 def _write(about: About, output: Path, solved: Solved) -> dict[str, Any]:
@@ -57,22 +57,22 @@ def _end_refused(asked: Asked, error: DegenerateMotionError | RefusalError, valu
     code = error.refusal_code if isinstance(error, RefusalError) else error.code
     if asked.as_json:
         reason = {"code": code, "text": error.text, "fields": error.fields}
-        click.echo(json.dumps({"accepted": False, "reason": reason, **values}))
-    click.echo(f"{click.get_current_context().command_path}: {error.text}", err=True)
+        say(json.dumps({"accepted": False, "reason": reason, **values}))
+    say(f"{click.get_current_context().command_path}: {error.text}", err=True)
     sys.exit(EXIT_REJECTED)
 
 
 def _show(solved: Solved) -> None:
     for line in solved.summary:
-        click.echo(line)
+        say(line)
     count = len(solved.residuals["mm"])
     over = ", ".join(f"{value:.3f} {unit} (limit {solved.limits[unit]:g})" for unit, value in solved.rms.items())
-    click.echo(f"rms residual {over} over {count - len(solved.bad)} of {count} poses")
+    say(f"rms residual {over} over {count - len(solved.bad)} of {count} poses")
     if solved.bad:
         bad = ", ".join(str(index + 1) for index in solved.bad)
-        click.echo(f"left out, since they do not fit the others: pose {bad}")
+        say(f"left out, since they do not fit the others: pose {bad}")
     if count <= MOST_ROWS:
-        Console().print(_table(solved))
+        Terminal().print(_table(solved))
 
 
 def _table(solved: Solved) -> Table:

@@ -7,13 +7,13 @@ from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 
 import numpy as np
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from pcmrs.calibration.gathering import Gathering
 from pcmrs.calibration.poses import write_poses
 from pcmrs.cli.calibrate.options import Live
 from pcmrs.cli.options import Address
+from pcmrs.cli.printing import Terminal
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.errors import RefusalError
@@ -140,7 +140,7 @@ async def _gather(
     Raises:
         RefusalError: ``not_enough_poses`` within the time.
     """
-    with Progress(TextColumn("{task.description}"), BarColumn(), console=Console(stderr=True)) as bar:
+    with Progress(TextColumn("{task.description}"), BarColumn(), console=Terminal(stderr=True)) as bar:
         task = bar.add_task(prompt, total=1.0)
         try:
             async with clock.timeout(live.seconds):

@@ -12,6 +12,7 @@ import click
 import msgspec
 
 from pcmrs.cli.number import POSITIVE
+from pcmrs.cli.printing import Terminal, say_json
 from pcmrs.cli.running import EXIT_REJECTED
 
 if TYPE_CHECKING:
@@ -53,11 +54,9 @@ def print_findings(reports: Sequence[msgspec.Struct], violated: Sequence[bool], 
     """Prints the reports, and exits with status 1 when one of them has found a violation."""
     if as_json:
         found = [{**_fields(report), "violated": wrong} for report, wrong in zip(reports, violated, strict=True)]
-        click.echo(msgspec.json.encode({"simulated": True, "reports": found}).decode())
+        say_json({"simulated": True, "reports": found})
     else:
-        from rich.console import Console
-
-        Console().print(table)
+        Terminal().print(table)
     if any(violated):
         sys.exit(EXIT_REJECTED)
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import click
-import msgspec
 
 from pcmrs.cli.fsm.files import EXIT_UNREADABLE, refuse, sound
 from pcmrs.cli.options import json_option
+from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import readable_errors
 from pcmrs.errors import BlueprintError
 
@@ -29,11 +29,11 @@ def diff(old: str, new: str, as_json: bool) -> None:
     except BlueprintError as error:
         refuse(error.text)
     if as_json:
-        click.echo(msgspec.json.encode(differences))
+        say_json(differences)
     else:
         for difference in differences:
-            click.echo(difference.text)
+            say(difference.text)
         if not differences:
-            click.echo("The same behaviour.")
+            say("The same behaviour.")
     if differences:
         raise SystemExit(1)

@@ -11,6 +11,7 @@ import click
 import msgspec
 
 from pcmrs.cli.fsm.files import EXIT_UNREADABLE, EXIT_UNSOUND, end_with
+from pcmrs.cli.printing import say
 from pcmrs.fsm.finding import Finding
 
 
@@ -34,6 +35,6 @@ def conclude(origin: str, findings: list[Finding], *, readable: bool, as_json: b
         return end_with(findings, readable=readable) if findings else None
     said = {"file": origin, "readable": readable, "sound": readable and not findings, "findings": findings, **more}
     # Counts of combinations have more digits than msgspec writes.
-    click.echo(json.dumps(msgspec.to_builtins(said), ensure_ascii=False))
+    say(json.dumps(msgspec.to_builtins(said), ensure_ascii=False))
     if findings:
         sys.exit(EXIT_UNSOUND if readable else EXIT_UNREADABLE)

@@ -7,13 +7,12 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import click
-import msgspec
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from pcmrs.cli.fsm.files import file_argument, sound
 from pcmrs.cli.options import json_option
+from pcmrs.cli.printing import Terminal, say_json
 from pcmrs.cli.running import readable_errors
 from pcmrs.errors import RefusalError
 from pcmrs.fsm.behaviour import line_of
@@ -132,7 +131,7 @@ def _where(walk: Walk) -> str:
 
 
 def _show_json(step: Step) -> None:
-    click.echo(msgspec.json.encode(step))
+    say_json(step)
 
 
 def _show(step: Step) -> None:
@@ -146,6 +145,6 @@ def _show_state(walk: Walk) -> None:
     table = Table("branch", "state", "meaning", box=SIMPLE_HEAD)
     for branch, state in walk.states().items():
         table.add_row(branch, state, walk.blueprint.branches[branch].states[state])
-    Console().print(table)
+    Terminal().print(table)
     for number, command in enumerate(walk.choices(), 1):
         click.echo(f"{number:>4}  {command}")

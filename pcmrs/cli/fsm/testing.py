@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from pcmrs.cli.fsm.files import file_argument, output_option, refuse, sound, write
 from pcmrs.cli.options import Address, address_options, json_option, refuse_given
+from pcmrs.cli.printing import Terminal, say, say_json
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.errors import ConfigurationError, PcmrsError
@@ -78,7 +78,7 @@ def test(file: str, live: bool, output: Path | None, as_json: bool, limit: int, 
     if output is not None:
         write(b"".join(msgspec.json.encode(move) + b"\n" for move in tour), output)
     if as_json:
-        click.echo(msgspec.json.encode(report))
+        say_json(report)
     else:
         _show(report)
     if not report.passed:
@@ -140,18 +140,18 @@ def _arguments(blueprint: Blueprint, file: Path | None) -> Arguments:
 def _show(report: TourReport) -> None:
     from pcmrs.fsm.trial.coverage import MEANINGS
 
-    click.echo(f"{report.workflow} {report.version}: {report.joint_states} joint states, {report.seconds:.1f} s")
-    click.echo(f"{report.restarts} restarts, {report.stops} stops, {report.events} events of devices by themselves")
+    say(f"{report.workflow} {report.version}: {report.joint_states} joint states, {report.seconds:.1f} s")
+    say(f"{report.restarts} restarts, {report.stops} stops, {report.events} events of devices by themselves")
     table = Table("", "covered", "of", box=SIMPLE_HEAD)
     for key, meaning in MEANINGS.items():
         count = report.coverage[key]
         if count.total:
             table.add_row(meaning, str(count.covered), str(count.total))
-    Console().print(table)
+    Terminal().print(table)
     for subject, deviations in report.deviations.items():
         told = f"{len(deviations)} not as they must be" if deviations else "all as they must be"
-        click.echo(f"{subject}: {report.subjects[subject]} commands, {told}")
+        say(f"{subject}: {report.subjects[subject]} commands, {told}")
         for deviation in deviations[:MOST_SHOWN]:
-            click.echo(f"    {deviation}")
+            say(f"    {deviation}")
     for left in report.left:
-        click.echo(f"not seen ({left.joint_states}×): {left.command}: {left.reason}")
+        say(f"not seen ({left.joint_states}×): {left.command}: {left.reason}")

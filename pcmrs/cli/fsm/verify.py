@@ -6,10 +6,10 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 import click
-import msgspec
 
 from pcmrs.cli.fsm.files import EXIT_UNREADABLE, EXIT_UNSOUND, fetch, printable
 from pcmrs.cli.options import json_option
+from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.progress import search_bar
 from pcmrs.cli.running import readable_errors
 from pcmrs.errors import ConfigurationError
@@ -35,7 +35,7 @@ def verify(files: tuple[str, ...], limit: int, as_json: bool) -> None:
     """
     found = [_examine(file, limit) for file in files]
     if as_json:
-        click.echo(msgspec.json.encode([_as_object(origin, examination) for origin, examination in found]))
+        say_json([_as_object(origin, examination) for origin, examination in found])
     else:
         for origin, examination in found:
             _show(origin, examination)
@@ -80,15 +80,15 @@ def _as_object(origin: str, examination: Examination) -> dict[str, Any]:
 
 def _show(origin: str, examination: Examination) -> None:
     for warning in examination.warnings:
-        click.echo(warning.heading, err=True)
+        say(warning.heading, err=True)
     if examination.blueprint is not None and examination.sound:
         searched = f"{examination.joint_states} joint states, {examination.transitions} transitions"
-        click.echo(f"{origin}: sound: {searched}, {len(examination.blueprint.properties)} properties")
+        say(f"{origin}: sound: {searched}, {len(examination.blueprint.properties)} properties")
         return
     for finding in examination.findings:
-        click.echo(finding.heading)
+        say(finding.heading)
         for number, command in enumerate(finding.commands or (), 1):
-            click.echo(f"    {number}. {command}")
+            say(f"    {number}. {command}")
     word = "unsound" if examination.readable else "unreadable"
     number = len(examination.findings)
-    click.echo(f"{origin}: {word}: {number} finding{'s' if number != 1 else ''}")
+    say(f"{origin}: {word}: {number} finding{'s' if number != 1 else ''}")
