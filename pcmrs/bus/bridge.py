@@ -10,11 +10,16 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Hashable
+from contextvars import ContextVar
 from typing import Final
 
 Call = Callable[[], None]
+
+ARRIVED: Final[ContextVar[float]] = ContextVar("arrived")
+"""When the message that is handled here arrived in this process, s of the machine's monotonic clock."""
 
 CAPACITY: Final = 256
 """Ordered calls that may wait for the loop, in each of the two queues."""
@@ -37,8 +42,8 @@ class Bridge:
     def __init__(self, loop: asyncio.AbstractEventLoop, capacity: int = CAPACITY) -> None:
         self._loop = loop
         self._capacity = capacity
-        self._urgent: deque[Call] = deque()
-        self._ordered: deque[Call] = deque()
+        self._urgent: deque[tuple[float, Call]] = deque()
+        self._ordered: deque[tuple[float, Call]] = deque()
         self._newest: dict[Hashable, deque[Call]] = {}
         self._lock = threading.Lock()
         self._scheduled = False
@@ -58,7 +63,7 @@ class Bridge:
             if self._closed or len(queue) >= self._capacity:
                 self.refused += 1
                 return False
-            queue.append(call)
+            queue.append((time.monotonic(), call))
             self._schedule()
             return True
 
@@ -99,7 +104,9 @@ class Bridge:
         with self._lock:
             for queue in (self._urgent, self._ordered):
                 if queue:
-                    return queue.popleft()
+                    arrived, call = queue.popleft()
+                    ARRIVED.set(arrived)
+                    return call
             if self._newest:
                 # A dict keeps the order in which keys came, and one with more goes to its end: every key gets its turn.
                 key = next(iter(self._newest))

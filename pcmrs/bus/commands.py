@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from typing import Protocol
 
+from pcmrs.bus.bridge import ARRIVED
 from pcmrs.bus.envelope import Envelope, command_from, refusal
 from pcmrs.bus.reasons import busy
 from pcmrs.bus.serving import ANSWERS
@@ -15,7 +17,19 @@ from pcmrs.messages import Command, Verdict
 
 _COMMANDS = "cmd/*/*/*"
 
-Submit = Callable[[Command], Awaitable[Verdict]]
+
+class Submit(Protocol):
+    """`Dispatcher.submit`."""
+
+    def __call__(self, command: Command, *, arrived: float) -> Awaitable[Verdict]:
+        """Decide on a command.
+
+        Args:
+            command: As it was sent.
+            arrived: When it arrived in this process, s of the event loop's clock.
+        """
+
+
 Refused = Callable[[str, str, str], None]
 
 
@@ -67,7 +81,7 @@ class CommandEdge:
             command = command_from(key, envelope, self._bus.settings.role_of)
         except PayloadError as error:
             return self._refusal(key, error)
-        return await self._submit(command)
+        return await self._submit(command, arrived=ARRIVED.get())
 
     def _take(self, key: str, envelope: Envelope) -> None:
         try:
@@ -81,7 +95,7 @@ class CommandEdge:
                 self._refuse(key, busy())
 
     def _spawn(self, command: Command) -> None:
-        task = asyncio.ensure_future(self._submit(command))
+        task = asyncio.ensure_future(self._submit(command, arrived=ARRIVED.get()))
         self._submitted.add(task)
         task.add_done_callback(self._submitted.discard)
 

@@ -71,7 +71,7 @@ KEYS = [
     _row(
         "stop/<user>",
         "put or query",
-        "anything -> Stopping",
+        "Press, or anything -> Stopping",
         "Stops every motion and latches.",
         EVERYBODY,
         ("daemon", "device"),

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import math
+import re
+from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal
@@ -10,11 +13,33 @@ from typing import Any, Literal
 import msgspec
 import zenoh
 
-from pcmrs.bus.codec import is_text, pack, pack_text
+from pcmrs.bus.codec import is_text, pack, pack_text, unpack
 from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.serving import payload_of
 from pcmrs.bus.settings import BusSettings, open_session
+from pcmrs.errors import PayloadError
 from pcmrs.messages import Message
+
+PRESS = re.compile(r"[0-9a-f]{32}")
+"""Id of one press: random, so that no other press has it."""
+LONGEST = 256
+"""Bytes of the longest message in which an id is looked for."""
+REPEATED = 10.0
+"""A message with the id of an earlier one counts as the same press for so long, s; later it is a Stop of its own."""
+PRESSES = 256
+"""Presses that are remembered; with more in that time, the oldest is forgotten and may stop twice."""
+
+
+class Press(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """One press of Stop, sent by more than one way: whichever message comes first stops, and the others repeat it.
+
+    Without it, as from a command line, each message is a Stop of its own.
+
+    Attributes:
+        id: 32 hexadecimal digits, random.
+    """
+
+    id: str
 
 
 class Stopping(Message, frozen=True, kw_only=True, omit_defaults=False):
@@ -35,7 +60,8 @@ class Stopping(Message, frozen=True, kw_only=True, omit_defaults=False):
 class StopLane:
     """Calls `stop(source)` for every put and query on ``stop/<user>``, whatever its payload.
 
-    A query is answered with the number that `stop` returns; without a number it is left to another process to answer.
+    Messages of one `Press` are one Stop: one that comes late must not stop again what was acknowledged meanwhile. A
+    query is answered with the number that `stop` returns; without a number it is left to another process to answer.
     Zenoh's thread hands the call straight to the loop, past the queue of the other messages. Use
     `StopLane.open`.
     """
@@ -45,6 +71,7 @@ class StopLane:
         self._prefix = prefix
         self._stop = stop
         self._loop = asyncio.get_running_loop()
+        self._presses: OrderedDict[tuple[str, str], tuple[float, int | None]] = OrderedDict()
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="pcmrs-stop")
         self._receivers: tuple[Any, ...] = (
             session.declare_queryable(f"{prefix}/stop/*", self._on_query),
@@ -73,7 +100,8 @@ class StopLane:
         self._session.close()
 
     def _on_put(self, sample: zenoh.Sample) -> None:
-        self._loop.call_soon_threadsafe(self._stop, self._source(str(sample.key_expr)))
+        press = _press_of(payload_of(sample))
+        self._loop.call_soon_threadsafe(self._begin, self._source(str(sample.key_expr)), press)
 
     def _on_query(self, query: zenoh.Query) -> None:
         key = str(query.key_expr)
@@ -81,19 +109,43 @@ class StopLane:
             # Somebody looks around, nobody asks for Stop.
             with query:
                 return
-        self._loop.call_soon_threadsafe(self._answer, query, self._source(key))
+        self._loop.call_soon_threadsafe(self._answer, query, self._source(key), _press_of(payload_of(query)))
 
-    def _answer(self, query: zenoh.Query, source: str) -> None:
+    def _answer(self, query: zenoh.Query, source: str, press: str | None) -> None:
         try:
-            number = self._stop(source)
+            number = self._begin(source, press)
         except BaseException:
             with query:
                 raise
         stopping = None if number is None else Stopping(source=source, number=number)
         self._loop.run_in_executor(self._pool, _reply, query, stopping)
 
+    def _begin(self, source: str, press: str | None) -> int | None:
+        """Stop, unless this press has stopped already; return the Stop's number."""
+        now = self._loop.time()
+        if press is None:
+            return self._stop(source)
+        begun, number = self._presses.get((source, press), (-math.inf, None))
+        if now - begun > REPEATED:
+            number = self._stop(source)
+            self._presses[source, press] = now, number
+            while len(self._presses) > PRESSES:
+                self._presses.popitem(last=False)
+        return number
+
     def _source(self, key: str) -> str:
         return f"bus:{key.removeprefix(f'{self._prefix}/stop/')}"
+
+
+def _press_of(payload: bytes) -> str | None:
+    """Id of the press that a message belongs to; None where it names none."""
+    if len(payload) > LONGEST:
+        return None  # reading it would hold up Stops behind it
+    try:
+        press = unpack(payload, Press).id
+    except PayloadError:
+        return None
+    return press if PRESS.fullmatch(press) else None
 
 
 def _reply(query: zenoh.Query, stopping: Stopping | None) -> None:

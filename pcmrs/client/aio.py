@@ -18,7 +18,7 @@ from pcmrs.bus.codec import convert_event
 from pcmrs.bus.envelope import Envelope
 from pcmrs.bus.keys import KeyTable, command_key
 from pcmrs.bus.settings import SECURED
-from pcmrs.bus.stop import Stopping
+from pcmrs.bus.stop import Press, Stopping
 from pcmrs.clock import SystemClock
 from pcmrs.errors import (
     BusError,
@@ -236,8 +236,9 @@ class Client:
             UnknownOutcomeError: The daemon did not answer within `timeout` (s).
         """
         key = f"stop/{self._user}"
-        self._bus.publish(key, Empty())
-        return await self._bus.request(key, Empty(), Stopping, timeout or self._patience)
+        press = Press(id=uuid.uuid4().hex)
+        self._bus.publish(key, press)
+        return await self._bus.request(key, press, Stopping, timeout or self._patience)
 
     async def standstill(self, number: int, timeout: float = 2.0) -> bool:
         """Waits for the robot's standstill after Stop `number`, or a newer one.

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import Counter, deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable
 from itertools import accumulate
-from typing import get_args
+from typing import Protocol, get_args
 
 from pcmrs.clock import Clock
 from pcmrs.messages import Command, Decision, DeviceEvent, Snapshot, Verdict
@@ -22,6 +22,13 @@ RECENT = 1000
 """Of so many commands the percentiles are taken."""
 
 
+class Submit(Protocol):
+    """`Dispatcher.submit`."""
+
+    def __call__(self, command: Command, *, arrived: float | None = None) -> Awaitable[Verdict]:
+        """Decide on a command."""
+
+
 class Tally:
     """What has been decided since the start.
 
@@ -34,18 +41,18 @@ class Tally:
         rejections: Reason code to how many commands were rejected for it.
     """
 
-    def __init__(self, submit: Callable[[Command], Awaitable[Verdict]], clock: Clock) -> None:
+    def __init__(self, submit: Submit, clock: Clock) -> None:
         self.decisions = Counter(dict.fromkeys(DECISIONS, 0))
         self.rejections: Counter[str] = Counter()
         self._submit = submit
         self._clock = clock
         self._times: dict[str, _Times] = {}
 
-    async def submit(self, command: Command) -> Verdict:
-        """What the edges of the system call: submits, and takes the time until the verdict."""
-        arrived = self._clock.monotonic()
-        verdict = await self._submit(command)
-        self._times.setdefault(verdict.decision, _Times()).add(self._clock.monotonic() - arrived)
+    async def submit(self, command: Command, *, arrived: float | None = None) -> Verdict:
+        """What the edges of the system call: submits, and takes the time until the verdict; see `Dispatcher.submit`."""
+        began = self._clock.monotonic()
+        verdict = await self._submit(command, arrived=arrived)
+        self._times.setdefault(verdict.decision, _Times()).add(self._clock.monotonic() - began)
         return verdict
 
     def take(self, message: Snapshot | Verdict | DeviceEvent) -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -21,6 +22,8 @@ from pcmrs.messages.identity import Identity
 from pcmrs.messages.roles import Role
 
 REGISTER: dict[str, Role] = {"anna": "teleoperator", "eve": "viewer"}
+HELD_UP = 1.0
+"""The loop does something else for so long, s."""
 PLAN = "cmd/local/registration/plan_landmarks"
 
 
@@ -32,6 +35,7 @@ class Daemon:
         self.submitted: asyncio.Queue[Command] = asyncio.Queue()
         self.stopped: asyncio.Queue[str] = asyncio.Queue()
         self.stops = 0
+        self.ages: list[float] = []
         self.refused: list[tuple[str, str]] = []
 
     def refuse(self, source: str, code: str, text: str) -> None:
@@ -43,8 +47,9 @@ class Daemon:
         self.stops += 1
         return self.stops
 
-    async def submit(self, command: Command) -> Verdict:
+    async def submit(self, command: Command, *, arrived: float) -> Verdict:
         self.submitted.put_nowait(command)
+        self.ages.append(asyncio.get_running_loop().time() - arrived)
         return accepted(command)
 
 
@@ -235,6 +240,44 @@ async def test_a_closed_edge_takes_no_more_commands() -> None:
             session.put(f"{bus.prefix}/{PLAN}", b"")
             assert await asyncio.to_thread(lambda: list(session.get(f"{bus.prefix}/{PLAN}"))) == []
         assert daemon.submitted.empty()
+
+
+async def test_a_command_has_arrived_when_zenoh_had_it_not_when_the_loop_got_round_to_it() -> None:
+    async with running_daemon() as (daemon, session):
+        await get(daemon, session, PLAN)
+        session.put(f"{daemon.bus.prefix}/{PLAN}", b"")
+        reply = asyncio.ensure_future(get(daemon, session, PLAN))
+        await asyncio.sleep(0)
+        time.sleep(HELD_UP)  # noqa: ASYNC251 - the loop does something else, and two messages arrive
+        await reply
+        while len(daemon.ages) < 3:
+            await daemon.submitted.get()
+        assert min(daemon.ages[1:]) > HELD_UP / 2
+
+
+async def test_a_press_is_one_stop_and_what_names_none_is_always_one() -> None:
+    async with running_daemon() as (daemon, session):
+        press = json.dumps({"id": "0123456789abcdef" * 2}).encode()
+
+        async def number(user: str, payload: bytes) -> int:
+            found: int = json.loads(await get(daemon, session, f"stop/{user}", payload))["number"]
+            return found
+
+        assert [await number("anna", press) for _ in range(3)] == [1, 1, 1]
+        assert await number("bert", press) == 2  # nobody can take a Stop from somebody else by its id
+        for payload in (b" {}", b' {"id": ""}', b' {"id": 3}', b' {"id": "pressed"}', press[:-1]):
+            before = daemon.stops
+            assert [await number("anna", payload) for _ in range(2)] == [before + 1, before + 2]
+
+
+async def test_presses_are_forgotten_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever sends the same id every time is stopped for, too."""
+    monkeypatch.setattr("pcmrs.bus.stop.REPEATED", 0.0)
+    async with running_daemon() as (daemon, session):
+        press = json.dumps({"id": "0123456789abcdef" * 2}).encode()
+        for _ in range(2):
+            await get(daemon, session, "stop/anna", press)
+        assert daemon.stops == 2
 
 
 async def test_stop_by_put_and_by_query() -> None:

@@ -24,7 +24,7 @@ class Daemon:
         self.stops: list[str] = []
         bus.serve("svc/snapshot", Empty, self.snapshot)
 
-    async def submit(self, command: Command) -> Verdict:
+    async def submit(self, command: Command, *, arrived: float) -> Verdict:
         self.commands.append(command)
         verdict = accepted(command)
         self.bus.publish("state/event", verdict)
@@ -92,6 +92,14 @@ async def test_stop_is_confirmed_by_the_daemon_and_heard_by_device_nodes() -> No
             await client.stop()
             assert "bus:anna" in daemon.stops
             await asyncio.wait_for(heard.wait(), TIMEOUT)
+
+
+async def test_one_press_of_stop_is_one_stop_whichever_of_its_messages_comes_first() -> None:
+    """It is put and asked for: the second message must not stop again what has been acknowledged meanwhile."""
+    async with connected() as (daemon, client):
+        assert [(await client.stop()).number for _ in range(3)] == [1, 2, 3]
+        await client.state()
+        assert daemon.stops == ["bus:anna"] * 3
 
 
 async def test_watch_yields_the_last_snapshot_then_what_happens() -> None:

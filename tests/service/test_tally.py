@@ -26,7 +26,7 @@ class Bench:
         self._takes, self._decision = takes, verdict(decision)
         return await self.tally.submit(Command(id="c", branch="b", operation="o", source="test"))
 
-    async def _decide(self, _command: Command) -> Verdict:
+    async def _decide(self, _command: Command, *, arrived: float | None = None) -> Verdict:
         self.clock.stall(self._takes)
         return self._decision
 
