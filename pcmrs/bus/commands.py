@@ -21,7 +21,7 @@ _COMMANDS = "cmd/*/*/*"
 class Submit(Protocol):
     """`Dispatcher.submit`."""
 
-    def __call__(self, command: Command, *, arrived: float) -> Awaitable[Verdict]:
+    def __call__(self, command: Command, /, *, arrived: float) -> Awaitable[Verdict]:
         """Decide on a command.
 
         Args:

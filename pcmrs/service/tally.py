@@ -25,7 +25,7 @@ RECENT = 1000
 class Submit(Protocol):
     """`Dispatcher.submit`."""
 
-    def __call__(self, command: Command, *, arrived: float | None = None) -> Awaitable[Verdict]:
+    def __call__(self, command: Command, /, *, arrived: float | None = None) -> Awaitable[Verdict]:
         """Decide on a command."""
 
 
