@@ -134,6 +134,10 @@ class Latching(Protocol):
 
     name: str
 
+    @property
+    def latched(self) -> bool:
+        """Whether it is latched, by its newest report; True until there is one."""
+
     async def stop(self) -> object:
         """Ends whatever acts and latches the device; returns when that is confirmed.
 

@@ -133,6 +133,11 @@ class ActingDevice(RemoteDevice):
         """Whether the device acts for an earlier daemon."""
         return self.gate is not None and self.gate.daemon not in ("", self._daemon)
 
+    @property
+    def latched(self) -> bool:
+        """Whether the device is latched, by its newest report; True until there is one."""
+        return self.gate is None or self.gate.latched
+
     def take(self, gate: GateState | None) -> None:
         """Takes a report of the device's node, from a beat or a reply, if it is newer than the last one."""
         known = self.gate

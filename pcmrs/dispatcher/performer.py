@@ -171,7 +171,7 @@ class Performer(Generic[C, D]):
         if not attempt.spec.unlatches or self._stage.release is None:
             return None
         try:
-            latched = await self._stage.release()
+            latched = await self._stage.release(self._stage.procedure.latched)
         except PcmrsError as error:
             reason = reason_of(error, step="release")
             return Ending("unknown" if isinstance(error, UnknownOutcomeError) else "failed", reason=reason)

@@ -40,4 +40,4 @@ class Stage(Generic[C, D]):
     hold: Hold
     tasks: Tasks
     show: Callable[[], None]
-    release: Callable[[], Awaitable[Sequence[str]]] | None
+    release: Callable[[bool], Awaitable[Sequence[str]]] | None

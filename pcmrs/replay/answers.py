@@ -45,7 +45,7 @@ class Holds:
         self._asked.append(asked)
         await asked
 
-    async def release(self) -> Sequence[str]:
+    async def release(self, _stopped: bool) -> Sequence[str]:
         """Waits for the release of the devices. Raises `DeviceError` where they were not released."""
         released: asyncio.Future[Sequence[str]] = asyncio.get_running_loop().create_future()
         if self._ended:

@@ -67,9 +67,10 @@ class SimulatedJournal(Journal):
             raise JournalError(self._error.text, sequence=None)
         name = _name_of(rows)
         writing, back = self.disk.window(f"write:{name}"), self.disk.window(f"written:{name}")
-        if not (self.disk.delay or self.disk.failing or self._under_way or writing or back):
-            return super().append(rows)
         loop = asyncio.get_running_loop()
+        queued = self._under_way or self._back > loop.time()  # nobody learns of a later row first
+        if not (self.disk.delay or self.disk.failing or queued or writing or back):
+            return super().append(rows)
         durable: asyncio.Future[int] = loop.create_future()
         self._under_way += len(rows)
         self._due = max(self._due, loop.time() + self.disk.delay + writing)  # in the order in which they came

@@ -143,8 +143,12 @@ class Cell:
             if isinstance(answer, BaseException):
                 raise answer
 
-    async def release(self) -> list[str]:
-        """Ends the latch of robot and stimulator after a Stop, once the robot has confirmed that it stands.
+    async def release(self, stopped: bool) -> list[str]:
+        """Ends the latch of robot and stimulator, once the robot has confirmed that it stands.
+
+        Args:
+            stopped: Robot and stimulator were stopped. Otherwise a robot that is not latched is left alone: it may
+                move, and an acknowledgement that came too late must not hold it.
 
         Returns:
             Names of the devices that stay latched: a stimulator that does not answer, which must not keep anybody from
@@ -154,8 +158,9 @@ class Cell:
             DeviceError: The robot moves, was held once more meanwhile, or refuses.
             UnknownOutcomeError: It does not answer.
         """
-        await self.robot.hold()
-        await self.robot.release_latch()
+        if stopped or self.robot.latched:
+            await self.robot.hold()
+            await self.robot.release_latch()
         if self.stimulator is None:
             return []
         try:

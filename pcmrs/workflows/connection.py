@@ -26,7 +26,7 @@ async def connect_robot(run: Run) -> None:
         raise RefusalError("bad_joints", f"The robot reports joints {state.positions}, which are no numbers.")
     run.cell.arm.check_limits(state.positions)
     run.cell.update_joints(state)
-    if not run.latched and (latched := await run.cell.release()):
+    if not run.latched and (latched := await run.cell.release(stopped=True)):
         run.result["still_latched"] = latched
     run.post("placement", "locate")
 

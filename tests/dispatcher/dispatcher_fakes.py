@@ -247,6 +247,7 @@ class Bench:
         workflow = make_workflow(self.script, blueprint, worldly_branches)
         workflow.registry.lasting.update(lasting)
         self.latching: list[bool] = []
+        self.released: list[bool] = []
         self.releasing: asyncio.Event | None = None
         self.release_error: Exception | None = None
         self.still_latched: list[str] = []
@@ -265,7 +266,8 @@ class Bench:
         self.latching.append(latch)
         return self.hold()
 
-    async def _release_devices(self) -> list[str]:
+    async def _release_devices(self, stopped: bool) -> list[str]:
+        self.released.append(stopped)
         if self.releasing is not None:
             await self.releasing.wait()
         if self.release_error is not None:

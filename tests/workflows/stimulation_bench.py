@@ -36,6 +36,7 @@ class StandInStimulator:
 
     clock: Clock
     name: str = "stimulator"
+    latched: bool = False
     arming: Arming = field(default_factory=lambda: Arming(1e6))
     intensity: float = 0.0
     coil_temperature: float = 25.0

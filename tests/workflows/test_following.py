@@ -285,3 +285,21 @@ async def test_the_snapshot_shows_the_error(following: WorkflowBench) -> None:
     before = len(following.published)
     await following.clock.sleep(5.0)
     assert len(following.published) - before <= 15, "a few snapshots per second"
+
+
+async def test_an_acknowledgement_that_came_too_late_does_not_hold_a_tool_that_follows(
+    following: WorkflowBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Somebody else has acknowledged, the tool follows the head again, and nothing is latched any more."""
+    held: list[float] = []
+    hold = following.robot.hold
+
+    async def counted() -> object:
+        held.append(following.clock.monotonic())
+        return await hold()
+
+    monkeypatch.setattr(following.robot, "hold", counted)
+    await following.cell.release(stopped=False)
+    await following.clock.sleep(1.0)
+    assert held == []
+    assert following.states["placement"] == "following"

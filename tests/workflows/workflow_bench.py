@@ -90,6 +90,8 @@ class ListRecorder:
 class Latched:
     """A device without a node: nothing is between it and the cell that could be late, so it needs no latch."""
 
+    latched = False
+
     def __init__(self, name: str, device: Any, hold: Callable[[], Awaitable[object]]) -> None:
         self.name, self.stop = name, hold
         self._device = device

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from pcmrs.campaign.explore.view import REGISTERING, View, refuses_the_id
 from pcmrs.fsm.blueprint import OperationSpec
-from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
+from pcmrs.messages import Command, DeviceEvent, Ongoing, Snapshot, Verdict
 
 MOVED = 0.002
 """A joint that is farther than this from where it stood has moved, rad."""
@@ -49,6 +49,7 @@ class Watcher:
         self._allowed: dict[str, float] = {}
         self._newest: tuple[str, float] | None = None
         self._last_hold = float("-inf")
+        self._ending: set[str] = set()
         self._gone: float | None = None
         self._node_excused = float("-inf")
         self._reference_moved = False
@@ -93,8 +94,13 @@ class Watcher:
             self._break("approaches_only_when_ready", f"{name} moves, and the reference has moved since registration.")
 
     def held(self, now: float) -> None:
-        """The driver is told to hold."""
-        self._last_hold = now
+        """The driver is told to hold.
+
+        The hold by which an activity ends comes while the motion that it gives way to waits for just that.
+        """
+        snapshot = self._view.snapshot
+        if not self._ending or snapshot is None or snapshot.latched:
+            self._last_hold = now
         if not self._view.motion.holds:
             self._in_doubt = False
 
@@ -119,6 +125,7 @@ class Watcher:
         self._gone = None
         self._undecided.clear()
         self._dangers.clear()
+        self._ending.clear()
         self._allowed.clear()
         self._arrived.clear()
         self._reference_moved = False
@@ -149,6 +156,8 @@ class Watcher:
 
     def take_event(self, event: DeviceEvent, now: float) -> None:
         """It was published."""
+        if event.code == "activity_ended":
+            self._ending.discard(event.device.removeprefix("activity:"))
         if event.code == "reference_moved" and self._states("registration") in ("110", "111"):
             self._reference_moved = True
         branches = self._view.blueprint.branches.values()
@@ -180,6 +189,7 @@ class Watcher:
             for each in snapshot.running
             if self._view.blueprint.branches[each.branch].operations[each.operation].moves
         }
+        self._ending |= {each.name for each in snapshot.activities if self._moves(each)}
         going_on = {f"{each.branch}:{each.name}": f"{each.branch}:{each.name}" for each in snapshot.activities}
         for key, name in running.items():
             if key not in self._allowed:
@@ -253,9 +263,11 @@ class Watcher:
         return found.get(operation)
 
     def _guides(self, snapshot: Snapshot) -> bool:
-        branches = self._view.blueprint.branches
-        ongoing = (branches[each.branch].activities.get(each.state) for each in snapshot.activities)
-        return any(spec is not None and spec.moves for spec in ongoing)
+        return any(self._moves(each) for each in snapshot.activities)
+
+    def _moves(self, ongoing: Ongoing) -> bool:
+        spec = self._view.blueprint.branches[ongoing.branch].activities.get(ongoing.state)
+        return spec is not None and spec.moves
 
 
 def _approaches(spec: OperationSpec) -> bool:
