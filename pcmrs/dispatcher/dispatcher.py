@@ -66,7 +66,8 @@ class Dispatcher(Generic[C, D]):
             confirmed.
         publish: Called in the event loop with every new snapshot, verdict and device event.
         release: Ends the latch of the devices for an operation that acknowledges a Stop, and returns the names of those
-            that stay latched; told whether Stop is latched now; raises where the robot does not stand. None for devices that Stop does not latch.
+            that stay latched; told whether Stop is latched now; raises where the robot does not stand. None for devices
+            that Stop does not latch.
         lease_required: Somebody has to hold the cell before commands are taken.
         planner: Asks the checks that plan motions; without one they are asked in the loop.
 

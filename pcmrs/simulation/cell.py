@@ -17,7 +17,7 @@ from pcmrs.dispatcher import Workflow
 from pcmrs.messages import Beat
 from pcmrs.settings import DRIVERS, Settings
 from pcmrs.simulation.clock import SimulatedClock
-from pcmrs.simulation.daemon import ProcedureDispatcher, SimulatedDaemon
+from pcmrs.simulation.daemon import Observe, SimulatedDaemon
 from pcmrs.simulation.disk import Disk
 from pcmrs.simulation.loop import SimulatedLoop
 from pcmrs.simulation.network import Endpoint, Network
@@ -41,7 +41,7 @@ class SimulatedCell:
         workflow: The procedure, as opened.
         devices: The opened devices, as the node serves them.
         path: Of the journal.
-        observe: Called with the dispatcher of every run of the daemon before anything is decided.
+        observe: Called with dispatcher and journal of every run of the daemon before anything is decided.
 
     Attributes:
         network: Between its processes.
@@ -58,7 +58,7 @@ class SimulatedCell:
         workflow: Workflow[Cell, PlacementData],
         devices: Devices,
         path: Path,
-        observe: Callable[[ProcedureDispatcher], None],
+        observe: Observe,
     ) -> None:
         self.network = network
         self.clock = SimulatedClock(asyncio.get_running_loop())
@@ -131,7 +131,7 @@ async def simulated_cell(
     *,
     coded: bool = False,
     watched: Callable[[Devices], Devices] = lambda devices: devices,
-    observe: Callable[[ProcedureDispatcher], None] = lambda _: None,
+    observe: Observe = lambda *_: None,
 ) -> AsyncIterator[SimulatedCell]:
     """A cell that takes commands, in the simulated time of the running loop.
 

@@ -9,6 +9,7 @@ from contextlib import AsyncExitStack
 from pathlib import Path
 
 from pcmrs.dispatcher import Dispatcher, Workflow
+from pcmrs.journal import JournalReader
 from pcmrs.messages import Beat, BlueprintTag, Command, Verdict
 from pcmrs.service.procedure import Clocks, RunningProcedure
 from pcmrs.service.recorder import JournalRecorder
@@ -26,6 +27,7 @@ COMMANDS = "cmd/*/*/*"
 STOPS = "stop/*"
 
 ProcedureDispatcher = Dispatcher[Cell, PlacementData]
+Observe = Callable[[ProcedureDispatcher, JournalReader], None]
 
 
 class SimulatedDaemon:
@@ -38,7 +40,7 @@ class SimulatedDaemon:
         clock: Of the daemon's host.
         disk: Under its journal.
         path: Of the journal.
-        observe: Called with the dispatcher before anything is decided.
+        observe: Called with dispatcher and journal before anything is decided.
 
     Attributes:
         procedure: What runs; None before it has started.
@@ -53,7 +55,7 @@ class SimulatedDaemon:
         clock: SimulatedClock,
         disk: Disk,
         path: Path,
-        observe: Callable[[ProcedureDispatcher], None],
+        observe: Observe,
     ) -> None:
         self.procedure: RunningProcedure | None = None
         self.link = link
@@ -123,7 +125,7 @@ class SimulatedDaemon:
             self.procedure, dispatcher = procedure, procedure.dispatcher
             recovered.give_to(dispatcher, journal)
             recorder.attach(dispatcher.procedure)
-            self._observe(dispatcher)
+            self._observe(dispatcher, journal.reader)
             await stack.enter_async_context(supervisor)
             supervisor.start("journal", lambda: keep_journal(journal, recorder, dispatcher, clock))
             procedure.start()

@@ -155,7 +155,7 @@ class Faults:
         else:
             self._witness.break_("the_daemon_starts_again", why)
         if self._cell.daemon is not None:
-            reader = self._witness.reader = self._cell.daemon.journal.reader
+            reader = self._cell.daemon.journal.reader
             self._witness.watcher.check_rows(lambda source, command: _decision(reader.verdict_of(source, command)))
 
     async def _crash_daemon(self, _arguments: dict[str, Any]) -> None:

@@ -142,7 +142,7 @@ class Session:
         self._script = script
         self._operators = Operators(cell, witness.answered, witness.watcher)
         self.faults = Faults(cell, self._operators, witness)
-        self._under_way: dict[asyncio.Task[None], None] = {}
+        self._under_way: dict[asyncio.Task[None], str] = {}
 
     async def play(self, seconds: float) -> None:
         """Does everything in its order; ends with the first violation."""
@@ -163,10 +163,12 @@ class Session:
                 await self._cell.network.windows.reached(act.window, act.held, WINDOW_OPENS)
             await asyncio.sleep(min(act.after, LONGEST_FOLLOWING) if self._following() else act.after)
             task = asyncio.get_running_loop().create_task(self._do(act))
-            self._under_way[task] = None
+            self._under_way[task] = act.what
             task.add_done_callback(self._under_way.pop)
             if act.waits:
                 await asyncio.wait([task], timeout=PATIENCE)
+        if begun := [task for task, what in self._under_way.items() if what.startswith("fault:")]:
+            await asyncio.wait(begun, timeout=PATIENCE)  # what has not come about yet cannot be mended
         await self.faults.mended()
         await self.faults.start_daemon()
         await asyncio.sleep(seconds)

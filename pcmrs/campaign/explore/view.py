@@ -81,25 +81,25 @@ class View:
     released: int = 0
     excused: bool = False
     seen: Counter[str] = field(default_factory=Counter)
-    _registered_by: int = 0
-    _unregistered: int = -1
+    _made: set[str] = field(default_factory=set)
+    _in_force: set[str] = field(default_factory=set)
     _rows: int = 0
 
     @property
     def registered(self) -> bool:
-        """Whether the registration in force rests on a journalled accepted verdict.
+        """Whether the registration in force rests on a journalled accepted verdict of this run.
 
-        What the disk has may be more than was published: a registration counts until its end is published.
+        It carries the id of the command that made it: by sequence numbers a Stop could come in between.
         """
-        return self._registered_by > self._unregistered
+        return self.snapshot is not None and self.snapshot.registration in self._in_force
 
     def begin_run(self) -> None:
         """A daemon has started: the latch of before and all states are gone, or as it says now."""
         self.run += 1
         self.snapshot = self.before = None
         self.excused = self.danger = False
-        self.released = self._registered_by = 0
-        self._unregistered = -1
+        self.released = 0
+        self._in_force = set()
 
     def end_run(self) -> None:
         """The daemon is gone: nothing allows anything any more."""
@@ -110,8 +110,6 @@ class View:
     def take_snapshot(self, snapshot: Snapshot) -> None:
         """It was published."""
         self.before, self.snapshot = self.snapshot, snapshot
-        if snapshot.branches.get("registration") != "111":
-            self._unregistered = snapshot.sequence
         running = [f"{each.branch}.{each.operation}" for each in snapshot.running]
         branches = snapshot.branches
         near = branches.get("placement") in ("placed", "following") and branches.get("stimulation") == "armed"
@@ -127,12 +125,21 @@ class View:
                 self.outcomes[row.source or "", row.command_id or ""] = row.verdict
                 self.by_id[row.command_id or ""] = row.verdict
                 self.released += self._releases(row.verdict)
-                if row.verdict.decision == "accepted" and row.branch == "registration" and row.operation in REGISTERING:
-                    self._registered_by = row.verdict.sequence
+                if row.verdict.decision == "accepted" and row.branch == "registration":
+                    self._take_registration(row.operation or "", row.command_id or "")
 
     def take_verdict(self, verdict: Verdict) -> None:
         """It was published."""
         self.seen[f"{verdict.decision} {verdict.branch}.{verdict.operation}"] += 1
+
+    def _take_registration(self, operation: str, command: str) -> None:
+        if operation not in REGISTERING:
+            return
+        if operation == "use_previous":
+            self._in_force |= self._made
+        else:
+            self._made.add(f"registration-{command}")
+            self._in_force.add(f"registration-{command}")
 
     def _releases(self, verdict: Verdict) -> bool:
         spec = self.blueprint.branches[verdict.branch].operations.get(verdict.operation) if verdict.state else None

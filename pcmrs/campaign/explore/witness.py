@@ -69,8 +69,9 @@ class Witness:
         self._loop = asyncio.get_running_loop()
         self._run = 0
 
-    def observe(self, dispatcher: ProcedureDispatcher) -> None:
+    def observe(self, dispatcher: ProcedureDispatcher, reader: JournalReader) -> None:
         """A run of the daemon begins."""
+        self.reader = reader
         self.view.now = self._loop.time()
         self.view.begin_run()
         self._run = run = self.view.run
