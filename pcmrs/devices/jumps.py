@@ -42,6 +42,7 @@ class JumpGuard:
         self._seen: dict[str, tuple[float, Transform]] = {}
         self._believed: dict[str, Floats] = {}
         self._steady: dict[str, int] = {}
+        self._taken: set[str] = set()
 
     def doubt(self, body: str, exposed: float, tracker_from_body: Transform) -> str:
         """Why this pose of the body is not believed; empty when it is.
@@ -58,11 +59,11 @@ class JumpGuard:
         if before is not None and exposed <= before[0]:
             return "stamp_not_advancing"
         self._seen[body] = exposed, tracker_from_body
-        if before is not None and self._leapt(body, before[1], tracker_from_body, exposed - before[0]):
+        if self._leapt(body, before, tracker_from_body, exposed):
             self._steady[body] = -1
         if body in self._steady:
             self._steady[body] += 1
-            if self._at_place_of_another(body, tracker_from_body):
+            if self._is_taken(body, before, tracker_from_body):
                 self._steady[body] = 0
                 return "swapped"
             if self._steady[body] < self._limits.steady:
@@ -75,16 +76,27 @@ class JumpGuard:
         """The tracker was restarted: nothing is known of the body any more."""
         for known in (self._seen, self._believed, self._steady):
             known.pop(body, None)
+        self._taken.discard(body)
 
-    def _leapt(self, body: str, before: Transform, now: Transform, time: float) -> bool:
+    def _is_taken(self, body: str, before: tuple[float, Transform] | None, now: Transform) -> bool:
+        """Whether a doubted body is where another one was, or has not left that one since, which may have moved."""
+        if self._at_place_of_another(body, now):
+            self._taken.add(body)
+        elif before is None or distance(before[1], now) > SAME_PLACE:
+            self._taken.discard(body)
+        return body in self._taken
+
+    def _leapt(self, body: str, before: tuple[float, Transform] | None, now: Transform, exposed: float) -> bool:
         """Whether it cannot have gone so far, or has come to the place of another one in a single step.
 
-        After frames that are missing a body may have gone far, but not to where another one was.
+        After frames that are missing, and before its first one, a body may have gone far, but not to where another one
+        was.
         """
-        if self._jumped(before, now, time):
+        if before is not None and self._jumped(before[1], now, exposed - before[0]):
             return True
         is_guarded = self._limits.speed < math.inf
-        return is_guarded and distance(before, now) > SAME_PLACE and self._at_place_of_another(body, now)
+        is_far = before is None or distance(before[1], now) > SAME_PLACE
+        return is_guarded and is_far and self._at_place_of_another(body, now)
 
     def _jumped(self, before: Transform, now: Transform, time: float) -> bool:
         if distance(before, now) > self._limits.speed * time:

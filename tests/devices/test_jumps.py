@@ -101,3 +101,25 @@ def test_no_two_believed_frames_in_succession_are_a_jump_apart(places: list[floa
 def test_without_limits_nothing_is_doubted(places: list[tuple[float, float]]) -> None:
     assert set(_doubts(JumpGuard(PoseLimits()), [_at(*place) for place in places])) <= {""}
     assert np.isinf(PoseLimits().speed)
+
+
+def test_a_body_taken_for_one_that_moves_is_not_believed_until_it_is_itself_again() -> None:
+    """The head moves by more than two bodies may be apart, while the tracker takes the tool for it."""
+    guard, coil, head = JumpGuard(LIMITS), _at(0.0), 0.4
+    for body, place in (("coil", coil), ("body_ref", _at(head))):
+        _doubts(guard, [place] * 3, body)
+    moving = [_at(head + 1e-3 * step) for step in range(100)]
+    for number, seen in enumerate(moving, start=3):
+        assert _doubts(guard, [seen], "coil", start=number) == ["swapped"]
+        assert _doubts(guard, [coil], "body_ref", start=number) == ["swapped"]
+    for body, place in (("coil", coil), ("body_ref", moving[-1])):
+        assert _doubts(guard, [place] * (LIMITS.steady + 1), body, start=103) == ["jump"] * LIMITS.steady + [""]
+
+
+def test_a_body_that_was_never_seen_is_not_believed_at_the_place_of_another() -> None:
+    """The hidden pointer would keep the reference from being believed for ever, at the place that it took."""
+    guard = JumpGuard(LIMITS)
+    _doubts(guard, [_at(0.0)] * 3, "body_ref")
+    assert set(_doubts(guard, [_at(0.0)] * 100, "pointer", start=3)) == {"swapped"}
+    assert set(_doubts(guard, [_at(0.0)] * 3, "body_ref", start=103)) == {""}
+    assert _doubts(guard, [_at(0.5)] * (LIMITS.steady + 1), "pointer", start=106)[-1] == ""

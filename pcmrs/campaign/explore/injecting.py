@@ -34,6 +34,8 @@ class Faults:
 
     Attributes:
         reached: How often each was brought about.
+        mistaken: A feed of poses has begun anew while two tools were taken for each other: it has believed them, and
+            believes nobody else until the tracker is restarted.
     """
 
     def __init__(self, cell: SimulatedCell, operators: Operators, witness: Witness) -> None:
@@ -41,6 +43,7 @@ class Faults:
         self._cell = cell
         self._operators = operators
         self._witness = witness
+        self.mistaken = False
         self._wrong: Counter[str] = Counter()
         self._mending: dict[asyncio.Task[None], None] = {}
         self._hosts: dict[str, Callable[[dict[str, Any]], Awaitable[None]]] = {
@@ -96,6 +99,9 @@ class Faults:
         else:
             await self._hosts[name](arguments)
 
+    def _begin_poses_anew(self) -> None:
+        self.mistaken = self._wrong["tool_swap"] > 0
+
     def _begin(self, name: str) -> None:
         view = self._witness.view
         self._wrong[name] += 1
@@ -130,6 +136,7 @@ class Faults:
     async def _mend_host(self, name: str) -> None:
         if name == "crash_node":
             self._cell.start_node()
+            self._begin_poses_anew()
             self._witness.watcher.node_is_back(asyncio.get_running_loop().time())
         elif name in ("crash_daemon", "end_daemon"):
             await self.start_daemon()
@@ -146,6 +153,7 @@ class Faults:
         for _ in range(ATTEMPTS):
             if self._cell.daemon is not None:
                 break
+            self._begin_poses_anew()
             try:
                 await self._cell.start_daemon()
             except PcmrsError as error:
@@ -181,6 +189,7 @@ class Faults:
     async def _restart_tracker(self, _arguments: dict[str, Any]) -> None:
         if self._witness.tracker is not None:
             self._witness.tracker.restart()
+            self._begin_poses_anew()
 
     async def _stamp_ahead(self, _arguments: dict[str, Any]) -> None:
         if self._witness.tracker is not None:

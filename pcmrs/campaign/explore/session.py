@@ -182,6 +182,8 @@ class Session:
         """With nothing wrong any more everything that was begun ends."""
         if self._under_way:
             await asyncio.wait(tuple(self._under_way), timeout=2 * PATIENCE)
+        if self.faults.mistaken:
+            await self.faults.bring_about("tracker_restart", {})
         await asyncio.sleep(QUIET_END)
         snapshot, daemon = self.witness.view.snapshot, self._cell.daemon
         if daemon is not None and daemon.procedure is not None:
