@@ -24,6 +24,10 @@ FROM_OUTSIDE = ("guide_by_hand", "offset_joint", "push_tool")
 """Faults that move the arm beside what it is told."""
 
 
+LEAPS = ("shift_body", "bump_reference")
+"""A tracked body is elsewhere at once."""
+
+
 class Faults:
     """All that is wrong in one cell.
 
@@ -34,8 +38,8 @@ class Faults:
 
     Attributes:
         reached: How often each was brought about.
-        mistaken: A feed of poses has begun anew while two tools were taken for each other: it has believed them, and
-            believes nobody else until the tracker is restarted.
+        mistaken: While two tools were taken for each other, a feed of poses has begun anew, or one of them has leapt:
+            no feed can tell then who is who, and the tracker has to be restarted.
     """
 
     def __init__(self, cell: SimulatedCell, operators: Operators, witness: Witness) -> None:
@@ -104,6 +108,7 @@ class Faults:
 
     def _begin(self, name: str) -> None:
         view = self._witness.view
+        self.mistaken = self.mistaken or (name in LEAPS and self._wrong["tool_swap"] > 0)
         self._wrong[name] += 1
         view.now = asyncio.get_running_loop().time()
         view.calm.become(False, view.now)
