@@ -23,11 +23,14 @@ KnownPeers = {127.0.0.1}
 [multicast]
 ResolveScope = machine
 ListenAddress = 127.0.0.1
+[ports]
+PortRange = 256
 [log]
 level = -3
 """
 """Streams are offered to, and looked for on, this machine only. They are asked for by unicast as well, since a machine
-without network has no multicast. Only fatal errors are printed: what matters comes as an error code."""
+without network has no multicast: a stream takes up to four ports, and none beyond the range is asked. Only fatal errors
+are printed: what matters comes as an error code."""
 
 OPENED = (
     "The lab's own file configures Lab Streaming Layer. Streams have neither passwords nor encryption: if its "
