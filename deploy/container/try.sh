@@ -21,7 +21,7 @@ finish() {
 trap finish EXIT
 
 "$pcmrs" pki init --folder "$work/pki" >/dev/null
-"$pcmrs" pki issue router router --host router --host 127.0.0.1 --folder "$work/pki" -o "$work" >/dev/null
+"$pcmrs" pki issue router router --cell 'lab/*' --host router --host 127.0.0.1 --folder "$work/pki" -o "$work" >/dev/null
 "$pcmrs" pki issue daemon cell1 --cell lab/cell1 --folder "$work/pki" -o "$work" >/dev/null
 "$pcmrs" pki issue viewer eve --cell lab/cell1 --folder "$work/pki" -o "$work" >/dev/null
 register=$work/pki/register.json

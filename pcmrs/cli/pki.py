@@ -72,8 +72,7 @@ def init(site: str, folder: Path, as_json: bool) -> None:
     "cells",
     multiple=True,
     metavar="SITE/CELL",
-    default=("*/*",),
-    show_default="every cell",
+    required=True,
     help="Cell in which it may do that, such as lab/cell1 or lab/*; may be repeated.",
 )
 @click.option(

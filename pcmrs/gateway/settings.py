@@ -13,6 +13,7 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.permissions import DEFAULT, allowed
 from pcmrs.gateway.signing import PEER_NAME
 from pcmrs.hosts import is_loopback
+from pcmrs.messages.identity import LOCAL
 
 MAX_PEERS = 64
 
@@ -193,6 +194,9 @@ def _check_peers(peers: dict[str, PeerConfig]) -> None:
     for name in peers:
         if not PEER_NAME.fullmatch(name):
             text = f"peers holds {name!r}; a peer's name has 1 to 32 letters, digits, '-' and '_'."
+            raise ConfigurationError(text, peer=name)
+        if name.lower() == LOCAL:
+            text = f"peers holds {name!r}, the name of whoever works on the cell's own machine: choose another one."
             raise ConfigurationError(text, peer=name)
 
 

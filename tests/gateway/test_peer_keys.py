@@ -84,6 +84,8 @@ def test_keys_differ(tmp_path: Path) -> None:
         ({"a|b": {"key_file": "/a.key"}}, "1 to 32 letters"),
         ({"a" * 33: {"key_file": "/a.key"}}, "1 to 32 letters"),
         ({f"a{number}": {"key_file": "/a.key"} for number in range(MAX_PEERS + 1)}, f"limit is {MAX_PEERS}"),
+        ({"local": {"key_file": "/a.key"}}, "own machine"),
+        ({"Local": {"key_file": "/a.key"}}, "own machine"),
     ],
 )
 def test_a_wrong_table_is_refused(table: dict[str, Any], text: str) -> None:

@@ -181,9 +181,12 @@ def test_the_commands_do_the_same(tmp_path: Path) -> None:
 
     assert pcmrs("list")[0] == 4
     assert pcmrs("init")[0] == 0
-    status, output = pcmrs("issue", "operator", "anna", "--days", "7", "-o", str(tmp_path), "--json")
+    assert pcmrs("issue", "operator", "anna", "-o", str(tmp_path))[0] == 2  # of which cell has to be said
+    words = ("--cell", "lab/c1", "--days", "7", "-o", str(tmp_path), "--json")
+    status, output = pcmrs("issue", "operator", "anna", *words)
     issued = json.loads(output)
     assert (status, issued["folder"], issued["identity"]["role"]) == (0, str(tmp_path / "anna"), "operator")
+    assert issued["identity"]["cells"] == ["lab/c1"]
     pem = x509.load_pem_x509_certificate((tmp_path / "anna" / "anna.pem").read_bytes())
     assert pem.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value == "anna"
     assert f"{pem.serial_number:x}" == issued["identity"]["serial"]
