@@ -67,7 +67,7 @@ USER_OPERATIONS = {
 EVENT_OPERATIONS = {
     "registration": ["reference_moved"],
     "robot": ["link_lost"],
-    "placement": ["following_lost", "guiding_lost", "watching_lost", "force_limit"],
+    "placement": ["following_lost", "guiding_lost", "watching_lost", "force_limit", "moved_unasked"],
     "alignment": ["within", "outside"],
 }
 INTERNAL_OPERATIONS = {
@@ -194,6 +194,8 @@ def _placement(joint: Joint, operation: str) -> Endings | None:
         return {"retracted": at("retracted"), "held": at("held")} if here == "unknown" and connected else None
     if operation == "force_limit":
         return {"done": at("held")} if here in AT_BODY else None
+    if operation == "moved_unasked":
+        return {"done": at("held")} if here in (*AT_BODY, "retracted") else None
     if operation in ("following_lost", "watching_lost", "guiding_lost", "stop_guiding"):
         left = {"following_lost": "following", "watching_lost": "placed"}.get(operation, "guided")
         return {"done": at("held")} if here == left else None

@@ -56,7 +56,7 @@ async def test_a_journal_is_taken_up_under_a_changed_workflow_only_by_a_declared
     refused = run_pcmrs("serve", *as_words(settings))
     assert refused.returncode == 4, refused.stderr
     assert "Traceback" not in refused.stderr
-    for word in ("ratms 1.2.0", str(workflow), "pcmrs fsm diff", "[[migrations]]", "cell.folder"):
+    for word in ("ratms 1.3.0", str(workflow), "pcmrs fsm diff", "[[migrations]]", "cell.folder"):
         assert word in refused.stderr
     table = refused.stderr[refused.stderr.index("[[migrations]]") :].split("\n\n")[0]
     workflow.write_text(f"{changed}\n{table}\n")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from workflow_bench import AT_REST, POSES, WorkflowBench, open_bench
 
+from pcmrs.devices.standstill import MOVED
 from pcmrs.messages import DeviceEvent
 from pcmrs.workflows.data import as_transform
 
@@ -49,6 +50,20 @@ async def test_stop_holds_every_motion_and_the_way_out_is_back_off(
     ended = (await bench.accept("placement.back_off")).state
     assert ended in ("standoff", "retracted")
     await bench.accept("placement.home")
+
+
+@pytest.mark.parametrize("prepare", [WorkflowBench.register, WorkflowBench.to_standoff, WorkflowBench.to_placed])
+async def test_an_arm_that_moves_while_nothing_runs_is_not_where_it_counted_as_being(
+    bench: WorkflowBench, prepare: Prepare
+) -> None:
+    await prepare(bench)
+    await bench.dispatcher.report(
+        DeviceEvent(device="robot", code=MOVED, text="Joint 3 was displaced by 0.05 rad.", danger=True)
+    )
+    await bench.until(lambda: bench.states["placement"] == "held")
+    await bench.refuse("placement.back_off", "latched")
+    await bench.accept("robot.acknowledge")
+    assert (await bench.accept("placement.back_off")).state in ("standoff", "retracted")
 
 
 async def test_stop_at_rest_latches_and_revokes_nothing(bench: WorkflowBench) -> None:

@@ -16,6 +16,7 @@ from pcmrs.campaign.fault import Evidence, fault
 from pcmrs.campaign.flood import flood
 from pcmrs.campaign.lab import Lab, LabCell
 from pcmrs.campaign.lateness import percentile, timer_lateness
+from pcmrs.gateway.tcp import MOST_OF_A_HOST
 from pcmrs.journal.verification import verify
 
 FLOOD = 40_000.0
@@ -28,6 +29,9 @@ STOPS = 50
 SPAM = 2_000
 BATCH = 50
 """So many Stops are sent before their answers are waited for: more would not fit into the socket's buffer."""
+
+SILENT = 1_100
+"""Connections at once: more than a process may have descriptors, by the usual limit of 1,024."""
 
 RIGHT = "0.1"
 WRONG_NUMBERS = ("nan", "1e999", "-1e999", "٣", "1_000", "inf", "0x10", "1,5", "")
@@ -153,6 +157,60 @@ async def stop_spam(lab: Lab) -> Evidence:
         expect(stops == SPAM, f"Of {SPAM} Stops the journal has {stops}.")
         await start_anew(cell.client)
     return Evidence("all honoured, held until confirmed", {"sent": SPAM, "honoured": honoured, "rows": stops})
+
+
+@fault("A19", how="the bytes that a browser sends, and pieces of them")
+async def a_web_page(lab: Lab) -> Evidence:
+    """The headers of a request are no commands; its body holds one."""
+    command = b"rob_conn_onxxxxx_#1;"
+    head = b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: text/plain\r\n\r\n"
+    requests = [head + b";" + command, b"POST /;" + command + b" HTTP/1.1\r\n\r\n", b"rob_conn\r\n;" + command]
+    async with lab.daemon() as cell:
+        row = cell.last_row()
+        async with unmoved(cell):
+            answers = [await _told(cell, request) for request in requests]
+            await reported(cell, row, edge="gateway", code="malformed", count=len(requests))
+        expect(not any(answers), f"Answered was {answers}.")
+        control = await _told(cell, command)
+        expect(control.startswith(b"1_accepted"), f"The command by itself was answered {control!r}.")
+    return Evidence("ended at the first wrong byte", {"requests": len(requests), "control": control.decode()})
+
+
+@fault("A20", how="TCP connections that send nothing")
+async def silent_connections(lab: Lab) -> Evidence:
+    """So many that they would use up the daemon's descriptors; the tool moves, and Stop is pressed over the bus."""
+    async with lab.daemon() as cell:
+        await register(cell.client)
+        row, (host, port) = cell.last_row(), cell.ready.links["tcp"]
+        opened = [await asyncio.open_connection(host, port) for _ in range(SILENT)]
+        try:
+            await reported(cell, row, edge="gateway", code="too_many_connections", count=SILENT - MOST_OF_A_HOST)
+            async with moving(cell.client):
+                await cell.client.stop()
+            await held(cell)
+            refused_now = await _told(cell, b"rob_conn_onxxxxx_#1;")
+        finally:
+            for _, writer in opened:
+                writer.close()
+        expect(not refused_now, f"One more connection was answered {refused_now!r}.")
+        async with asyncio.timeout(PATIENCE):
+            while not (control := await _told(cell, b"get_jnt_angsxxxx_#2;")):
+                pass  # the daemon learns of the closed ones one after the other
+        await confirmed(cell)
+    return Evidence("bounded, and Stop works", {"connections": SILENT, "control": control.decode()})
+
+
+async def _told(cell: LabCell, sent: bytes) -> bytes:
+    """What the TCP link answers first; nothing where the connection ends."""
+    reader, writer = await asyncio.open_connection(*cell.ready.links["tcp"])
+    try:
+        writer.write(sent)
+        async with asyncio.timeout(PATIENCE):
+            return await reader.read(100)
+    except ConnectionResetError:
+        return b""
+    finally:
+        writer.close()
 
 
 @fault("A16", how="SQL on the file, its guards removed first", deadline=300.0)

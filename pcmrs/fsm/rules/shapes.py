@@ -107,6 +107,8 @@ def _faults(blueprint: Blueprint, branch: str, spec: BranchSpec, operation: Oper
 def _hazards(spec: BranchSpec, operation: OperationSpec) -> Iterator[str]:
     """What is wrong with an operation that moves, or that cannot be undone, or allows what cannot."""
     undecided = operation.on_failure is None or operation.on_unknown is None
+    if operation.event and (operation.moves or operation.affects_patient):
+        yield "is an event: it can neither move nor affect the patient, since nobody asks for it."
     if operation.moves and undecided:
         yield "moves: it needs `on_failure` and `on_unknown`, since it cannot end where it began."
     elif operation.irreversible and operation.steps and undecided:
