@@ -15,6 +15,7 @@ from signed_room import open_room, peer
 from pcmrs.errors import PayloadError
 from pcmrs.gateway.commands import COMMANDS
 from pcmrs.gateway.frames import Frames
+from pcmrs.gateway.grammar import MAX_BYTES
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.gateway.tcp import FIRST_WITHIN, MOST_OF_A_HOST
 
@@ -109,6 +110,14 @@ async def test_what_breaks_the_grammar_ends_the_connection_before_anything_after
     writer.write(CONNECT)  # the same bytes, where they are permitted
     assert await again.readuntil(b";") == b"1_accepted_robot_1;"
     writer.close()
+
+
+async def test_a_command_without_an_end_fills_no_memory(cell: Any) -> None:
+    reader, writer = await asyncio.open_connection(*cell.gateway.addresses["tcp"])
+    writer.write(b"icp_registerxxxx_" + b"a" * MAX_BYTES)
+    assert await reader.read() == b""
+    writer.close()
+    assert cell.gateway.counters.refused == 1
 
 
 async def test_a_stop_before_the_wrong_byte_is_honoured(cell: Any) -> None:
