@@ -10,6 +10,10 @@ from pcmrs.experiment.plan import Plan
 
 MAX_POSE_AGE = 0.25
 """As configured by default, s of the machine."""
+UNSEEN = 0.5
+"""The same, of `procedure.tracking.unseen`."""
+LONGEST_UNSEEN = 5.0
+"""Which may not be more than this, s of the cell."""
 
 PATIENT_DEADMAN = "robot.deadman=0.5"
 """An experiment is not about the deadman, and shares the machine with whatever else is computed there."""
@@ -57,6 +61,9 @@ class Setup:
 def at_rate(rate: float) -> list[str]:
     """Settings of a simulated cell that is `rate` times as fast as real time.
 
-    A pose is as long on the bus as ever, which is `rate` times as long for the cell: it may be so much older.
+    A pose is as long on the bus as ever, which is `rate` times as long for the cell: it may be so much older, and the
+    body may be unseen for so much longer.
     """
-    return [f"cell.rate={rate:g}", f"procedure.max_pose_age={MAX_POSE_AGE * rate:g}", PATIENT_DEADMAN]
+    ages = [f"procedure.max_pose_age={MAX_POSE_AGE * rate:g}"]
+    ages.append(f"procedure.tracking.unseen={min(UNSEEN * rate, LONGEST_UNSEEN):g}")
+    return [f"cell.rate={rate:g}", *ages, PATIENT_DEADMAN]

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+import asyncio
+from collections.abc import AsyncIterator, Callable
 
 import pytest
 from dispatcher_fakes import RATMS, Bench
+
+from pcmrs.simulation.loop import SimulatedLoop
+
+
+def pytest_asyncio_loop_factories(
+    config: pytest.Config, item: pytest.Item
+) -> dict[str, Callable[[], asyncio.AbstractEventLoop]]:
+    """Simulated time: a busy machine makes no motion too old to begin."""
+    return {"simulated": SimulatedLoop}
 
 
 @pytest.fixture

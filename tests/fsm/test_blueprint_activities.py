@@ -118,8 +118,8 @@ FAULTS = {
     "ended moves": (
         'to = "held"\nevent',
         'to = "held"\naffects_patient = true\nevent',
-        "bad_activity",
-        "while Stop is latched",
+        "bad_operation",
+        "nobody asks for it",
     ),
     "entered without an approach": (
         'to = "following"\nmotion = "approach"',

@@ -23,7 +23,7 @@ def run(*arguments: str | Path, given: bytes | None = None) -> Result:
 def test_a_sound_workflow_takes_one_line() -> None:
     result = run(FILE)
     assert result.exit_code == 0
-    assert result.stdout == f"{FILE}: sound: 39 joint states, 1949 transitions, 14 properties\n"
+    assert result.stdout == f"{FILE}: sound: 39 joint states, 1964 transitions, 14 properties\n"
     assert result.stderr == ""
 
 
@@ -47,7 +47,7 @@ def test_the_worst_file_decides_how_it_ends_and_all_are_looked_at() -> None:
         (str(files[1]), True, False),
         (str(files[2]), False, False),
     ]
-    assert (found[0]["joint_states"], found[0]["transitions"]) == (39, 1949)
+    assert (found[0]["joint_states"], found[0]["transitions"]) == (39, 1964)
     assert [finding["code"] for finding in found[1]["findings"]] == ["deadlock"]
     assert found[1]["findings"][0]["commands"] == ["door.open"]
 
