@@ -245,6 +245,7 @@ def measure_stop(seconds: float) -> Report:
 async def tracker_ages(driver: str, seconds: float) -> tuple[Floats, Floats]:
     """Ages on arrival, and at moments that have nothing to do with it, s."""
     from pcmrs.bus import Bus
+    from pcmrs.bus.seal import Seal, new_key
     from pcmrs.devices.poses import PoseFeed
     from pcmrs.service.nodes import NodeProcesses
     from pcmrs.service.supervisor import Supervisor
@@ -266,11 +267,12 @@ async def tracker_ages(driver: str, seconds: float) -> tuple[Floats, Floats]:
                 arrived.append(clock.monotonic() - pose.captured)
 
         async with AsyncExitStack() as stack:
-            bus = await Bus.open(settings.bus("router"))
+            key = new_key()
+            bus = await Bus.open(settings.bus("router"), Seal(key))
             stack.push_async_callback(bus.close)
             bus.subscribe("state/pose/**", BodyPose, take)
             supervisor = Supervisor(clock)
-            nodes = NodeProcesses(settings, ended, lambda event: print(event.text), clock)
+            nodes = NodeProcesses(settings, key, ended, lambda event: print(event.text), clock)
             stack.push_async_callback(nodes.stop)
             await stack.enter_async_context(supervisor)
             nodes.start(supervisor)

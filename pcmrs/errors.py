@@ -86,6 +86,12 @@ class PayloadError(PcmrsError):
     code = "malformed"
 
 
+class SealError(PcmrsError):
+    """A message between daemon and device nodes was not sealed by one of them; the field ``why`` says what is wrong."""
+
+    code = "not_sealed"
+
+
 class CommandRefusedError(PcmrsError):
     """The daemon did not accept a planner's command; the field ``verdict`` says why."""
 

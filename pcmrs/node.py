@@ -11,6 +11,7 @@ from importlib.metadata import entry_points
 
 from pcmrs.background import meanwhile
 from pcmrs.bus import Bus
+from pcmrs.bus.seal import Seal
 from pcmrs.bus.stop import StopLane
 from pcmrs.clock import SystemClock
 from pcmrs.config import as_table
@@ -23,13 +24,16 @@ ACTING = frozenset({"robot", "stimulator"})
 """Devices that somebody must be able to stop at any time."""
 
 
-async def serve_devices(settings: Settings, driver: str, devices: Sequence[str], *, lifeline: bool) -> None:
+async def serve_devices(
+    settings: Settings, driver: str, devices: Sequence[str], device_key: bytes, *, lifeline: bool
+) -> None:
     """Serves `devices` with `driver` until SIGTERM or SIGINT.
 
     Args:
         settings: The cell's configuration.
         driver: Name of an installed driver.
         devices: Devices to open together.
+        device_key: With which daemon and nodes seal what they send each other.
         lifeline: Also ends when standard input ends: with the daemon that started this process.
 
     Raises:
@@ -45,7 +49,7 @@ async def serve_devices(settings: Settings, driver: str, devices: Sequence[str],
     open_driver: OpenDriver = point.load()
     clock = SystemClock(settings.cell.rate)
     async with AsyncExitStack() as stack:
-        bus = await Bus.open(settings.bus("client"))
+        bus = await Bus.open(settings.bus("client"), Seal(device_key))
         stack.push_async_callback(bus.close)
         opened = await stack.enter_async_context(open_driver(devices, as_table(settings), clock))
         node = DeviceNode(bus, opened, SystemClock(), settings.robot.deadman, Threads())

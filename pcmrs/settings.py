@@ -12,6 +12,7 @@ import msgspec
 
 from pcmrs.bus import BusSettings, Credentials
 from pcmrs.bus.keys import cell_prefix
+from pcmrs.bus.seal import read_key
 from pcmrs.bus.settings import SECURED
 from pcmrs.clock import SystemClock
 from pcmrs.config import as_config, overlaid, read_file, set_values
@@ -117,6 +118,8 @@ class AccessSettings(Table, frozen=True, forbid_unknown_fields=True):
         register: Copy of the authority's register: everybody who may take part, with role and cells.
         listen: Endpoints at which others dial this cell, such as ``tls/0.0.0.0:7448``.
         routers: Routers that this cell dials, such as ``tls/router.example.org:7449``.
+        device_key: File with the key that daemon and device nodes of other machines share, as ``pcmrs pki device-key``
+            makes it; empty: the daemon makes a new one at each start, for the nodes that it starts itself.
         lease_s: Whoever holds the cell from elsewhere and is not heard for so long does not hold it any more, s.
     """
 
@@ -124,6 +127,7 @@ class AccessSettings(Table, frozen=True, forbid_unknown_fields=True):
     register: str = ""
     listen: tuple[str, ...] = ()
     routers: tuple[str, ...] = ()
+    device_key: str = ""
     lease_s: Annotated[float, msgspec.Meta(ge=3.0, le=600.0)] = 10.0
 
     @property
@@ -134,6 +138,10 @@ class AccessSettings(Table, frozen=True, forbid_unknown_fields=True):
     def credentials(self) -> Credentials | None:
         """The identity, looked at and found usable; None without one. Raises `ConfigurationError`."""
         return read_credentials(Path(self.identity), SystemClock().wall()) if self.identity else None
+
+    def read_device_key(self) -> bytes | None:
+        """The key in the file `device_key`; None where none is configured. Raises `ConfigurationError`."""
+        return read_key(Path(self.device_key)) if self.device_key else None
 
     def members(self) -> tuple[Identity, ...]:
         """Everybody in the register. Raises `ConfigurationError`."""
@@ -224,6 +232,18 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
         return msgspec.structs.replace(
             as_client, mode="router", listen=access.listen, routers=access.routers, members=members
         )
+
+
+class Inherited(msgspec.Struct, frozen=True, kw_only=True):
+    """What a child process of the daemon gets on its standard input, as one line of JSON.
+
+    Attributes:
+        settings: Of the daemon.
+        device_key: With which daemon and nodes seal what they send; empty for a child that only reads.
+    """
+
+    settings: Settings
+    device_key: bytes = b""
 
 
 def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Settings:

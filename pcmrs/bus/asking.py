@@ -3,20 +3,40 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
+from typing import Any, Final
 
 import zenoh
 
 from pcmrs.bus.qos import DataClass
 from pcmrs.bus.reasons import error_from
-from pcmrs.errors import PcmrsError, UnknownOutcomeError
+from pcmrs.bus.seal import Seal
+from pcmrs.bus.serving import payload_of, seal_of
+from pcmrs.errors import PcmrsError, SealError, UnknownOutcomeError
+
+_TO_EVERYBODY: Final[dict[str, Any]] = {
+    # By default a query goes to one of those who serve the key, and replies on one key are merged into the last one.
+    "target": zenoh.QueryTarget.ALL,
+    "consolidation": zenoh.ConsolidationMode.NONE,
+}
 
 
 async def ask(
-    session: zenoh.Session, pool: Executor, key: str, payload: bytes, timeout: float, data: DataClass
+    session: zenoh.Session,
+    pool: Executor,
+    key: str,
+    payload: bytes,
+    timeout: float,
+    data: DataClass,
+    seal: Seal | None = None,
+    forged: Callable[[str, SealError], object] = lambda _key, _error: None,
 ) -> bytes:
     """Sends a query and returns the payload of its first reply.
+
+    A sealed query goes to everybody who serves the key, and only a sealed reply counts: who else serves it can neither
+    keep the query from the device nor answer in its place.
 
     A caller that is cancelled before the query was sent recalls it; afterwards nobody can.
 
@@ -28,6 +48,8 @@ async def ask(
         payload: The request.
         timeout: Seconds of the machine.
         data: In which of the link's queues it waits.
+        seal: Of daemon and device nodes; None for a query that needs none.
+        forged: Called in Zenoh's thread with the key and the error of a reply that is not taken.
 
     Raises:
         UnknownOutcomeError: The query ended without a reply.
@@ -40,8 +62,15 @@ async def ask(
         if not answered.done():
             answered.set_result(outcome)
 
+    attachment = None if seal is None else seal.put("query", key, payload)
+
     def on_reply(reply: zenoh.Reply) -> None:
-        loop.call_soon_threadsafe(settle, _outcome(reply))
+        try:
+            outcome = _outcome(reply) if seal is None else _authentic(reply, seal, key, attachment)
+        except SealError as error:
+            forged(key, error)
+        else:
+            loop.call_soon_threadsafe(settle, outcome)
 
     def on_end() -> None:
         loop.call_soon_threadsafe(settle, _silence(key, timeout))
@@ -52,6 +81,8 @@ async def ask(
         zenoh.handlers.Callback(on_reply, on_end, indirect=False),
         timeout=timeout,
         payload=payload,
+        attachment=attachment,
+        **({} if seal is None else _TO_EVERYBODY),
         congestion_control=zenoh.CongestionControl.BLOCK,
         priority=data.priority,
         express=data.express,
@@ -67,6 +98,16 @@ def _outcome(reply: zenoh.Reply) -> bytes | PcmrsError:
     result = reply.result
     payload = result.payload.to_bytes()
     return payload if isinstance(result, zenoh.Sample) else error_from(payload)
+
+
+def _authentic(reply: zenoh.Reply, seal: Seal, key: str, query: bytes | None) -> bytes | PcmrsError:
+    """The outcome that a sealed reply tells. Raises `SealError`."""
+    result = reply.result
+    if not isinstance(result, zenoh.Sample):
+        raise SealError(f"{key}: an error reply carries no seal and is not taken.", why="unsealed")
+    payload = payload_of(result)
+    kind = seal.check(seal_of(result), ("reply", "error"), str(result.key_expr), payload, query or b"")
+    return payload if kind == "reply" else error_from(payload)
 
 
 def _silence(key: str, timeout: float) -> UnknownOutcomeError:

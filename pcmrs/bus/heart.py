@@ -25,6 +25,7 @@ from pcmrs.bus.codec import pack
 from pcmrs.bus.declare import declare_publisher
 from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.qos import class_of
+from pcmrs.bus.seal import Seal
 from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.clock import SystemClock
 from pcmrs.errors import PcmrsError
@@ -37,7 +38,7 @@ SIGN = struct.Struct("<Qd")
 
 LOOK = 0.1
 """Between two looks at the threads, s."""
-EVENTS = "dev/daemon/event"
+EVENTS = "daemon/event"
 
 
 class HeartSettings(msgspec.Struct, frozen=True, kw_only=True):
@@ -47,11 +48,13 @@ class HeartSettings(msgspec.Struct, frozen=True, kw_only=True):
         bus: Where the beats go.
         key: Under which relative key.
         session: Of the daemon.
+        device_key: With which daemon and nodes seal what they send.
     """
 
     bus: BusSettings
     key: str
     session: str
+    device_key: bytes
 
 
 Sign = tuple[int, float]
@@ -69,6 +72,7 @@ class Heart:
     def __init__(self, session: zenoh.Session, settings: HeartSettings, daemon: int) -> None:
         self._session, self._settings = session, settings
         self._prefix = cell_prefix(settings.bus.site, settings.bus.cell)
+        self._seal = Seal(settings.device_key)
         self._beats = self._publisher(settings.key)
         self._events = self._publisher(EVENTS)
         self._clock = SystemClock()
@@ -82,7 +86,7 @@ class Heart:
             if sign is not None:
                 number, alive = sign
                 sent = self._clock.monotonic()
-                self._beats.put(pack(Beat(number=number, session=self._settings.session, alive=alive, sent=sent)))
+                self._put(self._beats, Beat(number=number, session=self._settings.session, alive=alive, sent=sent))
             self._watch()
 
     def _watch(self) -> None:
@@ -93,7 +97,11 @@ class Heart:
         with suppress(PermissionError):
             self._realtime.give()
         for each in self._runaways.look(now):
-            self._events.put(pack(_demoted(each)))
+            self._put(self._events, _demoted(each))
+
+    def _put(self, publisher: zenoh.Publisher | ext.AdvancedPublisher, message: Beat | DeviceEvent) -> None:
+        payload = pack(message)
+        publisher.put(payload, attachment=self._seal.put("put", str(publisher.key_expr), payload))
 
     def _publisher(self, key: str) -> zenoh.Publisher | ext.AdvancedPublisher:
         return declare_publisher(self._session, f"{self._prefix}/{key}", class_of(key))

@@ -65,6 +65,8 @@ _TABLE: Final = [
         ("state/health", REPORTS),
         ("dev/*/state", SNAPSHOTS),
         ("dev/*/beat", BEATS),
+        ("daemon/beat", BEATS),
+        ("daemon/event", EVENTS),
         ("dev/*/setpoint", SETPOINTS),
         ("teleop/*", SETPOINTS),
         ("state/teleop", BEATS),

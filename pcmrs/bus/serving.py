@@ -16,7 +16,8 @@ import zenoh
 from pcmrs.bus.bridge import Call
 from pcmrs.bus.codec import is_text, pack, pack_text, unpack
 from pcmrs.bus.reasons import busy, reason_from
-from pcmrs.errors import PayloadError, PcmrsError
+from pcmrs.bus.seal import Kind, Seal, is_sealed
+from pcmrs.errors import PayloadError, PcmrsError, SealError
 
 T = TypeVar("T")
 
@@ -42,6 +43,7 @@ class Service(Generic[T]):
         post: Runs a call in the event loop, or returns False when too many wait.
         tasks: Where running answers are kept.
         pool: Sends replies, since a link whose queue is full blocks its sender.
+        seal: Of daemon and device nodes; None elsewhere.
     """
 
     key: str
@@ -52,14 +54,27 @@ class Service(Generic[T]):
     post: Callable[[Call], bool]
     tasks: set[asyncio.Task[None]]
     pool: Executor
+    seal: Seal | None = None
 
     def receive(self, query: zenoh.Query) -> None:
         """Takes a query in Zenoh's thread: on its way into the loop, or refused at once."""
         key = self._relative(query)
         if "*" in key:
             self._send(query, key, PayloadError(f"{key} holds a wildcard; ask on one key.", key=key))
+        elif (forged := self._objection(query, key)) is not None:
+            self._send(query, key, forged)
         elif not self.post(partial(self._start, query, key)):
             self._send(query, key, self._refusal(key, busy()))
+
+    def _objection(self, query: zenoh.Query, key: str) -> SealError | None:
+        """Why a query that must be sealed is not answered: device nodes serve their daemon and nobody else."""
+        if self.seal is None or not is_sealed(key):
+            return None
+        try:
+            self.seal.check(seal_of(query), ("query",), str(query.key_expr), payload_of(query))
+        except SealError as error:
+            return error
+        return None
 
     def _relative(self, query: zenoh.Query) -> str:
         """A query with wildcards, such as ``svc/*``, means the served key when that has none."""
@@ -103,14 +118,28 @@ class Service(Generic[T]):
         with query:
             try:
                 if not isinstance(reply, PcmrsError):
-                    query.reply(f"{self.prefix}/{key}", encode(reply))
+                    self._put(query, key, "reply", encode(reply))
                     return
             except PayloadError as error:
                 _log.exception("The reply of %s cannot be sent", key)
                 reply = error
-            query.reply_err(encode(reason_from(reply)))
+            if self.seal is not None and is_sealed(key) and not isinstance(reply, SealError):
+                self._put(query, key, "error", encode(reason_from(reply)))  # an error reply can carry no seal
+            else:
+                query.reply_err(encode(reason_from(reply)))
+
+    def _put(self, query: zenoh.Query, key: str, kind: Kind, payload: bytes) -> None:
+        absolute, sealed = f"{self.prefix}/{key}", None
+        if self.seal is not None and is_sealed(key):
+            sealed = self.seal.put(kind, absolute, payload, seal_of(query))
+        query.reply(absolute, payload, attachment=sealed)
 
 
 def payload_of(received: zenoh.Query | zenoh.Sample) -> bytes:
     """The bytes of a query or sample; none at all is an empty payload."""
     return received.payload.to_bytes() if received.payload is not None else b""
+
+
+def seal_of(received: zenoh.Query | zenoh.Sample) -> bytes:
+    """The seal of a query or sample; empty when it has none."""
+    return received.attachment.to_bytes() if received.attachment is not None else b""

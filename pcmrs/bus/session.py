@@ -21,9 +21,10 @@ from pcmrs.bus.ignored import Ignored
 from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.qos import COMMANDS, REQUESTS, class_of
 from pcmrs.bus.reasons import busy
-from pcmrs.bus.serving import Refuse, Service, payload_of
+from pcmrs.bus.seal import Seal, is_sealed
+from pcmrs.bus.serving import Refuse, Service, payload_of, seal_of
 from pcmrs.bus.settings import BusSettings, open_session
-from pcmrs.errors import PayloadError, PcmrsError
+from pcmrs.errors import PayloadError, PcmrsError, SealError
 
 T = TypeVar("T")
 
@@ -35,13 +36,15 @@ class Bus:
     Use `Bus.open`; all methods but `publish` belong to the event loop that opened it.
     """
 
-    def __init__(self, session: zenoh.Session, settings: BusSettings) -> None:
+    def __init__(self, session: zenoh.Session, settings: BusSettings, seal: Seal | None = None) -> None:
         self.settings = settings
+        self._seal = seal
         self.prefix = cell_prefix(settings.site, settings.cell)
         self._session = session
         self._loop = asyncio.get_running_loop()
         self._bridge = Bridge(self._loop)
         self._ignored = Ignored()
+        self._not_sealed = 0
         self._pool = ThreadPoolExecutor(4, thread_name_prefix="pcmrs-bus")
         self._senders: dict[str, ThreadPoolExecutor] = {}
         self._publishers: dict[str, zenoh.Publisher | ext.AdvancedPublisher] = {}
@@ -51,8 +54,13 @@ class Bus:
         self._tasks: set[asyncio.Task[None]] = set()
 
     @classmethod
-    async def open(cls, settings: BusSettings) -> Bus:
+    async def open(cls, settings: BusSettings, seal: Seal | None = None) -> Bus:
         """Opens the session.
+
+        Args:
+            settings: Where and as whom.
+            seal: Of daemon and device nodes, which seal what they send each other and take nothing unsealed. Others
+                have none: they read such messages and can send none.
 
         Raises:
             BusError: The endpoint is taken (``router``) or nobody answers there (``client``).
@@ -60,7 +68,7 @@ class Bus:
         """
         cell_prefix(settings.site, settings.cell)
         session = await asyncio.get_running_loop().run_in_executor(None, open_session, settings)
-        return cls(session, settings)
+        return cls(session, settings, seal)
 
     def publish(self, key: str, message: Any) -> None:
         """Sends a message to all subscribers of `key`; drops it rather than wait for the link. From any thread.
@@ -68,7 +76,8 @@ class Bus:
         Raises:
             PayloadError: The message holds a value that cannot be sent.
         """
-        self._publisher(key).put(pack(message))
+        payload = pack(message)
+        self._publisher(key).put(payload, attachment=self._sealed(key, payload))
 
     def publish_cdr(self, key: str, payload: bytes) -> None:
         """The same for a message that is CDR already, as ROS 2 has it."""
@@ -118,6 +127,8 @@ class Bus:
                 handler(received, message)
 
         def receive(sample: zenoh.Sample) -> None:
+            if not self._is_authentic(sample):
+                return
             call = partial(deliver, sample)
             if data.newest:
                 self._bridge.post_newest((deliver, str(sample.key_expr)), call, data.newest)
@@ -136,6 +147,8 @@ class Bus:
         """
 
         def take(sample: zenoh.Sample) -> None:
+            if not self._is_authentic(sample):
+                return
             received = self._relative(sample)
             try:
                 handler(received, unpack(payload_of(sample), kind))
@@ -177,6 +190,7 @@ class Bus:
             post=self._bridge.post,
             tasks=self._tasks,
             pool=self._pool,
+            seal=self._seal,
         )
         queryable = self._session.declare_queryable(
             self._absolute(key), service.receive, allowed_origin=Locality.REMOTE
@@ -204,9 +218,9 @@ class Bus:
             PayloadError: The request cannot be sent, or the reply is no `reply`.
         """
         pool = self._sender(sender) if sender else self._pool
-        answer = await ask(
-            self._session, pool, self._absolute(key), pack(message), timeout, COMMANDS if urgent else REQUESTS
-        )
+        seal = self._seal if is_sealed(key) else None
+        data = COMMANDS if urgent else REQUESTS
+        answer = await ask(self._session, pool, self._absolute(key), pack(message), timeout, data, seal, self._forged)
         return unpack(answer, reply)
 
     def alive(self, component: str) -> Any:
@@ -223,6 +237,7 @@ class Bus:
         return {
             "bus.refused": bridge.refused,
             "bus.ignored": self._ignored.count,
+            "bus.not_sealed": self._not_sealed,
             "bus.replaced": bridge.replaced,
             "bus.waiting": bridge.waiting,
             "bus.answering": len(self._tasks),
@@ -262,6 +277,26 @@ class Bus:
         if receiver in self._receivers:
             self._receivers.remove(receiver)
             await self._in_pool(receiver.undeclare)
+
+    def _sealed(self, key: str, payload: bytes) -> bytes | None:
+        if self._seal is None or not is_sealed(key):
+            return None
+        return self._seal.put("put", self._absolute(key), payload)
+
+    def _is_authentic(self, sample: zenoh.Sample) -> bool:
+        """Whether a message may be taken; one that may not is counted. In Zenoh's threads: it keeps no loop busy."""
+        if self._seal is None or not is_sealed(self._relative(sample)):
+            return True
+        try:
+            self._seal.check(seal_of(sample), ("put",), str(sample.key_expr), payload_of(sample))
+        except SealError as error:
+            self._forged(self._relative(sample), error)
+            return False
+        return True
+
+    def _forged(self, key: str, error: SealError) -> None:
+        self._not_sealed += 1
+        self._ignored.take(key, error)
 
     def _relative(self, sample: zenoh.Sample) -> str:
         return str(sample.key_expr).removeprefix(f"{self.prefix}/")

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pcmrs.bus import Bus, BusSettings
+from pcmrs.bus.seal import Seal
 from pcmrs.campaign.delays import Delays
 from pcmrs.campaign.driving import calmed, start_anew
 from pcmrs.campaign.fault import Unmet
@@ -17,7 +18,7 @@ from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.devices.remote import RemoteScene
 from pcmrs.errors import PcmrsError
-from pcmrs.experiment.process import last_words, own_settings, running_daemon, serve_command
+from pcmrs.experiment.process import device_key, last_words, own_settings, running_daemon, serve_command
 from pcmrs.journal import JournalReader, JournalRow
 from pcmrs.planner import Planner
 from pcmrs.service import Ready
@@ -264,7 +265,8 @@ async def open_cell(
         AsyncExitStack() as stack,
     ):
         ready = daemon.ready
-        bus = await Bus.open(BusSettings(endpoint=ready.endpoint, cell=folder.name))
+        key = device_key(folder)
+        bus = await Bus.open(BusSettings(endpoint=ready.endpoint, cell=folder.name), Seal(key))
         stack.push_async_callback(bus.close)
         yield LabCell(
             process=daemon.process,
@@ -272,7 +274,7 @@ async def open_cell(
             settings=settings,
             folder=folder,
             log_file=log,
-            client=await stack.enter_async_context(Client.connect(ready.endpoint, cell=folder.name)),
+            client=await stack.enter_async_context(Client.connect(ready.endpoint, cell=folder.name, device_key=key)),
             planner=await stack.enter_async_context(await Planner.open(*ready.links["planner"])),
             bus=bus,
             scene=RemoteScene(bus, SystemClock()),

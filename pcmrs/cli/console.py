@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from pcmrs.cli.lifeline import NICENESS, settings_from_daemon
+from pcmrs.cli.lifeline import NICENESS, inherited
 from pcmrs.cli.options import Address, address_options, json_option
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.console.settings import TOKEN
@@ -83,7 +83,7 @@ def console(
 
     if lifeline:
         os.nice(NICENESS)
-        settings = settings_from_daemon()
+        settings = inherited().settings
         port, language, token_file = settings.console.port, settings.console.language, settings.cell.path() / TOKEN
         recordings, address = settings.cell.path() / FOLDER, _address(settings)
     address.credentials()  # what cannot be used is said before anything is served

@@ -11,17 +11,17 @@ from pcmrs.errors import ConfigurationError
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.
-    from pcmrs.settings import Settings
+    from pcmrs.settings import Inherited
 
 NICENESS = 10
 """Of what serves neither robot nor procedure: control comes first."""
 
 
-def settings_from_daemon() -> Settings:
-    """The daemon's configuration, one line of JSON. Raises `ConfigurationError`."""
-    from pcmrs.settings import Settings
+def inherited() -> Inherited:
+    """What the daemon hands over, one line of JSON. Raises `ConfigurationError`."""
+    from pcmrs.settings import Inherited
 
     try:
-        return msgspec.json.decode(sys.stdin.buffer.readline(), type=Settings)
+        return msgspec.json.decode(sys.stdin.buffer.readline(), type=Inherited)
     except (msgspec.MsgspecError, RecursionError) as error:
         raise ConfigurationError(f"Standard input is no configuration: {error}.") from None

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pcmrs.messages.identity import Identity
 
 COMMANDS = {name: f"pcmrs.cli.pki:{name}" for name in ("init", "issue", "revoke", "roles")}
-COMMANDS["list"] = "pcmrs.cli.pki:list_"
+COMMANDS |= {"list": "pcmrs.cli.pki:list_", "device-key": "pcmrs.cli.pki:device_key"}
 
 folder_option = click.option(
     "--folder",
@@ -111,6 +111,23 @@ def issue(
     else:
         say(f"{issued.folder}: certificate and key of the {role} {name}, valid until {_day(issued.identity.ends)}.")
         say("Carry the folder over a safe way to the machine that uses it, and delete it here.")
+
+
+@click.command("device-key")
+@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@readable_errors
+def device_key(file: Path) -> None:
+    """Make the key that a daemon shares with device nodes on other machines, as a new FILE with mode 0600.
+
+    Both sides name their copy as access.device_key. Nodes that the daemon starts itself need none. Exit status: 0
+    made, 2 it cannot be written, 4 there is such a file.
+
+    Example: pcmrs pki device-key device.key
+    """
+    from pcmrs.bus.seal import write_key
+
+    write_key(file)
+    say(f"{file}: carry a copy over a safe way to the machine of each device node.")
 
 
 @click.command()

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pcmrs.cli.lifeline import NICENESS, settings_from_daemon
+from pcmrs.cli.lifeline import NICENESS, inherited
 from pcmrs.cli.number import POSITIVE
 from pcmrs.cli.options import OutputFile, config_options, json_option
 from pcmrs.cli.printing import Terminal, say_json
@@ -83,18 +83,18 @@ def record(
     if max_total is not None and max_size is None and max_duration is None:
         raise click.UsageError("--max-total needs --max-size or --max-duration: one file alone is never removed.")
     if lifeline:
-        settings = settings_from_daemon()
+        settings, key = (given := inherited()).settings, given.device_key
         limits, chosen = settings.recording.limits(), settings.recording.topics
         pool = partial(all_files, recording.parent)
         os.nice(NICENESS)
     else:
-        settings = read_settings(file, overrides)
+        settings, key = read_settings(file, overrides), b""
         limits, chosen = Limits(max_size, max_duration, max_total, keep_free), topics or TOPICS
         pool = partial(files_of, recording)
     check_topics(chosen)
     check_new(recording)
     plan = Plan(recording, limits, _origin(settings, session), pool)
-    report = run(_record(settings, plan, chosen, lifeline=lifeline))
+    report = run(_record(settings, plan, chosen, key, lifeline=lifeline))
     if as_json:
         say_json(report)
     else:
@@ -137,7 +137,10 @@ def _origin(settings: Settings, session: str) -> dict[str, str]:
     }
 
 
-async def _record(settings: Settings, plan: Plan, topics: tuple[str, ...], *, lifeline: bool) -> Report:
+async def _record(
+    settings: Settings, plan: Plan, topics: tuple[str, ...], device_key: bytes, *, lifeline: bool
+) -> Report:
+    from pcmrs.bus.seal import Seal
     from pcmrs.clock import SystemClock
     from pcmrs.kinematics.urdf_arms import find_arm
     from pcmrs.node import when_input_ends
@@ -153,7 +156,7 @@ async def _record(settings: Settings, plan: Plan, topics: tuple[str, ...], *, li
         when_input_ends(ended.set)
     mounting = Mounting.read(settings.procedure.calibration)
     views = Views(find_arm(settings.robot.model), mounting, settings.cell.rate)
-    tap = await Tap.open(settings.bus("client"), topics, clock)
+    tap = await Tap.open(settings.bus("client"), topics, clock, Seal(device_key) if device_key else None)
     try:
         recorder = Recorder(plan, views, clock)
         with _status(recorder, str(plan.first)) as shown:

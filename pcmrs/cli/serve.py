@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING
 import click
 import structlog
 
-from pcmrs.cli.lifeline import settings_from_daemon
+from pcmrs.cli.lifeline import inherited
 from pcmrs.cli.log import log_to_stderr
 from pcmrs.cli.options import config_options
 from pcmrs.cli.printing import say_json
 from pcmrs.cli.running import readable_errors, run
+from pcmrs.errors import ConfigurationError
 from pcmrs.files import read_secret
 
 if TYPE_CHECKING:
@@ -56,15 +57,23 @@ def node(driver: str, devices: tuple[str, ...], file: Path | None, overrides: tu
     """Serve DEVICES with DRIVER for a daemon.
 
     Without --config and --set the configuration is read from standard input, as one line of JSON, and
-    the node ends when standard input ends.
+    the node ends when standard input ends. On another machine it needs `access.device_key`.
     """
     from pcmrs.node import serve_devices
     from pcmrs.settings import read_settings
 
     log_to_stderr()
     lifeline = file is None and not overrides
-    settings = settings_from_daemon() if lifeline else read_settings(file, overrides)
-    run(serve_devices(settings, driver, devices, lifeline=lifeline))
+    if lifeline:
+        settings, key = (given := inherited()).settings, given.device_key
+    else:
+        settings = read_settings(file, overrides)
+        key = settings.access.read_device_key() or b""
+    if not key:
+        text = "A device node needs the key that it shares with its daemon: set access.device_key on both sides to a "
+        text += "copy of the file that `pcmrs pki device-key FILE` makes."
+        raise ConfigurationError(text)
+    run(serve_devices(settings, driver, devices, key, lifeline=lifeline))
 
 
 async def _serve(settings: Settings, *, as_json: bool) -> None:

@@ -17,6 +17,7 @@ from pcmrs.bus import DEFAULT_ENDPOINT, Bus, BusSettings, Credentials, Empty
 from pcmrs.bus.codec import convert_event
 from pcmrs.bus.envelope import Envelope
 from pcmrs.bus.keys import KeyTable, command_key
+from pcmrs.bus.seal import Seal
 from pcmrs.bus.settings import SECURED
 from pcmrs.bus.stop import Press, Stopping
 from pcmrs.clock import SystemClock
@@ -84,6 +85,7 @@ class Client:
         cell: str | None = None,
         user: str = LOCAL,
         credentials: Credentials | None = None,
+        device_key: bytes = b"",
     ) -> AsyncIterator[Client]:
         """Connects for the length of the ``async with`` block.
 
@@ -94,6 +96,8 @@ class Client:
             cell: Second name of the cell; by default ``PCMRS_CELL``, or else ``cell1``.
             user: Who asks; the daemon journals it as ``bus:<user>``. With credentials it is their name.
             credentials: For an endpoint on another machine.
+            device_key: Key that daemon and device nodes share (``access.device_key``): needed by `request_device` for
+                all devices but the simulated scene.
 
         Raises:
             BusError: No daemon of this cell answers there, or it does not let us in.
@@ -105,7 +109,7 @@ class Client:
             cell=cell or os.environ.get("PCMRS_CELL", "cell1"),
             credentials=credentials,
         )
-        bus = await Bus.open(settings)
+        bus = await Bus.open(settings, Seal(device_key) if device_key else None)
         try:
             client = cls(bus, user if settings.user == LOCAL else settings.user)
             await client._greet()
@@ -371,6 +375,9 @@ class Client:
         self, device: str, method: str, arguments: Mapping[str, Any] | None = None, timeout: float = 5.0
     ) -> Any:
         """Calls a method of a device node, past the daemon; for the devices of a simulation.
+
+        Nodes answer only who has the key that they share with the daemon (see `connect`); the simulated scene answers
+        everybody.
 
         Raises:
             UnknownOutcomeError: The node did not answer within `timeout` (s).

@@ -89,6 +89,7 @@ class Deadman:
     Attributes:
         limit: See `DEADMAN`.
         late: Heartbeats whose sign of life was more than `limit` old when they came.
+        implausible: Heartbeats that say nothing, since their stamps lie ahead of those of all others.
         lateness: Of what the daemon sends.
     """
 
@@ -102,7 +103,7 @@ class Deadman:
         scheduling: Scheduling = ALWAYS_SERVED,
     ) -> None:
         self.limit = limit
-        self.late = 0
+        self.late = self.implausible = 0
         self.lateness = Lateness()
         self._at_risk, self._act, self._clock = at_risk, act, clock
         self._saved, self._scheduling = saved, scheduling
@@ -140,6 +141,9 @@ class Deadman:
             if beat.number <= self._number:
                 return
             self._number = beat.number
+            if beat.alive > beat.sent or self.lateness.is_ahead(beat.sent, now):
+                self.implausible += 1
+                return
             self.lateness.hear(beat.sent, now)
             self._alive = max(self._alive, beat.alive)
             self.late += self.lateness.of(beat.alive, now) > self.limit

@@ -8,6 +8,13 @@ WINDOW = 30.0
 """Clocks that drift apart are compared anew after at most twice this, s of the machine."""
 
 
+AHEAD = 0.1
+"""A stamp that is ahead of all others by more than this is wrong, s: it would make all others late."""
+
+AGREED = 10
+"""So many messages in a row that are ahead are right, and those before were late: the comparison begins anew."""
+
+
 class Lateness:
     """Compares stamps of the sender's monotonic clock with ours; the quickest message of late is taken for not late.
 
@@ -17,10 +24,12 @@ class Lateness:
     def __init__(self) -> None:
         self._least = self._least_before = inf
         self._since = -inf
+        self._ahead: dict[float, float] = {}
 
     def forget(self) -> None:
         """The sender has begun anew, perhaps with another clock."""
         self._least = self._least_before = inf
+        self._ahead.clear()
 
     def hear(self, sent: float, now: float) -> float:
         """Takes a message for the comparison, and says by how much it is late, s.
@@ -38,6 +47,22 @@ class Lateness:
         """By how much a message seems to come before it could, s; 0 while there is nothing to compare."""
         least = min(self._least, self._least_before)
         return max(0.0, least - (now - sent)) if least < inf else 0.0
+
+    def is_ahead(self, sent: float, now: float) -> bool:
+        """Whether a stamp lies ahead of the others, so that its message says nothing.
+
+        It does not where so many agree that the others must have been late: then they are forgotten.
+        """
+        if self.ahead(sent, now) <= AHEAD:
+            self._ahead.clear()
+            return False
+        if any(abs(now - sent - offset) > AHEAD for offset in self._ahead.values()):
+            self._ahead.clear()
+        self._ahead[sent] = now - sent
+        if len(self._ahead) < AGREED:
+            return True
+        self.forget()
+        return False
 
     def of(self, sent: float, now: float) -> float:
         """By how much a message is later than the quickest one of late, s; 0 while there is nothing to compare."""

@@ -64,8 +64,8 @@ STREAM_TIMEOUT = 1.0
 HEALTH_PERIOD = 1.0
 """Between two words on a device's health, s of the machine."""
 
-DAEMON_BEAT = "dev/daemon/beat"
-"""Key of the daemon's heartbeats: one on which no device node beats, for another node may outlive the daemon."""
+DAEMON_BEAT = "daemon/beat"
+"""Key of the daemon's heartbeats: its own, so that no device's certificate can speak for the daemon."""
 
 PULSE_DELAY = 0.5
 """A pulse that may have waited here for so long, because the node was held up, is not given, s of the machine."""
@@ -282,7 +282,13 @@ class DeviceNode:
             self._check_not_held_up()
         if request.sent is None:
             return
-        late = self._deadman.lateness.of(request.sent, self._clock.monotonic())
+        lateness, now = self._deadman.lateness, self._clock.monotonic()
+        if (ahead := lateness.ahead(request.sent, now)) > REQUEST_DELAY:
+            self.late["requests_ahead"] += 1
+            text = f"{name}.{request.method} is stamped {ahead:.1f} s ahead of the daemon's clock, limit "
+            text += f"{REQUEST_DELAY:g} s: it is not known when it was sent. Ask again."
+            raise DeviceError(text, ahead=ahead, limit=REQUEST_DELAY)
+        late = lateness.of(request.sent, now)
         if late > REQUEST_DELAY:
             self.late["requests"] += 1
             text = (
@@ -311,7 +317,8 @@ class DeviceNode:
         except DeviceError:
             self.late["setpoints"] += 1  # of before a hold
             return
-        if self._deadman.lateness.of(setpoint.sent, self._clock.monotonic()) > self._deadman.limit:
+        lateness, now = self._deadman.lateness, self._clock.monotonic()
+        if max(lateness.of(setpoint.sent, now), lateness.ahead(setpoint.sent, now)) > self._deadman.limit:
             self.late["setpoints"] += 1
         else:
             robot.set_point(setpoint)
@@ -324,7 +331,8 @@ class DeviceNode:
 
     def _health(self, name: str) -> DeviceHealth | None:
         """None while it is too early to say."""
-        dropped = dict(self.late) | ({"beats": self._deadman.late} if self._deadman.late else {})
+        beats = {"beats": self._deadman.late, "implausible_beats": self._deadman.implausible}
+        dropped = dict(self.late) | {kind: many for kind, many in beats.items() if many}
         if name not in STREAMING:
             return DeviceHealth(device=name, connected=True, dropped=dropped)
         now = self._clock.monotonic()

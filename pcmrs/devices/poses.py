@@ -22,12 +22,6 @@ HISTORY = 256
 RATE_TIME = 1.0
 """Over so long a time the rate of frames is taken, s of the clock."""
 
-AHEAD = 0.1
-"""A stamp that is ahead of all others by more than this is wrong, s: it would make all others late."""
-
-AGREED = 10
-"""So many messages in a row that are ahead are right, and those before were late: the comparison begins anew."""
-
 SESSIONS = 64
 """Earlier sessions that are remembered: a frame may be late, but not by so many starts of the tracker."""
 
@@ -95,7 +89,6 @@ class PoseFeed:
         self._session: str | None = None
         self._earlier: deque[str] = deque(maxlen=SESSIONS)
         self._number = self._offset = 0
-        self._ahead: dict[float, float] = {}
         self._last_reason: dict[str, str] = {}
         self._arrived = asyncio.Event()
 
@@ -211,7 +204,7 @@ class PoseFeed:
         number = self._offset + pose.frame_number
         if known and number <= known[-1].frame_number:
             return None, "frame_not_advancing"
-        if self._is_ahead(pose.sent, now):
+        if self._lateness.is_ahead(pose.sent, now):
             return None, "stamp_ahead"
         late = self._lateness.hear(pose.sent, now)
         if known and pose.captured <= known[-1].exposed:
@@ -238,24 +231,9 @@ class PoseFeed:
         self._session = session
         return True
 
-    def _is_ahead(self, sent: float, now: float) -> bool:
-        """Whether a stamp lies ahead of the others; not where so many agree that the others must have been late."""
-        if self._lateness.ahead(sent, now) <= AHEAD:
-            self._ahead.clear()
-            return False
-        if any(abs(now - sent - offset) > AHEAD for offset in self._ahead.values()):
-            self._ahead.clear()
-        self._ahead[sent] = now - sent
-        if len(self._ahead) < AGREED:
-            return True
-        self._ahead.clear()
-        self._lateness.forget()
-        return False
-
     def _forget(self) -> None:
         """Of every body: the tracker may stand elsewhere, and its clock may be another one."""
         self._lateness.forget()
-        self._ahead.clear()
         self._offset = self._number + 1
         for body, sightings in self._sightings.items():
             self._jumps.forget(body)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import msgspec
 
+from pcmrs.bus.seal import read_key, write_key
 from pcmrs.errors import DeviceError
 from pcmrs.service import Ready
 from pcmrs.service.children import end_child
@@ -23,6 +24,8 @@ START_TIME = 300.0
 """The daemon must say that it is ready within this, s: on a busy machine its imports alone take a minute."""
 
 END_TIME = 15.0
+
+DEVICE_KEY = "device.key"
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,12 +42,22 @@ class DaemonProcess:
 
 
 def own_settings(folder: Path, cell: str) -> list[str]:
-    """Settings of a cell that nobody else has; port 0 takes a free one."""
+    """Settings of a cell that nobody else has; port 0 takes a free one. Its nodes know the key of `device_key`."""
+    device_key(folder)
     own = [f"cell.name={cell}", f"cell.folder={folder}", f"cell.endpoint=tcp/127.0.0.1:{free_port()}"]
+    own.append(f"access.device_key={folder / DEVICE_KEY}")
     links = [f"gateway.{link}.port=0" for link in ("planner", "robot", "visualization", "mep")]
     # Where virtual devices are served, if a driver looks for them.
     virtual = [f"kst.port={free_port()}", f"ndi.device=127.0.0.1:{free_port()}"]
     return [*own, *links, "gateway.tcp_port=0", "recording.enabled=false", "console.enabled=false", *virtual]
+
+
+def device_key(folder: Path) -> bytes:
+    """The key that daemon and device nodes of a cell in `folder` share; it is made where there is none."""
+    path = folder / DEVICE_KEY
+    if not path.exists():
+        write_key(path)
+    return read_key(path)
 
 
 def serve_command(overrides: Sequence[str]) -> list[str]:

@@ -15,6 +15,7 @@ from pcmrs.bus.codec import pack
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
 from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.qos import class_of
+from pcmrs.bus.seal import Seal
 from pcmrs.bus.serving import payload_of
 from pcmrs.bus.settings import open_session
 from pcmrs.clock import Clock
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 CAPACITY: Final = 20_000
 """Messages that may wait to be written: many seconds of a cell at work."""
 
-EVENTS: Final = "dev/recorder/event"
+EVENTS: Final = "daemon/event"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,23 +55,25 @@ class Tap:
         dropped: So many messages came while the queue was full.
     """
 
-    def __init__(self, session: zenoh.Session, prefix: str, clock: Clock) -> None:
+    def __init__(self, session: zenoh.Session, prefix: str, clock: Clock, seal: Seal | None = None) -> None:
         self.prefix = prefix
         self.dropped = 0
         self._session = session
         self._clock = clock
+        self._seal = seal
         self._waiting: deque[Heard] = deque()
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="pcmrs-tap")
         self._declared: list[Any] = []
 
     @classmethod
-    async def open(cls, settings: BusSettings, topics: Sequence[str], clock: Clock) -> Tap:
+    async def open(cls, settings: BusSettings, topics: Sequence[str], clock: Clock, seal: Seal | None = None) -> Tap:
         """Joins the bus and hears from now on.
 
         Args:
             settings: Of the bus.
             topics: Key expressions, relative to the cell, that do not overlap.
             clock: Of the machine.
+            seal: Of a recorder that the daemon has started: it may report to the daemon.
 
         Raises:
             BusError: No daemon answers at the endpoint.
@@ -78,7 +81,7 @@ class Tap:
         """
         prefix = cell_prefix(settings.site, settings.cell)
         session = await asyncio.get_running_loop().run_in_executor(None, open_session, settings)
-        tap = cls(session, prefix, clock)
+        tap = cls(session, prefix, clock, seal)
         for topic in topics:
             subscriber = declare_subscriber(session, f"{prefix}/{topic}", class_of(topic), tap._take)
             tap._declared.append(subscriber)
@@ -89,10 +92,13 @@ class Tap:
         return [self._waiting.popleft() for _ in range(len(self._waiting))]
 
     async def report(self, event: DeviceEvent) -> None:
-        """Tells the daemon, which journals it."""
-        publisher = declare_publisher(self._session, f"{self.prefix}/{EVENTS}", class_of(EVENTS))
+        """Report to the daemon, which journals it; a recorder that somebody else has started cannot."""
+        if self._seal is None:
+            return
+        key, payload = f"{self.prefix}/{EVENTS}", pack(event)
+        publisher = declare_publisher(self._session, key, class_of(EVENTS))
         self._declared.append(publisher)
-        await self._in_pool(partial(publisher.put, pack(event)))
+        await self._in_pool(partial(publisher.put, payload, attachment=self._seal.put("put", key, payload)))
 
     async def close(self) -> None:
         """Leaves the bus."""

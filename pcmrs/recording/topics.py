@@ -23,6 +23,7 @@ TOPICS: Final = (
     "state/health",
     "dev/*/state",
     "dev/*/event",
+    "daemon/event",
     "dev/*/setpoint",
     "cmd/**",
     "stop/*",

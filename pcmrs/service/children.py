@@ -10,17 +10,20 @@ from typing import Any
 import msgspec
 
 from pcmrs.errors import DeviceError
-from pcmrs.settings import Settings
+from pcmrs.settings import Inherited, Settings
 
 
-async def open_child(*words: str, settings: Settings, **streams: Any) -> asyncio.subprocess.Process:
-    """Starts ``pcmrs`` with the words as arguments, and hands it the settings on its standard input.
+async def open_child(
+    *words: str, settings: Settings, device_key: bytes = b"", **streams: Any
+) -> asyncio.subprocess.Process:
+    """Starts ``pcmrs`` with the words as arguments, and hands it `Inherited` on its standard input.
 
     The pipe stays open: its end tells the child that the daemon is gone, however it went.
 
     Args:
         words: Of the command line.
         settings: Of the daemon.
+        device_key: For a child that speaks as a device, or for the daemon; see `pcmrs.bus.seal`.
         streams: Standard output and error, if they are not the daemon's.
 
     Raises:
@@ -37,7 +40,7 @@ async def open_child(*words: str, settings: Settings, **streams: Any) -> asyncio
     )
     if process.stdin is None:
         raise DeviceError(f"pcmrs {words[0]} has no standard input.", words=list(words))
-    process.stdin.write(msgspec.json.encode(settings) + b"\n")
+    process.stdin.write(msgspec.json.encode(Inherited(settings=settings, device_key=device_key)) + b"\n")
     return process
 
 

@@ -14,6 +14,7 @@ import msgspec
 import structlog
 
 from pcmrs.bus import Bus, CommandEdge
+from pcmrs.bus.seal import Seal, new_key
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.console.settings import HOST
 from pcmrs.errors import ConfigurationError
@@ -103,7 +104,8 @@ class Daemon:
         session = uuid.uuid4().hex
         async with AsyncExitStack() as stack:
             stack.enter_context(_only_daemon_of(settings.cell.path()))
-            bus = await Bus.open(settings.bus("router"))
+            device_key = settings.access.read_device_key() or new_key()
+            bus = await Bus.open(settings.bus("router"), Seal(device_key))
             stack.push_async_callback(bus.close)
             blueprint = workflow.blueprint
             journal = Journal.open(
@@ -119,7 +121,7 @@ class Daemon:
             stack.push_async_callback(conclude, recorder)
             supervisor = Supervisor(machine)
             clocks = Clocks(clock, machine)
-            heart = HeartProcess(settings.bus("client"), machine)
+            heart = HeartProcess(settings.bus("client"), machine, device_key)
             planner = PlanningProcess(settings, machine)
             procedure = RunningProcedure(
                 bus, settings, recovered.workflow, recorder, clocks, supervisor, heart, planner
@@ -128,7 +130,7 @@ class Daemon:
             heart.report = planner.report = dispatcher.report_later
             recovered.give_to(dispatcher, journal)
             recorder.attach(dispatcher.procedure)
-            children = _child_processes(settings, session, procedure, machine)
+            children = _child_processes(settings, session, device_key, procedure, machine)
             nodes, recording, console = await stack.enter_async_context(children)
             stack.push_async_callback(heart.stop)
             stack.push_async_callback(planner.stop)
@@ -197,12 +199,12 @@ class Daemon:
 
 @asynccontextmanager
 async def _child_processes(
-    settings: Settings, session: str, procedure: RunningProcedure, machine: Clock
+    settings: Settings, session: str, device_key: bytes, procedure: RunningProcedure, machine: Clock
 ) -> AsyncIterator[tuple[NodeProcesses, Companion, Companion]]:
     """Device nodes, recorder and console, not yet started; on leaving they are stopped in this order."""
     report = procedure.dispatcher.report_later
-    nodes = NodeProcesses(settings, procedure.lose, report, machine)
-    recording = Companion("recording", partial(open_recorder, settings, session, machine), report, machine)
+    nodes = NodeProcesses(settings, device_key, procedure.lose, report, machine)
+    recording = Companion("recording", partial(open_recorder, settings, session, machine, device_key), report, machine)
     console = Companion("console", partial(open_console, settings), report, machine)
     async with AsyncExitStack() as stack:
         stack.push_async_callback(console.stop)

@@ -81,14 +81,16 @@ class HeartProcess:
     Args:
         settings: Of the bus, as a client.
         clock: The machine's.
+        device_key: With which daemon and nodes seal what they send.
 
     Attributes:
         session: See `Heart`.
         report: Gets the event when the process has ended by itself.
     """
 
-    def __init__(self, settings: BusSettings, clock: Clock) -> None:
+    def __init__(self, settings: BusSettings, clock: Clock, device_key: bytes) -> None:
         self.session = uuid.uuid4().hex
+        self._device_key = device_key
         self.report: Callable[[DeviceEvent], None] = lambda _: None
         self._settings, self._clock = settings, clock
         self._number = 0
@@ -138,7 +140,7 @@ class HeartProcess:
     async def _begin(self) -> asyncio.subprocess.Process:
         reading, self._pipe = os.pipe()
         os.set_blocking(self._pipe, False)
-        settings = HeartSettings(bus=self._settings, key=DAEMON_BEAT, session=self.session)
+        settings = HeartSettings(bus=self._settings, key=DAEMON_BEAT, session=self.session, device_key=self._device_key)
         os.write(self._pipe, msgspec.json.encode(settings) + b"\n")
         try:
             command = (sys.executable, "-m", "pcmrs.bus.heart")

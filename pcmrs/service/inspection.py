@@ -160,9 +160,11 @@ class Inspection:
         ]
 
     def _dropped(self) -> dict[str, int]:
-        counters = self.gateway.counters
+        counters, bus = self.gateway.counters, self.bus.counters()
         return {
-            "bus.replaced": self.bus.counters()["bus.replaced"],
+            "bus.replaced": bus["bus.replaced"],
+            "bus.not_sealed": bus["bus.not_sealed"],
+            "events.misnamed": self.procedure.misnamed,
             "gateway.refused": counters.refused,
             "gateway.overflowed": counters.overflowed,
             **{f"pose.{reason}": many for reason, many in sorted(self.procedure.cell.poses.dropped.items())},

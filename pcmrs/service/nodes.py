@@ -29,6 +29,7 @@ class NodeProcesses:
 
     Args:
         settings: Handed to every node on its standard input.
+        device_key: Likewise: with which daemon and nodes seal what they send each other.
         on_end: Called with the names of the devices whose node has ended by itself; whether to begin it anew.
         report: Told of every restart, and as danger of a driver that is given up.
         clock: The machine's.
@@ -41,11 +42,12 @@ class NodeProcesses:
     def __init__(
         self,
         settings: Settings,
+        device_key: bytes,
         on_end: Callable[[list[str]], bool],
         report: Callable[[DeviceEvent], None],
         clock: Clock,
     ) -> None:
-        self._settings = settings
+        self._settings, self._device_key = settings, device_key
         self._on_end = on_end
         self._report = report
         self._clock = clock
@@ -70,7 +72,7 @@ class NodeProcesses:
     async def _keep(self, driver: str, devices: list[str]) -> None:
         limit = RestartLimit(RESTARTS, WITHIN, self._clock)
         while True:
-            process = await open_child("node", driver, *devices, settings=self._settings)
+            process = await open_child("node", driver, *devices, settings=self._settings, device_key=self._device_key)
             self._processes[driver] = process
             status = await process.wait()
             log.error("node_ended", driver=driver, devices=devices, status=status)

@@ -11,7 +11,7 @@ from pcmrs.clock import Clock
 from pcmrs.devices.dwell import DwellPointer
 from pcmrs.devices.jumps import PoseLimits
 from pcmrs.devices.link import Link
-from pcmrs.devices.node import DAEMON_BEAT
+from pcmrs.devices.node import DAEMON_BEAT, PROTOCOLS
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.remote import ActingDevice, RemoteEmg, RemotePointer, RemoteRobot, RemoteStimulator
 from pcmrs.devices.standstill import Standstill
@@ -20,7 +20,7 @@ from pcmrs.dispatcher.planner import Planner
 from pcmrs.errors import DeviceError
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
-from pcmrs.messages import BodyPose, DeviceEvent, DeviceHealth, JointState, NodeBeat, Snapshot, Verdict
+from pcmrs.messages import Beat, BodyPose, DeviceEvent, DeviceHealth, JointState, NodeBeat, Snapshot, Verdict
 from pcmrs.messages.setup import Gathered
 from pcmrs.service.abandoned import AbandonedWatch
 from pcmrs.service.core import GatewayCore
@@ -42,6 +42,11 @@ from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.settings import TrackingSettings
 
 log = structlog.get_logger(__name__)
+
+DEVICES = {*PROTOCOLS, "tracker"}
+"""Devices that may report events."""
+DAEMON_SPEAKERS = {"daemon", "recorder"}
+"""Who reports on the daemon's own key."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +85,7 @@ class RunningProcedure:
         health: What the nodes say of their devices.
         heard: Device to when its node sent its last heartbeat, s of the machine's monotonic clock.
         data_heard: Robot and tracker to when their last joints and poses came, on the same clock.
+        misnamed: Events that were dropped, since they spoke for another device than that of their key.
     """
 
     def __init__(
@@ -130,6 +136,7 @@ class RunningProcedure:
         self.heard: dict[str, float] = {}
         self.data_heard: dict[str, float] = {}
         self._machine = clocks.machine
+        self.misnamed = 0
         self._reference = ReferenceWatch(self.cell, dispatcher)
         self._abandoned = AbandonedWatch(dispatcher, settings.procedure.abandoned_after, clocks.machine)
         self._lease = LeaseWatch(dispatcher, self.moving, clocks.cell, settings.access.lease_s)
@@ -137,12 +144,14 @@ class RunningProcedure:
 
     def start(self) -> None:
         """Listens to the devices and starts the watches."""
-        link, dispatcher = self._link, self.dispatcher
+        link = self._link
         link.subscribe("state/pose/*", BodyPose, self._take_pose)
         link.subscribe("state/joints", JointState, self._take_joints)
         link.subscribe("dev/*/state", DeviceHealth, self.health.take)
         link.subscribe("dev/*/beat", NodeBeat, self._take_beat)
-        link.subscribe("dev/*/event", DeviceEvent, lambda _, event: dispatcher.report_later(event))
+        link.subscribe(DAEMON_BEAT, Beat, lambda _key, _beat: self._heart.hear())
+        link.subscribe("dev/*/event", DeviceEvent, self._take_event)
+        link.subscribe("daemon/event", DeviceEvent, self._take_event)
         connect_teleoperators(link, self.cell.teleop, self._abandoned.see)
         self._supervisor.start("beats and robot watch", self.watch.run, quiet=QUIET)
         self._supervisor.start("reference watch", self._reference.run, quiet=QUIET)
@@ -181,9 +190,19 @@ class RunningProcedure:
         return True
 
     def counters(self) -> dict[str, int]:
-        """What came too late at the device nodes to be followed."""
+        """What came too late at the device nodes to be followed, and events that spoke for another device."""
         found = self.health.last.items()
-        return {f"{device}.late.{kind}": many for device, said in found for kind, many in said.dropped.items()}
+        late = {f"{device}.late.{kind}": many for device, said in found for kind, many in said.dropped.items()}
+        return late | {"events.misnamed": self.misnamed}
+
+    def _take_event(self, key: str, event: DeviceEvent) -> None:
+        """Who may publish on a device's key speaks for that device only: not for the lease, and not for the daemon."""
+        speakers = DAEMON_SPEAKERS if key == "daemon/event" else {key.split("/")[1]} & DEVICES
+        if event.device in speakers:
+            self.dispatcher.report_later(event)
+            return
+        self.misnamed += 1
+        log.warning("misnamed_event", key=key, device=event.device, code=event.code)
 
     def _take_pose(self, _key: str, pose: BodyPose) -> None:
         self.data_heard["tracker"] = self._machine.monotonic()
@@ -200,9 +219,6 @@ class RunningProcedure:
         self.hearing.hear("robot")
 
     def _take_beat(self, key: str, beat: NodeBeat) -> None:
-        if key == DAEMON_BEAT:
-            self._heart.hear()
-            return
         device = key.split("/")[1]
         self._gates.take(device, beat.gate)
         self.heard[device] = self._machine.monotonic()

@@ -11,13 +11,16 @@ from pcmrs.service.children import open_child
 from pcmrs.settings import Settings
 
 
-async def open_recorder(settings: Settings, session: str, clock: Clock) -> asyncio.subprocess.Process:
+async def open_recorder(
+    settings: Settings, session: str, clock: Clock, device_key: bytes
+) -> asyncio.subprocess.Process:
     """Records the session into the cell's folder, in a new file.
 
     Args:
         settings: Of the daemon.
         session: Id of the session, as the journal has it.
         clock: The machine's.
+        device_key: With which it seals what it reports to the daemon.
 
     Raises:
         OSError: The folder cannot be made, or the process not started.
@@ -27,4 +30,4 @@ async def open_recorder(settings: Settings, session: str, clock: Clock) -> async
     begun = datetime.datetime.fromtimestamp(clock.wall(), datetime.UTC)
     name = f"{begun:%Y%m%dT%H%M%SZ}-{session[:8]}.mcap"
     words = ("record", str(folder / name), "--lifeline", "--session", session)
-    return await open_child(*words, settings=settings, stdout=asyncio.subprocess.DEVNULL)
+    return await open_child(*words, settings=settings, device_key=device_key, stdout=asyncio.subprocess.DEVNULL)

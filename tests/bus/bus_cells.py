@@ -11,6 +11,7 @@ import msgspec
 import zenoh
 
 from pcmrs.bus import Bus, BusSettings
+from pcmrs.bus.seal import Seal
 from pcmrs.experiment.process import free_port
 from pcmrs.messages import BlueprintTag, Command, Snapshot, Verdict
 
@@ -24,8 +25,8 @@ def new_cell() -> BusSettings:
 
 
 @asynccontextmanager
-async def open_bus(settings: BusSettings) -> AsyncIterator[Bus]:
-    bus = await Bus.open(settings)
+async def open_bus(settings: BusSettings, seal: Seal | None = None) -> AsyncIterator[Bus]:
+    bus = await Bus.open(settings, seal)
     try:
         yield bus
     finally:

@@ -57,13 +57,13 @@ async def test_a_late_joiner_gets_the_last_snapshot() -> None:
 async def test_what_is_listened_to_is_taken_though_the_loop_is_busy() -> None:
     async with open_pair() as (router, client):
         came = threading.Event()
-        router.listen("dev/daemon/beat", BodyPose, lambda _, message: came.set() if message.frame_number == 3 else None)
+        router.listen("daemon/beat", BodyPose, lambda _, message: came.set() if message.frame_number == 3 else None)
         arrived: asyncio.Queue[BodyPose] = asyncio.Queue()
         router.subscribe("dev/*/event", BodyPose, lambda _, message: arrived.put_nowait(message))
         client.publish("dev/robot/event", pose(1))
         await asyncio.wait_for(arrived.get(), TIMEOUT)  # the two know each other
-        client.publish("dev/daemon/beat", {"no": "pose"})
-        client.publish("dev/daemon/beat", pose(3))
+        client.publish("daemon/beat", {"no": "pose"})
+        client.publish("daemon/beat", pose(3))
         assert came.wait(TIMEOUT), "this thread is the loop's"
         assert router.counters()["bus.ignored"] == 1
 

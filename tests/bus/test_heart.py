@@ -16,6 +16,7 @@ from bus_cells import TIMEOUT, new_cell, open_bus
 
 from pcmrs.bus import BusSettings
 from pcmrs.bus.heart import SIGN, signs_of
+from pcmrs.bus.seal import Seal, new_key
 from pcmrs.clock import SystemClock
 from pcmrs.messages import Beat, DeviceEvent
 from pcmrs.service.heart import ANSWER_TIME, HeartProcess
@@ -42,10 +43,11 @@ class Bench:
 @asynccontextmanager
 async def opened() -> AsyncIterator[Bench]:
     settings = new_cell()
-    async with open_bus(settings) as router:
-        bench = Bench(HeartProcess(client_of(settings), SystemClock()))
+    key = new_key()
+    async with open_bus(settings, Seal(key)) as router:
+        bench = Bench(HeartProcess(client_of(settings), SystemClock(), key))
         bench.heart.report = bench.events.put_nowait
-        router.subscribe("dev/daemon/beat", Beat, lambda _, beat: bench.beats.put_nowait(beat))
+        router.subscribe("daemon/beat", Beat, lambda _, beat: bench.beats.put_nowait(beat))
         async with Supervisor(SystemClock()) as supervisor:
             bench.heart.start(supervisor)
             yield bench

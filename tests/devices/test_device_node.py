@@ -427,6 +427,26 @@ async def test_heartbeats_that_come_late_do_not_count(bench: Bench) -> None:
     assert bench.robot_device.holds > 0, "they keep coming, and all of them are of half a second ago"
 
 
+async def test_a_beat_that_is_stamped_ahead_makes_no_later_one_late(bench: Bench) -> None:
+    bench.robot_device.stream.put_nowait(MOVING)
+    number = await beat_for(bench, 1.0)
+    bench.link.hear(DAEMON_BEAT, Beat(number=number, session="a", alive=1e12, sent=1e12))
+    await beat_for(bench, 1.0, number + 1)
+    assert bench.robot_device.holds == 0
+    await bench.clock.advance(1.0)
+    assert bench.robot_device.holds > 0, "the one from the future is no sign of life"
+    health = bench.link.published["dev/robot/state"][-1]
+    assert health.dropped["implausible_beats"] == 1
+
+
+async def test_a_request_that_is_stamped_ahead_is_refused(bench: Bench) -> None:
+    await beat_for(bench, 1.0)
+    request = DeviceRequest(method="connect", sent=bench.clock.monotonic() + 2.0 * REQUEST_DELAY)
+    reply = await bench.link.request("dev/robot/cmd", request, DeviceReply, 1.0)
+    assert reply.failure is not None
+    assert "ahead of the daemon's clock" in reply.failure.text
+
+
 @pytest.mark.parametrize(
     ("delay", "age"), [(0.9 * DEADMAN, 0.0), (0.0, 0.9 * DEADMAN), (0.45 * DEADMAN, 0.45 * DEADMAN)]
 )

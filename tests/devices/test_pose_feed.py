@@ -13,7 +13,8 @@ from clock import ManualClock, settle
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.devices.poses import AGREED, HISTORY, PoseFeed
+from pcmrs.devices.lateness import AGREED
+from pcmrs.devices.poses import HISTORY, PoseFeed
 from pcmrs.errors import RefusalError
 from pcmrs.messages import BodyPose
 

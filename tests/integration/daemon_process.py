@@ -19,9 +19,10 @@ import msgspec
 import zenoh
 
 from pcmrs.bus import Bus, BusSettings
+from pcmrs.bus.seal import Seal
 from pcmrs.campaign.lab import QUICK
 from pcmrs.client import Client
-from pcmrs.experiment.process import free_port
+from pcmrs.experiment.process import DEVICE_KEY, device_key, free_port
 from pcmrs.planner import Planner
 from pcmrs.service import Ready
 
@@ -66,7 +67,7 @@ class ServeProcess:
 
     def client(self) -> AbstractAsyncContextManager[Client]:
         """A client on the daemon's bus."""
-        return Client.connect(self.ready.endpoint, "test", self.cell)
+        return Client.connect(self.ready.endpoint, "test", self.cell, device_key=self._device_key)
 
     @contextmanager
     def plain_session(self) -> Iterator[zenoh.Session]:
@@ -78,10 +79,15 @@ class ServeProcess:
         with zenoh.open(config) as session:
             yield session
 
+    @property
+    def _device_key(self) -> bytes:
+        return device_key(Path(self.ready.folder))
+
     @asynccontextmanager
     async def bus(self) -> AsyncIterator[Bus]:
         """The bus as a device node or a console has it."""
-        bus = await Bus.open(BusSettings(endpoint=self.ready.endpoint, site="test", cell=self.cell))
+        settings = BusSettings(endpoint=self.ready.endpoint, site="test", cell=self.cell)
+        bus = await Bus.open(settings, Seal(self._device_key))
         try:
             yield bus
         finally:
@@ -124,8 +130,11 @@ def run_pcmrs(*words: str) -> subprocess.CompletedProcess[str]:
 
 def own_settings(folder: Path) -> list[str]:
     """Settings of a cell that nobody else has; port 0 takes a free one."""
+    folder.mkdir(parents=True, exist_ok=True)
+    device_key(folder)
     return [
         "cell.site=test",
+        f"access.device_key={folder / DEVICE_KEY}",
         f"cell.name=c{uuid.uuid4().hex[:8]}",
         f"cell.endpoint=tcp/127.0.0.1:{free_port()}",
         f"cell.folder={folder}",

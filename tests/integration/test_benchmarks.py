@@ -33,3 +33,12 @@ def test_nothing_moves_after_a_confirmed_stop_at_a_random_moment() -> None:
     assert found["not confirmed"] == 0
     assert found["moved after confirmed, deg"]["n"] == 3
     assert found["ms"]["asked to hold sent"]["n"] == 3
+
+
+def test_the_cost_of_the_seal_is_measured() -> None:
+    command = [sys.executable, str(BENCHMARKS / "seal.py"), "--count", "10", "--json"]
+
+    measured = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert measured.returncode == 0, measured.stderr
+    assert {"seal", "check", "bare HMAC"} <= json.loads(measured.stdout)["state/joints"].keys()

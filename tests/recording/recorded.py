@@ -15,6 +15,7 @@ from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory
 
 from pcmrs.bus import Bus, BusSettings, Empty
+from pcmrs.bus.seal import Seal, new_key
 from pcmrs.clock import SystemClock
 from pcmrs.experiment.process import free_port
 from pcmrs.kinematics.arms import ARMS
@@ -79,9 +80,10 @@ async def recording(
     router = BusSettings(mode="router", endpoint=f"tcp/127.0.0.1:{free_port()}", site="test", cell="recorded")
     clock = SystemClock()
     plan = Plan(first, limits or Limits(), {"cell": router.cell, "site": router.site}, lambda: files_of(first))
-    bus = await Bus.open(router)
+    key = new_key()
+    bus = await Bus.open(router, Seal(key))
     try:
-        tap = await Tap.open(msgspec.structs.replace(router, mode="client"), topics, clock)
+        tap = await Tap.open(msgspec.structs.replace(router, mode="client"), topics, clock, Seal(key))
         work = Recording(bus, tap, Recorder(plan, Views(ARM, MOUNTING, 1.0), clock))
         try:
             yield work

@@ -249,7 +249,7 @@ async def test_a_full_disk_ends_the_recording_with_an_event_and_leaves_what_was_
     usage = namedtuple("usage", "total used free")
     events: asyncio.Queue[DeviceEvent] = asyncio.Queue()
     async with recording(first, Limits(keep_free_bytes=1e6)) as work:
-        work.bus.subscribe("dev/recorder/event", DeviceEvent, lambda _, event: events.put_nowait(event))
+        work.bus.subscribe("daemon/event", DeviceEvent, lambda _, event: events.put_nowait(event))
         before = await work.hears()
         work.bus.publish("state/fsm", SNAPSHOT)
         await work.written(before + 1)

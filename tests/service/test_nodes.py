@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from pcmrs.bus.seal import new_key
 from pcmrs.clock import SystemClock
 from pcmrs.messages import DeviceEvent
 from pcmrs.service.nodes import NodeProcesses
@@ -34,7 +35,7 @@ class Bench:
         self.worth_a_restart = True
         clock = SystemClock()
         self.supervisor = Supervisor(clock)
-        self.nodes = NodeProcesses(Settings(), self._end, self._report, clock)
+        self.nodes = NodeProcesses(Settings(), new_key(), self._end, self._report, clock)
 
     def _end(self, devices: list[str]) -> bool:
         self.ended.append(devices)

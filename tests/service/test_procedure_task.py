@@ -149,7 +149,32 @@ async def test_it_beats_and_knows_when_each_node_was_heard() -> None:
         assert bench.procedure.heard == {"robot": bench.clock.monotonic()}
         late = DeviceHealth(device="robot", connected=True, dropped={"setpoints": 3})
         bench.link.hear("dev/*/state", "dev/robot/state", late)
-        assert bench.procedure.counters() == {"robot.late.setpoints": 3}
+        assert bench.procedure.counters() == {"robot.late.setpoints": 3, "events.misnamed": 0}
+
+
+@pytest.mark.parametrize(
+    ("key", "device", "taken"),
+    [
+        ("dev/tracker/event", "tracker", True),
+        ("dev/tracker/event", "lease", False),
+        ("dev/tracker/event", "daemon", False),
+        ("dev/tracker/event", "robot", False),
+        ("dev/lease/event", "lease", False),
+        ("daemon/event", "recorder", True),
+        ("daemon/event", "robot", False),
+    ],
+)
+async def test_an_event_that_speaks_for_another_device_is_dropped_and_counted(
+    key: str, device: str, taken: bool
+) -> None:
+    bench = Bench()
+    async with bench.supervisor:
+        bench.procedure.start()
+        event = DeviceEvent(device=device, code="something", text="")
+        bench.link.hear("daemon/event" if key == "daemon/event" else "dev/*/event", key, event)
+        await settle()
+        assert ("something" in bench.codes()) is taken
+        assert bench.procedure.counters()["events.misnamed"] == (not taken)
 
 
 async def test_a_watch_that_cannot_go_on_holds_the_robot_latches_and_ends_the_daemon() -> None:

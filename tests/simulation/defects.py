@@ -235,7 +235,7 @@ DEFECTS: dict[str, Defect] = {
             harm="After a frame that is stamped ahead, or numbers that begin anew, no later frame is ever taken.",
             found_by=("poses_go_on",),
             put_back={
-                "pcmrs.devices.poses:PoseFeed._is_ahead": _never,
+                "pcmrs.devices.lateness:Lateness.is_ahead": _never,
                 "pcmrs.devices.frame_sessions:FrameSessions._follow": _does_nothing,
             },
         ),

@@ -466,7 +466,7 @@ async def loop_stands_still(lab: Lab) -> Evidence:
 @fault("Q27", how="one heartbeat is overtaken by the next ones")
 async def beats_out_of_order(lab: Lab) -> Evidence:
     """A beat that is older than the last one does not count, in either direction."""
-    rule = Rule("publish", "dev/daemon/beat", seconds=SLOW)
+    rule = Rule("publish", "daemon/beat", seconds=SLOW)
     async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
         await to_retracted(cell.client)
         async with moving(cell.client) as approach, cell.delays.delaying(rule):
@@ -480,7 +480,7 @@ async def beats_out_of_order(lab: Lab) -> Evidence:
 @fault("Q28", how="all heartbeats of the daemon are late by more than the deadman")
 async def beats_late(lab: Lab) -> Evidence:
     """Late beats are silence: what counts is the time of the loop's last sign of life."""
-    rule = Rule("publish", "dev/daemon/beat", seconds=3.0, times=100_000)
+    rule = Rule("publish", "daemon/beat", seconds=3.0, times=100_000)
     async with lab.daemon(*REAL_TIME, "robot.deadman=0.5", delayed=True) as cell:
         await to_retracted(cell.client)
         async with moving(cell.client) as approach:

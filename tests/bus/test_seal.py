@@ -1,0 +1,248 @@
+"""Daemon and device nodes take from each other what carries their seal, once, and nothing else."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import zenoh
+from bus_cells import TIMEOUT, new_cell, open_bus, plain_session
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pcmrs.bus import Bus
+from pcmrs.bus.codec import pack, unpack
+from pcmrs.bus.seal import LENGTH, WINDOW, Seal, is_sealed, new_key, read_key, write_key
+from pcmrs.errors import ConfigurationError, DeviceError, SealError, UnknownOutcomeError
+from pcmrs.messages import DeviceEvent, DeviceHealth, DeviceReply, DeviceRequest
+
+KEY = "pcmrs/test/cell/dev/robot/event"
+
+
+def fault(seal: Seal, mark: bytes, *args: Any) -> str:
+    with pytest.raises(SealError) as caught:
+        seal.check(mark, *args)
+    return str(caught.value.fields["why"])
+
+
+@given(payload=st.binary(max_size=64), flip=st.integers(0, LENGTH * 8 - 1))
+def test_a_sealed_message_is_taken_once_and_with_any_bit_changed_never(payload: bytes, flip: int) -> None:
+    key = new_key()
+    sender, receiver = Seal(key), Seal(key)
+    mark = sender.put("put", KEY, payload)
+    changed = bytearray(mark)
+    changed[flip // 8] ^= 1 << flip % 8
+    assert fault(receiver, bytes(changed), ("put",), KEY, payload) == "forged"
+    assert fault(receiver, mark, ("put",), KEY, payload + b"x") == "forged"
+    assert fault(receiver, mark, ("put",), KEY.replace("robot", "tracker"), payload) == "forged"
+    assert fault(receiver, mark, ("query",), KEY, payload) == "forged"
+    assert fault(Seal(new_key()), mark, ("put",), KEY, payload) == "forged"
+    assert fault(receiver, b"", ("put",), KEY, payload) == "unsealed"
+    assert receiver.check(mark, ("put",), KEY, payload) == "put"
+    assert fault(receiver, mark, ("put",), KEY, payload) == "repeated"
+
+
+def test_a_reply_answers_one_query_only() -> None:
+    key = new_key()
+    daemon, node = Seal(key), Seal(key)
+    asked, other = (daemon.put("query", KEY, b"joints") for _ in range(2))
+    reply = node.put("reply", KEY, b"1", asked)
+    assert fault(daemon, reply, ("reply", "error"), KEY, b"1", other) == "forged"
+    assert daemon.check(reply, ("reply", "error"), KEY, b"1", asked) == "reply"
+
+
+@given(order=st.permutations(range(1, 9)), far=st.integers(0, 3))
+def test_within_the_window_messages_come_in_any_order_each_once(order: list[int], far: int) -> None:
+    key = new_key()
+    sender, receiver = Seal(key), Seal(key)
+    marks = {number: sender.put("put", KEY, b"") for number in range(1, 9)}
+    for number in order:
+        receiver.check(marks[number], ("put",), KEY, b"")
+    for mark in marks.values():
+        assert fault(receiver, mark, ("put",), KEY, b"") == "repeated"
+    late, passed = sender.put("put", KEY, b""), [sender.put("put", KEY, b"") for _ in range(WINDOW - 2 + far)]
+    receiver.check(passed[-1], ("put",), KEY, b"")
+    if far < 2:
+        assert receiver.check(late, ("put",), KEY, b"") == "put"
+    else:
+        assert fault(receiver, late, ("put",), KEY, b"") == "repeated"
+
+
+@pytest.mark.parametrize(
+    ("key", "sealed"),
+    [
+        ("dev/robot/cmd", True),
+        ("dev/tracker/beat", True),
+        ("dev/scene/cmd", False),
+        ("daemon/beat", True),
+        ("state/joints", True),
+        ("state/pose/coil", True),
+        ("state/fsm", False),
+        ("cmd/local/robot/connect", False),
+        ("stop/local", False),
+    ],
+)
+def test_what_daemon_and_nodes_send_each_other_is_sealed(key: str, sealed: bool) -> None:
+    assert is_sealed(key) is sealed
+
+
+def test_a_key_file_is_its_owners_alone_and_never_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "device.key"
+    write_key(path)
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert len(read_key(path)) == 32
+    with pytest.raises(ConfigurationError, match="there already"):
+        write_key(path)
+    path.chmod(0o640)
+    with pytest.raises(ConfigurationError, match="0640"):
+        read_key(path)
+    path.chmod(0o600)
+    path.write_text("short\n")
+    with pytest.raises(ConfigurationError, match="64 hexadecimal digits"):
+        read_key(path)
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        read_key(tmp_path / "none")
+
+
+@dataclass
+class Bench:
+    """A daemon's bus, a node's, and a Zenoh client without the key."""
+
+    daemon: Bus
+    node: Bus
+    stranger: zenoh.Session
+    events: asyncio.Queue[DeviceEvent] = field(default_factory=asyncio.Queue)
+    asked: list[str] = field(default_factory=list)
+
+    def absolute(self, key: str) -> str:
+        return f"{self.daemon.prefix}/{key}"
+
+    async def request(self, method: str) -> Any:
+        return (await self.daemon.request("dev/robot/cmd", DeviceRequest(method=method), DeviceReply, TIMEOUT)).result
+
+    async def ready(self) -> None:
+        """Until the router knows who serves the robot."""
+        async with asyncio.timeout(TIMEOUT):
+            while not self.asked:
+                with suppress(UnknownOutcomeError):
+                    await self.request("first")
+
+    async def event(self) -> DeviceEvent:
+        return await asyncio.wait_for(self.events.get(), TIMEOUT)
+
+    async def not_sealed(self, bus: Bus, many: int) -> None:
+        async with asyncio.timeout(TIMEOUT):
+            while bus.counters()["bus.not_sealed"] < many:  # noqa: ASYNC110  counted in Zenoh's thread
+                await asyncio.sleep(0.01)
+
+
+@asynccontextmanager
+async def opened() -> AsyncIterator[Bench]:
+    settings, key = new_cell(), new_key()
+    client = msgspec.structs.replace(settings, mode="client")
+    async with open_bus(settings, Seal(key)) as daemon, open_bus(client, Seal(key)) as node:
+        with plain_session(settings) as stranger:
+            bench = Bench(daemon, node, stranger)
+            daemon.subscribe("dev/*/event", DeviceEvent, lambda _, event: bench.events.put_nowait(event))
+
+            async def answer(_key: str, request: DeviceRequest) -> DeviceReply:
+                bench.asked.append(request.method)
+                if request.method == "fail":
+                    raise DeviceError("It does not.")
+                return DeviceReply(result=request.method)
+
+            node.serve("dev/robot/cmd", DeviceRequest, answer)
+            await bench.ready()
+            yield bench
+
+
+async def test_an_event_without_the_seal_or_repeated_is_dropped_and_counted_and_a_sealed_one_comes() -> None:
+    sealed: list[zenoh.Sample] = []
+    async with opened() as bench:
+        key = bench.absolute("dev/robot/event")
+        bench.stranger.declare_subscriber(key, sealed.append)
+        forged = pack(DeviceEvent(device="robot", code="forged", text="by nobody"))
+        while not sealed:
+            bench.node.publish("dev/robot/event", DeviceEvent(device="robot", code="true", text="by the node"))
+            assert (await bench.event()).code == "true"
+        bench.stranger.put(key, forged)
+        bench.stranger.put(key, forged, attachment=bytes(LENGTH))
+        own = sealed[0]
+        assert own.attachment is not None
+        bench.stranger.put(key, own.payload, attachment=own.attachment)
+        await bench.not_sealed(bench.daemon, 3)
+        bench.node.publish("dev/robot/event", DeviceEvent(device="robot", code="last", text="by the node"))
+        assert (await bench.event()).code == "last"
+
+
+async def test_who_has_no_key_reads_as_before() -> None:
+    read: asyncio.Queue[bytes] = asyncio.Queue()
+    loop = asyncio.get_running_loop()
+    async with opened() as bench:
+        bench.stranger.declare_subscriber(
+            bench.absolute("dev/robot/event"),
+            lambda sample: loop.call_soon_threadsafe(read.put_nowait, sample.payload.to_bytes()),
+        )
+        while read.empty():
+            bench.node.publish("dev/robot/event", DeviceEvent(device="robot", code="seen", text=""))
+            await bench.event()
+        assert b"seen" in await read.get()
+
+
+async def test_a_request_without_the_seal_is_refused_before_the_device_sees_it() -> None:
+    async with opened() as bench:
+        asked, key = list(bench.asked), bench.absolute("dev/robot/cmd")
+        request = pack(DeviceRequest(method="hold"))
+        (reply,) = await asyncio.to_thread(lambda: list(bench.stranger.get(key, payload=request)))
+        assert reply.err is not None
+        assert unpack(reply.err.payload.to_bytes(), dict)["code"] == "not_sealed"
+        assert bench.asked == asked
+
+
+async def test_nobody_else_can_answer_for_the_device_or_keep_a_request_from_it() -> None:
+    async with opened() as bench:
+        key = bench.absolute("dev/robot/cmd")
+        intercepted: list[str] = []
+
+        def forge(query: zenoh.Query) -> None:
+            intercepted.append(str(query.key_expr))
+            with query:
+                query.reply(key, pack(DeviceReply(result="forged")), attachment=bytes(LENGTH))
+                query.reply_err(b"{}")
+
+        bench.stranger.declare_queryable(key, forge, complete=True)
+        while not intercepted:
+            assert await bench.request("joints") == "joints"
+        assert await bench.request("joints") == "joints"
+        assert bench.asked[-1] == "joints"
+        await bench.not_sealed(bench.daemon, 1)
+
+
+async def test_a_failure_comes_back_sealed_and_another_key_leaves_the_outcome_unknown() -> None:
+    async with opened() as bench:
+        with pytest.raises(DeviceError, match="It does not"):
+            await bench.request("fail")
+        other = msgspec.structs.replace(bench.node.settings)
+        asked = list(bench.asked)
+        async with open_bus(other, Seal(new_key())) as stranger:
+            with pytest.raises(UnknownOutcomeError):
+                await stranger.request("dev/robot/cmd", DeviceRequest(method="hold"), DeviceReply, 5.0)
+        assert bench.asked == asked
+
+
+async def test_what_is_kept_for_late_subscribers_keeps_its_seal() -> None:
+    heard: asyncio.Queue[DeviceHealth] = asyncio.Queue()
+    async with opened() as bench:
+        bench.node.publish("dev/robot/state", DeviceHealth(device="robot", connected=True))
+        bench.node.publish("dev/robot/state", DeviceHealth(device="robot", connected=False, text="late"))
+        bench.daemon.subscribe("dev/*/state", DeviceHealth, lambda _, health: heard.put_nowait(health))
+        async with asyncio.timeout(TIMEOUT):
+            while (await heard.get()).text != "late":
+                pass
+        assert bench.daemon.counters()["bus.not_sealed"] == 0
