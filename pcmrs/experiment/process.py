@@ -56,6 +56,7 @@ def device_key(folder: Path) -> bytes:
     """The key that daemon and device nodes of a cell in `folder` share; it is made where there is none."""
     path = folder / DEVICE_KEY
     if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
         write_key(path)
     return read_key(path)
 

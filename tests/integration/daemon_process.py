@@ -130,7 +130,6 @@ def run_pcmrs(*words: str) -> subprocess.CompletedProcess[str]:
 
 def own_settings(folder: Path) -> list[str]:
     """Settings of a cell that nobody else has; port 0 takes a free one."""
-    folder.mkdir(parents=True, exist_ok=True)
     device_key(folder)
     return [
         "cell.site=test",
