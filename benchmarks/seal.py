@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 
 from pcmrs.bus.codec import pack
-from pcmrs.bus.seal import Seal, new_key
+from pcmrs.bus.seal import Seal, Taken, new_key
 from pcmrs.messages import BodyPose, JointState
 
 JOINTS = pack(
@@ -38,12 +38,12 @@ def per_call(call: Callable[[int], object], count: int) -> float:
 def measure(name: str, payload: bytes, count: int) -> dict[str, float]:
     """Processor time for one message on a key, us, and the share of a processor at `RATE`, %."""
     key = new_key()
-    sender, receiver, absolute = Seal(key), Seal(key), f"pcmrs/lab/cell1/{name}"
+    sender, receiver, taken, absolute = Seal(key), Seal(key), Taken(), f"pcmrs/lab/cell1/{name}"
     marks = [sender.put("put", absolute, payload) for _ in range(count)]
     found = {
         "bare HMAC": per_call(lambda _: hmac.digest(key, payload, "sha256"), count),
         "seal": per_call(lambda _: sender.put("put", absolute, payload), count),
-        "check": per_call(lambda number: receiver.check(marks[number], ("put",), absolute, payload), count),
+        "check": per_call(lambda number: receiver.check(marks[number], ("put",), absolute, payload, taken), count),
     }
     found["share at 1 kHz, %"] = (found["seal"] + found["check"]) * RATE / 1e4
     return {"bytes": len(payload)} | {each: round(value, 2) for each, value in found.items()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import Executor
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
@@ -12,7 +13,7 @@ import zenoh
 
 from pcmrs.bus.qos import DataClass
 from pcmrs.bus.reasons import error_from
-from pcmrs.bus.seal import Seal
+from pcmrs.bus.seal import Kind, Seal, Taken
 from pcmrs.bus.serving import payload_of, seal_of
 from pcmrs.errors import PcmrsError, SealError, UnknownOutcomeError
 
@@ -23,6 +24,21 @@ _TO_EVERYBODY: Final[dict[str, Any]] = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class Sealing:
+    """How the queries of a process are sealed, and their replies checked.
+
+    Attributes:
+        seal: Of daemon and device nodes.
+        taken: Replies so far.
+        forged: Called in Zenoh's thread with the key and the error of a reply that is not taken.
+    """
+
+    seal: Seal
+    taken: Taken
+    forged: Callable[[str, SealError], object]
+
+
 async def ask(
     session: zenoh.Session,
     pool: Executor,
@@ -30,8 +46,7 @@ async def ask(
     payload: bytes,
     timeout: float,
     data: DataClass,
-    seal: Seal | None = None,
-    forged: Callable[[str, SealError], object] = lambda _key, _error: None,
+    sealing: Sealing | None = None,
 ) -> bytes:
     """Sends a query and returns the payload of its first reply.
 
@@ -48,8 +63,7 @@ async def ask(
         payload: The request.
         timeout: Seconds of the machine.
         data: In which of the link's queues it waits.
-        seal: Of daemon and device nodes; None for a query that needs none.
-        forged: Called in Zenoh's thread with the key and the error of a reply that is not taken.
+        sealing: Of daemon and device nodes; None for a query that needs none.
 
     Raises:
         UnknownOutcomeError: The query ended without a reply.
@@ -62,13 +76,14 @@ async def ask(
         if not answered.done():
             answered.set_result(outcome)
 
-    attachment = None if seal is None else seal.put("query", key, payload)
+    attachment = None if sealing is None else sealing.seal.put("query", key, payload)
 
     def on_reply(reply: zenoh.Reply) -> None:
         try:
-            outcome = _outcome(reply) if seal is None else _authentic(reply, seal, key, attachment)
+            outcome = _outcome(reply) if sealing is None else _authentic(reply, sealing, key, attachment)
         except SealError as error:
-            forged(key, error)
+            if sealing is not None:
+                sealing.forged(key, error)
         else:
             loop.call_soon_threadsafe(settle, outcome)
 
@@ -82,7 +97,7 @@ async def ask(
         timeout=timeout,
         payload=payload,
         attachment=attachment,
-        **({} if seal is None else _TO_EVERYBODY),
+        **({} if sealing is None else _TO_EVERYBODY),
         congestion_control=zenoh.CongestionControl.BLOCK,
         priority=data.priority,
         express=data.express,
@@ -100,13 +115,14 @@ def _outcome(reply: zenoh.Reply) -> bytes | PcmrsError:
     return payload if isinstance(result, zenoh.Sample) else error_from(payload)
 
 
-def _authentic(reply: zenoh.Reply, seal: Seal, key: str, query: bytes | None) -> bytes | PcmrsError:
+def _authentic(reply: zenoh.Reply, sealing: Sealing, key: str, query: bytes | None) -> bytes | PcmrsError:
     """The outcome that a sealed reply tells. Raises `SealError`."""
     result = reply.result
     if not isinstance(result, zenoh.Sample):
         raise SealError(f"{key}: an error reply carries no seal and is not taken.", why="unsealed")
     payload = payload_of(result)
-    kind = seal.check(seal_of(result), ("reply", "error"), str(result.key_expr), payload, query or b"")
+    answers: tuple[Kind, ...] = ("reply", "error")
+    kind = sealing.seal.check(seal_of(result), answers, str(result.key_expr), payload, sealing.taken, query or b"")
     return payload if kind == "reply" else error_from(payload)
 
 

@@ -98,8 +98,6 @@ class Seal:
         self._key = key
         self._session = secrets.token_bytes(8)
         self._numbers = itertools.count(1)
-        self._lock = threading.Lock()
-        self._taken: dict[bytes, _Taken] = {}
 
     def put(self, kind: Kind, key: str, payload: bytes, query: bytes = b"") -> bytes:
         """Return the seal of a message.
@@ -113,7 +111,9 @@ class Seal:
         head = _HEAD.pack(_KINDS[kind], self._session, next(self._numbers))
         return head + self._mac(head, key, payload, query)
 
-    def check(self, seal: bytes, kinds: tuple[Kind, ...], key: str, payload: bytes, query: bytes = b"") -> Kind:
+    def check(
+        self, seal: bytes, kinds: tuple[Kind, ...], key: str, payload: bytes, taken: Taken, query: bytes = b""
+    ) -> Kind:
         """Check that a message was sealed with the key, for this use, and comes for the first time.
 
         Args:
@@ -121,6 +121,7 @@ class Seal:
             kinds: Permitted here.
             key: Absolute key on which it came.
             payload: As it came.
+            taken: What this receiver has taken before; the message is added.
             query: The seal of the query that a reply must answer.
 
         Returns:
@@ -136,13 +137,9 @@ class Seal:
         kind = next((each for each in kinds if _KINDS[each] == number_of_kind), None)
         if kind is None or not hmac.compare_digest(seal[_HEAD.size :], self._mac(head, key, payload, query)):
             raise SealError(f"{key}: the message was not sealed with the key of this cell's daemon.", why="forged")
-        with self._lock:
-            taken = self._taken.setdefault(session, _Taken())
-            while len(self._taken) > SESSIONS:
-                del self._taken[next(iter(self._taken))]
-            if not taken.take(number):
-                text = f"{key}: message {number} came before, or more than {WINDOW} messages late."
-                raise SealError(text, why="repeated")
+        if not taken.take(session, number):
+            text = f"{key}: message {number} came before, or more than {WINDOW} messages late."
+            raise SealError(text, why="repeated")
         return kind
 
     def _mac(self, head: bytes, key: str, payload: bytes, query: bytes) -> bytes:
@@ -151,7 +148,26 @@ class Seal:
         return hmac.digest(self._key, b"".join((head, lengths, name, query, payload)), "sha256")[:_MAC]
 
 
-class _Taken:
+class Taken:
+    """Which messages one receiver has taken, by sender. From any thread.
+
+    Each receiver has its own: two of one process that hear the same key both take each message once.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._senders: dict[bytes, _Numbers] = {}
+
+    def take(self, session: bytes, number: int) -> bool:
+        """Take a message, unless it was taken before or is too late."""
+        with self._lock:
+            numbers = self._senders.setdefault(session, _Numbers())
+            while len(self._senders) > SESSIONS:
+                del self._senders[next(iter(self._senders))]
+            return numbers.take(number)
+
+
+class _Numbers:
     """Which numbers of one sender were taken."""
 
     __slots__ = ("_bits", "_newest")

@@ -6,7 +6,7 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Final, Generic, TypeVar
 
@@ -16,7 +16,7 @@ import zenoh
 from pcmrs.bus.bridge import Call
 from pcmrs.bus.codec import is_text, pack, pack_text, unpack
 from pcmrs.bus.reasons import busy, reason_from
-from pcmrs.bus.seal import Kind, Seal, is_sealed
+from pcmrs.bus.seal import Kind, Seal, Taken, is_sealed
 from pcmrs.errors import PayloadError, PcmrsError, SealError
 
 T = TypeVar("T")
@@ -55,6 +55,7 @@ class Service(Generic[T]):
     tasks: set[asyncio.Task[None]]
     pool: Executor
     seal: Seal | None = None
+    _taken: Taken = field(default_factory=Taken)
 
     def receive(self, query: zenoh.Query) -> None:
         """Takes a query in Zenoh's thread: on its way into the loop, or refused at once."""
@@ -71,7 +72,7 @@ class Service(Generic[T]):
         if self.seal is None or not is_sealed(key):
             return None
         try:
-            self.seal.check(seal_of(query), ("query",), str(query.key_expr), payload_of(query))
+            self.seal.check(seal_of(query), ("query",), str(query.key_expr), payload_of(query), self._taken)
         except SealError as error:
             return error
         return None

@@ -13,7 +13,7 @@ import msgspec
 import zenoh
 from zenoh import Locality, ext
 
-from pcmrs.bus.asking import ask
+from pcmrs.bus.asking import Sealing, ask
 from pcmrs.bus.bridge import Bridge
 from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
@@ -21,7 +21,7 @@ from pcmrs.bus.ignored import Ignored
 from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.qos import COMMANDS, REQUESTS, class_of
 from pcmrs.bus.reasons import busy
-from pcmrs.bus.seal import Seal, is_sealed
+from pcmrs.bus.seal import Seal, Taken, is_sealed
 from pcmrs.bus.serving import Refuse, Service, payload_of, seal_of
 from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.errors import PayloadError, PcmrsError, SealError
@@ -39,6 +39,7 @@ class Bus:
     def __init__(self, session: zenoh.Session, settings: BusSettings, seal: Seal | None = None) -> None:
         self.settings = settings
         self._seal = seal
+        self._replies = Taken()
         self.prefix = cell_prefix(settings.site, settings.cell)
         self._session = session
         self._loop = asyncio.get_running_loop()
@@ -114,7 +115,7 @@ class Bus:
         refuse: Callable[[str, PcmrsError], object] | None = None,
     ) -> Any:
         """`subscribe` to messages of another encoding: `decode` makes them, or raises `PayloadError`."""
-        data = class_of(key)
+        data, taken = class_of(key), Taken()
         refuse = refuse or self._ignored.take
 
         def deliver(sample: zenoh.Sample) -> None:
@@ -127,7 +128,7 @@ class Bus:
                 handler(received, message)
 
         def receive(sample: zenoh.Sample) -> None:
-            if not self._is_authentic(sample):
+            if not self._is_authentic(sample, taken):
                 return
             call = partial(deliver, sample)
             if data.newest:
@@ -145,9 +146,10 @@ class Bus:
 
         For what must not wait for the event loop, such as the moment at which a heartbeat came. `handler` returns soon.
         """
+        taken = Taken()
 
         def take(sample: zenoh.Sample) -> None:
-            if not self._is_authentic(sample):
+            if not self._is_authentic(sample, taken):
                 return
             received = self._relative(sample)
             try:
@@ -218,9 +220,9 @@ class Bus:
             PayloadError: The request cannot be sent, or the reply is no `reply`.
         """
         pool = self._sender(sender) if sender else self._pool
-        seal = self._seal if is_sealed(key) else None
+        sealing = Sealing(self._seal, self._replies, self._forged) if self._seal and is_sealed(key) else None
         data = COMMANDS if urgent else REQUESTS
-        answer = await ask(self._session, pool, self._absolute(key), pack(message), timeout, data, seal, self._forged)
+        answer = await ask(self._session, pool, self._absolute(key), pack(message), timeout, data, sealing)
         return unpack(answer, reply)
 
     def alive(self, component: str) -> Any:
@@ -283,12 +285,12 @@ class Bus:
             return None
         return self._seal.put("put", self._absolute(key), payload)
 
-    def _is_authentic(self, sample: zenoh.Sample) -> bool:
+    def _is_authentic(self, sample: zenoh.Sample, taken: Taken) -> bool:
         """Whether a message may be taken; one that may not is counted. In Zenoh's threads: it keeps no loop busy."""
         if self._seal is None or not is_sealed(self._relative(sample)):
             return True
         try:
-            self._seal.check(seal_of(sample), ("put",), str(sample.key_expr), payload_of(sample))
+            self._seal.check(seal_of(sample), ("put",), str(sample.key_expr), payload_of(sample), taken)
         except SealError as error:
             self._forged(self._relative(sample), error)
             return False

@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 
 from pcmrs.bus import Bus
 from pcmrs.bus.codec import pack, unpack
-from pcmrs.bus.seal import LENGTH, WINDOW, Seal, is_sealed, new_key, read_key, write_key
+from pcmrs.bus.seal import LENGTH, WINDOW, Seal, Taken, is_sealed, new_key, read_key, write_key
 from pcmrs.errors import ConfigurationError, DeviceError, SealError, UnknownOutcomeError
-from pcmrs.messages import DeviceEvent, DeviceHealth, DeviceReply, DeviceRequest
+from pcmrs.messages import Beat, DeviceEvent, DeviceHealth, DeviceReply, DeviceRequest
 
 KEY = "pcmrs/test/cell/dev/robot/event"
 
@@ -34,44 +34,45 @@ def fault(seal: Seal, mark: bytes, *args: Any) -> str:
 @given(payload=st.binary(max_size=64), flip=st.integers(0, LENGTH * 8 - 1))
 def test_a_sealed_message_is_taken_once_and_with_any_bit_changed_never(payload: bytes, flip: int) -> None:
     key = new_key()
-    sender, receiver = Seal(key), Seal(key)
+    sender, receiver, taken = Seal(key), Seal(key), Taken()
     mark = sender.put("put", KEY, payload)
     changed = bytearray(mark)
     changed[flip // 8] ^= 1 << flip % 8
-    assert fault(receiver, bytes(changed), ("put",), KEY, payload) == "forged"
-    assert fault(receiver, mark, ("put",), KEY, payload + b"x") == "forged"
-    assert fault(receiver, mark, ("put",), KEY.replace("robot", "tracker"), payload) == "forged"
-    assert fault(receiver, mark, ("query",), KEY, payload) == "forged"
-    assert fault(Seal(new_key()), mark, ("put",), KEY, payload) == "forged"
-    assert fault(receiver, b"", ("put",), KEY, payload) == "unsealed"
-    assert receiver.check(mark, ("put",), KEY, payload) == "put"
-    assert fault(receiver, mark, ("put",), KEY, payload) == "repeated"
+    assert fault(receiver, bytes(changed), ("put",), KEY, payload, taken) == "forged"
+    assert fault(receiver, mark, ("put",), KEY, payload + b"x", taken) == "forged"
+    assert fault(receiver, mark, ("put",), KEY.replace("robot", "tracker"), payload, taken) == "forged"
+    assert fault(receiver, mark, ("query",), KEY, payload, taken) == "forged"
+    assert fault(Seal(new_key()), mark, ("put",), KEY, payload, taken) == "forged"
+    assert fault(receiver, b"", ("put",), KEY, payload, taken) == "unsealed"
+    assert receiver.check(mark, ("put",), KEY, payload, taken) == "put"
+    assert fault(receiver, mark, ("put",), KEY, payload, taken) == "repeated"
 
 
 def test_a_reply_answers_one_query_only() -> None:
     key = new_key()
     daemon, node = Seal(key), Seal(key)
     asked, other = (daemon.put("query", KEY, b"joints") for _ in range(2))
+    taken = Taken()
     reply = node.put("reply", KEY, b"1", asked)
-    assert fault(daemon, reply, ("reply", "error"), KEY, b"1", other) == "forged"
-    assert daemon.check(reply, ("reply", "error"), KEY, b"1", asked) == "reply"
+    assert fault(daemon, reply, ("reply", "error"), KEY, b"1", taken, other) == "forged"
+    assert daemon.check(reply, ("reply", "error"), KEY, b"1", taken, asked) == "reply"
 
 
 @given(order=st.permutations(range(1, 9)), far=st.integers(0, 3))
 def test_within_the_window_messages_come_in_any_order_each_once(order: list[int], far: int) -> None:
     key = new_key()
-    sender, receiver = Seal(key), Seal(key)
+    sender, receiver, taken = Seal(key), Seal(key), Taken()
     marks = {number: sender.put("put", KEY, b"") for number in range(1, 9)}
     for number in order:
-        receiver.check(marks[number], ("put",), KEY, b"")
+        receiver.check(marks[number], ("put",), KEY, b"", taken)
     for mark in marks.values():
-        assert fault(receiver, mark, ("put",), KEY, b"") == "repeated"
+        assert fault(receiver, mark, ("put",), KEY, b"", taken) == "repeated"
     late, passed = sender.put("put", KEY, b""), [sender.put("put", KEY, b"") for _ in range(WINDOW - 2 + far)]
-    receiver.check(passed[-1], ("put",), KEY, b"")
+    receiver.check(passed[-1], ("put",), KEY, b"", taken)
     if far < 2:
-        assert receiver.check(late, ("put",), KEY, b"") == "put"
+        assert receiver.check(late, ("put",), KEY, b"", taken) == "put"
     else:
-        assert fault(receiver, late, ("put",), KEY, b"") == "repeated"
+        assert fault(receiver, late, ("put",), KEY, b"", taken) == "repeated"
 
 
 @pytest.mark.parametrize(
@@ -246,3 +247,19 @@ async def test_what_is_kept_for_late_subscribers_keeps_its_seal() -> None:
             while (await heard.get()).text != "late":
                 pass
         assert bench.daemon.counters()["bus.not_sealed"] == 0
+
+
+async def test_two_receivers_of_one_process_both_take_each_message() -> None:
+    """The node hears the daemon's beats twice: in Zenoh's thread for the deadman, and in its loop."""
+    in_thread: list[int] = []
+    in_loop: list[int] = []
+    async with opened() as bench:
+        bench.node.listen("daemon/beat", Beat, lambda _, beat: in_thread.append(beat.number))
+        bench.node.subscribe("daemon/beat", Beat, lambda _, beat: in_loop.append(beat.number))
+        async with asyncio.timeout(TIMEOUT):
+            number = 0
+            while not (in_thread and in_loop):
+                number += 1
+                bench.daemon.publish("daemon/beat", Beat(number=number, session="a", alive=0.0, sent=0.0))
+                await asyncio.sleep(0.01)
+        assert bench.node.counters()["bus.not_sealed"] == 0
