@@ -95,7 +95,7 @@ class Dispatcher(Generic[C, D]):
         self._clock = clock
         self._recorder = recorder
         self._publishers = [publish]
-        self._tasks = Tasks()
+        self._tasks = Tasks(self._break)
         self._hold = Hold(hold, self._tasks)
         self._stops = Stops(clock)
         stage = Stage(workflow, self.procedure, cell, clock, self._hold, self._tasks, self._show_snapshot, release)
@@ -191,7 +191,7 @@ class Dispatcher(Generic[C, D]):
             attempt, answer = self._attempt(command, asyncio.get_running_loop().create_future())
         except PcmrsError as error:
             return Prospect(reason=reason_of(error))
-        reason = self._suspended or self._barred(attempt) or self._refused(attempt, answer)
+        reason = self._suspended_for(command) or self._barred(attempt) or self._refused(attempt, answer)
         if reason is None and (self._moves() or self._lanes.blocked(attempt)):
             text = f"Something runs, so that {attempt.name} is not looked at: ask again when it has ended."
             reason = Reason(code="busy", text=text)
@@ -262,11 +262,7 @@ class Dispatcher(Generic[C, D]):
         await recorded
         await asyncio.wait(ending)
         confirmed = all(each.result() is not False for each in ending)
-        if confirmed:
-            self._stops.stood(number)
-            self._show_snapshot()
-        else:
-            await self._doubt(source)
+        await self._take_standstill(number, source, stands=confirmed)
         return confirmed
 
     def _latch(self) -> int:
@@ -303,12 +299,12 @@ class Dispatcher(Generic[C, D]):
             return before
         self._broken = reason
         log.critical("fail_stop", reason=reason.text)
-        self._latch()
+        number = self._latch()
+        self._tasks.spawn(self._hold_or_doubt(number))
         if before is None:
             self._activities.close()
             for attempt in self._lanes.running:
                 attempt.stop(reason)
-            self._tasks.spawn(self._hold_or_doubt())
             for callback in self._break_listeners:
                 _guarded(callback)
         event = failed(reason)
@@ -319,7 +315,9 @@ class Dispatcher(Generic[C, D]):
         return reason
 
     def suspend(self, reason: Reason | None) -> None:
-        """Rejects every command for `reason` until called again with None; Stop, events and what runs go on.
+        """Rejects commands for `reason` until called again with None; Stop, events and what runs go on.
+
+        A retreat is allowed, and what releases Stop for it: nobody may be kept from leaving the patient.
 
         Such a rejection leaves no row: a repeat of the command is decided anew when commands are taken again.
         """
@@ -351,7 +349,7 @@ class Dispatcher(Generic[C, D]):
         if broken.code != JournalError.code:
             raise PcmrsError(f"Only a restart of the daemon helps: {broken.text}", reason=broken.code)
         await self._until_nothing_runs()
-        self._latch()
+        number = self._latch()
         stands = await self._hold.stop()
         self._activities.open()
         try:
@@ -370,8 +368,7 @@ class Dispatcher(Generic[C, D]):
         log.warning("resumed", after=broken.text)
         await self._activities.leave_ended()
         await _all_of(missed)
-        if not stands:
-            await self._doubt(REOPENED.device)
+        await self._take_standstill(number, REOPENED.device, stands=stands)
 
     async def _reconcile(self, begun: Container[tuple[str, str]]) -> None:
         async for verdict in self._reconciliation.of_all(begun):
@@ -392,13 +389,17 @@ class Dispatcher(Generic[C, D]):
             verdict, is_new = asyncio.get_running_loop().create_future(), False
             self._decisions.break_off(Conclusion(command, verdict, "rejected"), error)
         if is_new:
-            self._admit(command, verdict, arrived)
+            try:
+                self._admit(command, verdict, arrived)
+            except Exception as error:
+                self._decisions.break_off(Conclusion(command, verdict, "rejected"), error)
         return verdict
 
     def _admit(self, command: Command, verdict: asyncio.Future[Verdict], arrived: float | None) -> None:
         """Turns a command into an attempt that starts, waits or is rejected."""
-        if self._suspended is not None and not command.source.startswith(EVENT_SOURCES):
-            self._decisions.answer_unrecorded(Conclusion(command, verdict, "rejected", self._suspended))
+        suspended = self._suspended_for(command)
+        if suspended is not None:
+            self._decisions.answer_unrecorded(Conclusion(command, verdict, "rejected", suspended))
             self._memory.forget(command)
             self._publish(verdict.result())
             return
@@ -420,6 +421,12 @@ class Dispatcher(Generic[C, D]):
             self._wait(attempt)
         else:
             self._performer.start(attempt)
+
+    def _suspended_for(self, command: Command) -> Reason | None:
+        """Why a command is not taken for now; nothing keeps events from being heard, nor anybody from retreating."""
+        spec = self._workflow.blueprint.find(command.branch, command.operation)
+        leaves = spec is not None and (spec.motion == "retreat" or spec.unlatches)
+        return None if leaves or command.source.startswith(EVENT_SOURCES) else self._suspended
 
     def _wait(self, attempt: Attempt) -> None:
         replaced = self._lanes.wait(attempt)
@@ -501,20 +508,27 @@ class Dispatcher(Generic[C, D]):
     def _start_waiting(self) -> None:
         """Asks again for everything that waited: it starts, waits on, or is rejected."""
         for attempt in self._lanes.take_waiting():
-            answer = self.procedure.ask(attempt.command.branch, attempt.command.operation)
-            attempt.locks = locks_for(self._workflow.blueprint, attempt.command, answer)
-            blocked = self._lanes.blocked(attempt)
-            if blocked:
-                reason = self._lanes.why_not_wait(attempt) if attempt.moves else None
-            else:
-                reason = self._barred(attempt) or self._too_old(attempt.command) or self._refused(attempt, answer)
-            if reason is not None:
+            try:
+                self._admit_again(attempt)
+            except Exception as error:  # the others have been taken out of the queue, too
                 attempt.end_wait()
-                self._reject(attempt.command, attempt.verdict, reason)
-            elif blocked:
-                self._lanes.waiting.append(attempt)
-            else:
-                self._performer.start(attempt)
+                self._decisions.break_off(Conclusion(attempt.command, attempt.verdict, "rejected"), error)
+
+    def _admit_again(self, attempt: Attempt) -> None:
+        answer = self.procedure.ask(attempt.command.branch, attempt.command.operation)
+        attempt.locks = locks_for(self._workflow.blueprint, attempt.command, answer)
+        blocked = self._lanes.blocked(attempt)
+        if blocked:
+            reason = self._lanes.why_not_wait(attempt) if attempt.moves else None
+        else:
+            reason = self._barred(attempt) or self._too_old(attempt.command) or self._refused(attempt, answer)
+        if reason is not None:
+            attempt.end_wait()
+            self._reject(attempt.command, attempt.verdict, reason)
+        elif blocked:
+            self._lanes.waiting.append(attempt)
+        else:
+            self._performer.start(attempt)
 
     # -- from conclusion to what follows ------------------------------------------------------------
 
@@ -619,14 +633,17 @@ class Dispatcher(Generic[C, D]):
                 self._stops.wait_for(attempt.name, attempt.verdict)
         return following
 
-    async def _hold_or_doubt(self) -> None:
-        if not await self._hold.stop():
-            await self._doubt(DAEMON)
+    async def _hold_or_doubt(self, number: int) -> None:
+        await self._take_standstill(number, DAEMON, stands=await self._hold.stop())
 
-    async def _doubt(self, source: str) -> None:
-        """Tells everybody that robot or stimulator have not confirmed that they are stopped."""
-        self.in_doubt = True
-        await self._tell(not_confirmed(source))
+    async def _take_standstill(self, number: int, source: str, *, stands: bool) -> None:
+        """Confirms Stop `number`, or tells everybody that robot or stimulator have not confirmed that they stand."""
+        if stands:
+            self._stops.stood(number)
+            self._show_snapshot()
+        else:
+            self.in_doubt = True
+            await self._tell(not_confirmed(source))
 
     def _publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
         for publish in self._publishers:

@@ -77,9 +77,11 @@ class Performer(Generic[C, D]):
         try:
             refused = self._late(attempt) or self._checks.ask_at_once(attempt.spec, run)
             ending = None if refused else take_steps_at_once(self._registry, attempt.spec, run)
+            self._conclude(attempt, run, refused, ending)
+        except Exception as error:
+            self._break_off(attempt, error)
         finally:
             performing.reset(token)
-        self._conclude(attempt, run, refused, ending)
 
     async def _perform(self, attempt: Attempt) -> None:
         """Performs an operation that touches the world or is planned, as a task of its own."""
@@ -90,14 +92,16 @@ class Performer(Generic[C, D]):
             if refused is None:
                 run, refused = await self._checks.ask(attempt, lambda: self._run_of(attempt))
             ending = None if refused else await self._steps(attempt, run)
-        except Exception as error:
-            attempt.end_steps()
-            unknown: Conclusion[C, D] = Conclusion(attempt.command, attempt.verdict, "unknown", attempt=attempt)
-            self._decisions.break_off(unknown, error)
-        else:
             attempt.end_steps()
             await self._let_others_end(attempt)
             self._conclude(attempt, run, refused, ending)
+        except Exception as error:
+            attempt.end_steps()
+            self._break_off(attempt, error)
+
+    def _break_off(self, attempt: Attempt, error: Exception) -> None:
+        """An error of the program itself, at whatever point: the attempt keeps no locks, and nobody waits for it."""
+        self._decisions.break_off(Conclusion(attempt.command, attempt.verdict, "unknown", attempt=attempt), error)
 
     def _late(self, attempt: Attempt) -> Reason | None:
         """Why the checks of what moves or acts do not begin: whoever asked may not expect it any more."""

@@ -53,7 +53,7 @@ class Pursuit(Generic[C, D]):
         self.quiet = asyncio.Event()
         self._stage = stage
         self._tell = tell
-        self._function: asyncio.Task[None] | None = None
+        self._function: asyncio.Task[Exception | None] | None = None
         self._begun = False
 
     @property
@@ -102,14 +102,18 @@ class Pursuit(Generic[C, D]):
         await asyncio.wait([self._function])
         return self._danger(self._function)
 
-    async def _within(self) -> None:
+    async def _within(self) -> Exception | None:
         performing.set(id(self._stage.procedure))
-        await self._stage.workflow.registry.activities[self.act.name](self.act)
+        try:
+            await self._stage.workflow.registry.activities[self.act.name](self.act)
+        except Exception as error:
+            return error
+        return None
 
-    def _danger(self, function: asyncio.Task[None]) -> Reason | None:
+    def _danger(self, function: asyncio.Task[Exception | None]) -> Reason | None:
         """Why the end of the function is dangerous: it was not told to end, or did not end well."""
         act = self.act
-        error = None if function.cancelled() else function.exception()
+        error = None if function.cancelled() else function.result()
         if error is not None and not isinstance(error, PcmrsError):
             log.error("activity_raised", activity=act.name, exc_info=error)
         if self.stopped or (error is None and self.ending):

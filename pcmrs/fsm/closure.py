@@ -131,7 +131,7 @@ def close(
 
     denial = unmet(states, spec.requires, spec.refusal, f"{branch}.{operation}")
     if denial is not None:
-        return denial
+        return _with_ways(blueprint, denial)
     outcomes: dict[str, Change] = {}
     try:
         for name, ending in spec.endings.items():
@@ -158,6 +158,21 @@ def unmet(
             text = f"{what} needs {branch} in {' or '.join(wanted)}; it is in {states[branch]}."
             return Denial(code, text, {"branch": branch, "state": states[branch], "needed": wanted})
     return None
+
+
+def _with_ways(blueprint: Blueprint, denial: Denial) -> Denial:
+    """The denial of an unmet requirement, with the operations that would meet it from the present state."""
+    branch, state, wanted = (denial.fields[key] for key in ("branch", "state", "needed"))
+    declared = blueprint.branches[branch]
+    ways = [
+        f"{branch}.{name}"
+        for name, spec in declared.operations.items()
+        if not (spec.event or spec.iio)
+        and declared.valid_in(name, state)
+        and any(target_from(ending.to, state) in wanted for ending in spec.endings.values())
+    ]
+    hint = f" Ask for {' or '.join(ways)} first." if ways else ""
+    return Denial(denial.code, denial.text + hint, denial.fields)
 
 
 def _examined(blueprint: Blueprint, branch: str, spec: OperationSpec) -> frozenset[str]:

@@ -68,7 +68,6 @@ class Actions:
         self._landmarks = LandmarkSeries()
         self._pair = PosePair()
         self._handlers: dict[Action, Callable[[Request], Outcome | Job]] = {
-            Action.SUBMIT: lambda request: lambda: self._submit(request),
             Action.ANNOUNCE_LANDMARKS: self._announce_landmarks,
             Action.ADD_LANDMARK: self._add_landmark,
             Action.PLAN_LANDMARKS: self._plan_landmarks,
@@ -86,11 +85,17 @@ class Actions:
             Action.LOG_POSES: lambda request: self._done(request, services.records.log_poses),
         }
 
-    def prepare(self, request: Request) -> Outcome | Job:
+    def prepare(self, request: Request, arrived: float) -> Outcome | Job:
         """Does at once what needs no waiting, and returns the rest as a job to run in its turn.
 
         Parts of a plan are collected here, on arrival, so that a motion behind them already sees the plan as begun.
+
+        Args:
+            request: The command.
+            arrived: When it came, s of the machine's clock.
         """
+        if request.spec.action is Action.SUBMIT:
+            return lambda: self._submit(request, arrived)
         try:
             return self._handlers[request.spec.action](request)
         except RefusalError as refusal:
@@ -112,35 +117,43 @@ class Actions:
         return Outcome("accepted", request.spec.branch, self._state(request), numbers=numbers)
 
     def rejected(self, request: Request, reason: str, text: str = "") -> Outcome:
-        """The gateway's own refusal."""
-        self._services.refusals.add(self.source, reason, f"{request.spec.name} was refused: {text or reason}")
-        return Outcome("rejected", request.spec.branch, self._state(request), reason)
+        """The gateway's own refusal, because of what else runs or waits; each one of a motion is reported."""
+        return self._reject(request, reason, text or reason, each=request.spec.moves)
 
     def refused(self, request: Request, refusal: RefusalError) -> Outcome:
-        """The same, for a reason found elsewhere."""
-        return self.rejected(request, refusal.refusal_code, refusal.text)
+        """A refusal for a reason found elsewhere, such as who asks."""
+        return self._reject(request, refusal.refusal_code, refusal.text, each=False)
+
+    def _reject(self, request: Request, reason: str, text: str, *, each: bool) -> Outcome:
+        self._services.refusals.add(self.source, reason, f"{request.spec.name} was refused: {text}", each=each)
+        return Outcome("rejected", request.spec.branch, self._state(request), reason)
 
     def failed(self, request: Request, reason: str) -> Outcome:
         """A command that was begun and broke."""
         return Outcome("failed", request.spec.branch, self._state(request), reason)
 
-    async def _submit(self, request: Request) -> Outcome:
+    async def _submit(self, request: Request, arrived: float) -> Outcome:
         if request.spec.approaches and self._lock.held:
             return self.rejected(request, "plan_not_accepted")
         attempt = self._lock.newest
-        outcome = await self._run_steps(request, request.spec.arguments(request.values))
+        outcome = await self._run_steps(request, request.spec.arguments(request.values), arrived)
         if request.spec.settles is not None and outcome.decision == "accepted":
             self._lock.accept(request.spec.settles, attempt)
         return outcome
 
-    async def _run_steps(self, request: Request, arguments: dict[str, Any]) -> Outcome:
-        """Submits the operations in order; the first that is not accepted ends the command."""
+    async def _run_steps(self, request: Request, arguments: dict[str, Any], arrived: float) -> Outcome:
+        """Submits the operations in order; the first that is not accepted ends the command.
+
+        The first one is as old as the command, so that its wait here counts; each further one begins with the end of
+        the one before.
+        """
         outcome = self.accepted(request)
         stops = self._stops
         for number, step in enumerate(step for step in request.spec.steps if self._applies(step)):
             if self._stops != stops:
                 return self.failed(request, "stopped")
-            outcome = await self._operate(request, number, step.branch, step.operation, arguments)
+            since = arrived if number == 0 else None
+            outcome = await self._operate(request, number, step.branch, step.operation, arguments, since)
             if outcome.decision != "accepted":
                 break
         return outcome
@@ -149,7 +162,13 @@ class Actions:
         return step.only_in is None or self._core.snapshot().branches.get(step.branch) in step.only_in
 
     async def _operate(
-        self, request: Request, number: int, branch: str, operation: str, arguments: dict[str, Any]
+        self,
+        request: Request,
+        number: int,
+        branch: str,
+        operation: str,
+        arguments: dict[str, Any],
+        arrived: float | None = None,
     ) -> Outcome:
         unique = f"{self._services.run}-{request.id}-{number}" if request.id is not None else uuid4().hex
         command = Command(
@@ -161,7 +180,7 @@ class Actions:
             role=self._asker.role,
             arguments=arguments,
         )
-        verdict = await self._core.submit(command)
+        verdict = await self._core.submit(command, arrived=arrived)
         if (verdict.branch, verdict.operation) != (branch, operation):
             # The daemon recalled an earlier command: another one, or this one when it took other steps.
             text = f"#{request.id} has been {verdict.branch}.{verdict.operation}; give each command an id of its own."

@@ -15,8 +15,13 @@ if TYPE_CHECKING:
 class Core(Protocol):
     """The daemon behind the gateway. Lengths in m, angles in rad; the reads return at once."""
 
-    async def submit(self, command: Command) -> Verdict:
-        """Decides and performs one command; a rejection is a verdict, not an exception."""
+    async def submit(self, command: Command, *, arrived: float | None = None) -> Verdict:
+        """Decides and performs one command; a rejection is a verdict, not an exception.
+
+        Args:
+            command: What is asked.
+            arrived: When it came in, s of the machine's monotonic clock; by default now.
+        """
 
     async def stop(self, source: str) -> bool:
         """Stops everything and latches; returns whether the robot confirmed that it stands."""
@@ -37,7 +42,10 @@ class Core(Protocol):
         """Newest measured joints, rad; None while the robot is not connected."""
 
     def remember_initial_joints(self) -> list[float] | None:
-        """Keeps the present joints as the initial ones and returns them; None when there are none."""
+        """Keeps the present joints as the initial ones and returns them.
+
+        None when there are none, or the arm moves or is near the body: that is no place to return to.
+        """
 
     def flange_pose(self) -> Transform | None:
         """``robot_base_from_flange`` of the measured joints."""

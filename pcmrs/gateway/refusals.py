@@ -32,7 +32,8 @@ class Refusals:
     """Reports the first of each reason at once; as long as more come, the newest every `PERIOD`, with their number.
 
     What the dispatcher refuses it journals itself. What does not get there is journalled by this: nothing is refused
-    in silence, and a flood fills neither log nor journal.
+    in silence, and a flood fills neither log nor journal. A motion that is refused is reported each time, as one that
+    the dispatcher refuses: who looks for why the arm did not move finds it.
 
     Args:
         core: Journals the reports.
@@ -50,14 +51,18 @@ class Refusals:
         self._told: set[str] = set()
         self._waiting = False
 
-    def add(self, source: str, reason: str, text: str) -> None:
+    def add(self, source: str, reason: str, text: str, *, each: bool = False) -> None:
         """Takes one refusal; never waits.
 
         Args:
             source: Who asked, as the daemon records it.
             reason: One of the codes that there are.
             text: What, which value, which limit, what to do.
+            each: It is reported at once, by itself.
         """
+        if each:
+            self._tell(reason, Untold(1, source, text))
+            return
         before = self._untold.get(reason)
         self._untold[reason] = Untold(1 if before is None else before.count + 1, source, text)
         if reason not in self._told:
@@ -76,7 +81,9 @@ class Refusals:
 
     def _report(self, reason: str) -> None:
         self._told.add(reason)
-        untold = self._untold.pop(reason)
+        self._tell(reason, self._untold.pop(reason))
+
+    def _tell(self, reason: str, untold: Untold) -> None:
         fields = {"count": untold.count, "source": untold.source, "reason": reason}
         _log.warning(REFUSED, text=untold.text, **fields)
         self._core.report(DeviceEvent(device=self._edge, code=REFUSED, text=untold.text, fields=fields))

@@ -143,7 +143,7 @@ class Session:
         ended.add_done_callback(lambda done: None if done.cancelled() else verdict(done.result().reply(client_id)))
 
     def _begin(self, request: Request, arrived: float, refusal: RefusalError | None) -> asyncio.Future[Outcome]:
-        prepared = self._actions.prepare(request) if refusal is None else self._actions.deny(request, refusal)
+        prepared = self._actions.prepare(request, arrived) if refusal is None else self._actions.deny(request, refusal)
         ended: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
         if isinstance(prepared, Outcome):
             ended.set_result(prepared)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.errors import RefusalError
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
+from pcmrs.service.tally import Submit
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
@@ -25,14 +26,14 @@ class GatewayCore:
         self,
         dispatcher: Dispatcher[Cell, PlacementData],
         cell: Cell,
-        submit: Callable[[Command], Awaitable[Verdict]],
+        submit: Submit,
     ) -> None:
         self._dispatcher = dispatcher
         self._cell = cell
         self._submit = submit
 
-    async def submit(self, command: Command) -> Verdict:
-        return await self._submit(command)
+    async def submit(self, command: Command, *, arrived: float | None = None) -> Verdict:
+        return await self._submit(command, arrived=arrived)
 
     async def stop(self, source: str) -> bool:
         return await self._dispatcher.stop(source)
@@ -54,9 +55,9 @@ class GatewayCore:
         return list(state.positions) if state is not None and connected else None
 
     def remember_initial_joints(self) -> list[float] | None:
-        joints = self.joints()
-        if joints is None or self._dispatcher.procedure.joint().get("placement") != "retracted":
-            return None  # a posture near the body is no place to return to
+        joints, placement = self.joints(), self._dispatcher.procedure.joint().get("placement")
+        if joints is None or placement != "retracted" or not self._dispatcher.idle:
+            return None  # a posture near the body, or on the way to it, is no place to return to
         self._cell.initial_joints = joints
         text = "The present joints are the initial ones from now on."
         event = DeviceEvent(device="gateway", code="initial_joints", text=text, fields={"joints": joints})

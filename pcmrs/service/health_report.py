@@ -70,7 +70,7 @@ def _of_journal(facts: HealthFacts) -> Iterator[HealthReason]:
         text = f"{(journal.free or 0.0) / 1e6:.0f} MB are free on the disk of the journal"
         if journal.room == "none":
             remedy = "Make room on the disk of cell.folder; commands are taken again by themselves."
-            yield _failed("disk_full", f"{text}: no state change is accepted.", remedy)
+            yield _failed("disk_full", f"{text}: no state change is accepted but retreats.", remedy)
         else:
             yield _degraded("disk_filling", f"{text}.", "Make room on the disk of cell.folder.")
 

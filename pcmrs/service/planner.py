@@ -20,9 +20,8 @@ from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 from pcmrs.settings import Settings
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.planning import PlanAnswer, PlanningSettings, PlanRequest, check_stood_still, request_of
+from pcmrs.workflows.planning import PlanAnswer, PlanningSettings, PlanRequest, request_of, take_answer
 from pcmrs.workflows.planning_process import HEAD, framed
-from pcmrs.workflows.ways import arrange
 
 log = structlog.get_logger(__name__)
 
@@ -62,15 +61,9 @@ class PlanningProcess:
         request = request_of(run)
         try:
             answer = await self._ask(request, f"{request.command.branch}.{request.command.operation}")
-            if answer.refused is None:
-                check_stood_still(run, request)
         except RefusalError as refusal:
             return reason_of(refusal)
-        run.prepared, run.undecided = answer.prepared, answer.undecided
-        run.result |= answer.result
-        # The checks have placed the zones of their own cell; the guard of the motion asks those of this one.
-        arrange(run.cell, run.data)
-        return answer.refused
+        return take_answer(run, request, answer)
 
     def start(self, supervisor: Supervisor) -> None:
         """Starts the process, and keeps it running."""

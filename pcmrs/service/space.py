@@ -22,7 +22,7 @@ class SpaceWatch:
     """Looks at the disk of the journal again and again.
 
     A journal that meets a full disk stops everything in the middle of what runs. Therefore state changes are refused
-    while there is still room for the outcomes of what runs, for events, and for every Stop.
+    while there is still room for the outcomes of what runs, for events, for every Stop, and for a retreat.
 
     Args:
         folder: Of the journal.
@@ -68,7 +68,8 @@ class SpaceWatch:
         text = f"{free:.0f} MB are free on the disk of {self._folder}"
         fields = {"free_mb": free, "warn_free_mb": self._warn, "least_free_mb": self._least}
         if self.room == "none":
-            text = f"{text}, and no state change is accepted below {self._least:g} MB. {REMEDY}; Stop still works."
+            text = f"{text}, and below {self._least:g} MB no state change is accepted but retreats and the release of "
+            text += f"Stop. {REMEDY}; Stop still works."
             self._suspend(Reason(code="disk_full", text=text, fields=fields))
         else:
             self._suspend(None)

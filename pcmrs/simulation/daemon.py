@@ -20,6 +20,7 @@ from pcmrs.simulation.clock import SimulatedClock
 from pcmrs.simulation.disk import Disk, SimulatedJournal
 from pcmrs.simulation.gateway import SimulatedGateway
 from pcmrs.simulation.network import Endpoint
+from pcmrs.simulation.planner import SimulatedPlanner
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 
@@ -60,6 +61,7 @@ class SimulatedDaemon:
         self.procedure: RunningProcedure | None = None
         self.link = link
         self.journal = SimulatedJournal.on_disk(path, disk)
+        self._window = disk.window
         self._settings = settings
         self._workflow = workflow
         self._clock = clock
@@ -119,8 +121,10 @@ class SimulatedDaemon:
         async with AsyncExitStack() as stack:
             stack.push_async_callback(conclude, recorder)
             supervisor = Supervisor(clock)
+            planner = SimulatedPlanner(self._workflow, settings, clock, self._window)
+            clocks = Clocks(clock, clock)
             procedure = RunningProcedure(
-                self.link, settings, recovered.workflow, recorder, Clocks(clock, clock), supervisor
+                self.link, settings, recovered.workflow, recorder, clocks, supervisor, planner=planner
             )
             self.procedure, dispatcher = procedure, procedure.dispatcher
             recovered.give_to(dispatcher, journal)

@@ -67,7 +67,7 @@ class Follower:
         self._beside = 0.0
         self.positions = cell.posture()
         self.moved = 0.0
-        self._floors = Floors(cell, [self.positions])
+        self._floors = Floors.at(cell, self.positions)
 
     def take(self, frame: Exposure) -> Transform:
         """Takes a frame, and returns the tool's error in it, ``measured_from_desired``.

@@ -42,7 +42,8 @@ async def guarded(cell: Cell, trajectory: JointTrajectory, *, towards_body: bool
     Raises:
         RefusalError: The arm was held: it came nearer to a zone than planned, or the body was not seen.
     """
-    guard = _Guard(cell, trajectory, _Sight(cell) if towards_body else None)
+    floors = await Floors.along(cell, trajectory.positions)
+    guard = _Guard(cell, floors, _Sight(cell) if towards_body else None)
     cell.watchers.append(guard.watch)
     try:
         yield
@@ -53,10 +54,10 @@ async def guarded(cell: Cell, trajectory: JointTrajectory, *, towards_body: bool
 
 
 class _Guard:
-    def __init__(self, cell: Cell, trajectory: JointTrajectory, sight: _Sight | None) -> None:
+    def __init__(self, cell: Cell, floors: Floors, sight: _Sight | None) -> None:
         self._cell = cell
         self._sight = sight
-        self._floors = Floors(cell, trajectory.positions)
+        self._floors = floors
         self._refusal: RefusalError | None = None
         self._holding: asyncio.Task[JointState] | None = None
 

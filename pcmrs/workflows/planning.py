@@ -13,13 +13,14 @@ from pcmrs.devices.poses import PoseFeed, Seen
 from pcmrs.devices.protocols import LatchingRobot, Pointer
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.dispatcher import Workflow
-from pcmrs.dispatcher.perform import refusal
+from pcmrs.dispatcher.perform import reason_of, refusal
 from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import Command, Reason
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.settings import ProcedureSettings
+from pcmrs.workflows.ways import arrange
 
 Run = AnyRun[Cell, PlacementData]
 
@@ -89,7 +90,21 @@ def request_of(run: Run) -> PlanRequest:
     )
 
 
-def check_stood_still(run: Run, request: PlanRequest) -> None:
+def take_answer(run: Run, request: PlanRequest, answer: PlanAnswer) -> Reason | None:
+    """Leaves in a run what its checks have found elsewhere; returns the first refusal, None when all agree."""
+    if answer.refused is None:
+        try:
+            _check_stood_still(run, request)
+        except RefusalError as error:
+            return reason_of(error)
+    run.prepared, run.undecided = answer.prepared, answer.undecided
+    run.result |= answer.result
+    # The checks have placed the zones of their own cell; the guard of the motion asks those of this one.
+    arrange(run.cell, run.data)
+    return answer.refused
+
+
+def _check_stood_still(run: Run, request: PlanRequest) -> None:
     """Refuses a motion that was planned for an arm at rest that has moved since. Raises `RefusalError`."""
     before = request.cell["joints"]
     if run.motion == "none" or before is None or before.moving:  # a step plans anew for an arm that was moving

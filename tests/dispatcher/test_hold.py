@@ -10,7 +10,7 @@ from pcmrs.dispatcher.tasks import Tasks
 
 
 async def test_a_hold_goes_on_when_who_has_asked_is_cancelled() -> None:
-    tasks, stands, held = Tasks(), asyncio.Event(), asyncio.Event()
+    tasks, stands, held = Tasks(print), asyncio.Event(), asyncio.Event()
 
     async def hold(_latch: bool) -> None:
         await stands.wait()

@@ -231,7 +231,7 @@ async def test_who_gives_up_ends_the_hold_of_nobody_else() -> None:
     async def standing(_latch: bool) -> None:
         await stands.wait()
 
-    hold = Hold(standing, Tasks())
+    hold = Hold(standing, Tasks(print))
     impatient, patient = (asyncio.create_task(_wait_for(hold.stop())) for _ in range(2))
     await settle()
     impatient.cancel()

@@ -1,4 +1,4 @@
-"""A dispatcher that is suspended takes no command; Stop, events and what runs go on."""
+"""A dispatcher that is suspended takes no command but retreats; Stop, events and what runs go on."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ async def test_commands_are_rejected_without_a_row_and_decided_anew_afterwards(b
     rows = len(bench.recorder.rows)
     bench.dispatcher.suspend(FULL)
 
-    for name in ("toolplan.clear", "placement.approach", "robot.acknowledge"):
+    for name in ("toolplan.clear", "placement.approach", "robot.disconnect"):
         verdict = await bench.do(name, id=f"again-{name}")
         assert (verdict.decision, verdict.reason) == ("rejected", FULL)
         assert verdict in bench.published
@@ -40,6 +40,19 @@ async def test_stop_events_and_what_runs_go_on(bench: Bench) -> None:
     assert bench.dispatcher.snapshot().latched
     assert len(bench.recorder.rows) > rows
     assert bench.dispatcher.broken is None
+
+
+async def test_nobody_is_kept_from_retreating(bench: Bench) -> None:
+    await bench.go(STANDOFF)
+    await bench.dispatcher.stop("test:operator")
+    bench.dispatcher.suspend(FULL)
+
+    assert (await bench.do("robot.acknowledge", arguments={"stop": 1})).decision == "accepted"
+    assert (await bench.dispatcher.prospect(bench.command("placement.back_off"))).reason is None
+    assert (await bench.do("placement.back_off")).decision == "accepted"
+    assert (await bench.do("placement.home")).decision == "accepted"
+    assert bench.joint == RETRACTED
+    assert (await bench.do("placement.approach")).reason == FULL
 
 
 async def test_an_operation_that_runs_ends_as_it_would(bench: Bench) -> None:

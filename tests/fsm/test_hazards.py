@@ -72,9 +72,16 @@ def refused(engine: Engine, branch: str, operation: str) -> str:
     return answer.code
 
 
+def told(engine: Engine, branch: str, operation: str) -> str:
+    answer = engine.ask(branch, operation)
+    assert isinstance(answer, Denial)
+    return answer.text
+
+
 def test_each_confirmation_counts_once() -> None:
     cell = engine()
     assert refused(cell, "needle", "insert") == "not_confirmed"
+    assert "Ask for insert_confirmation.confirm_insert first." in told(cell, "needle", "insert")
     cell.perform("insert_confirmation", "confirm_insert")
     cell.perform("needle", "insert")
     assert cell.joint()["insert_confirmation"] == "open"

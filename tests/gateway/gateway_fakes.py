@@ -26,7 +26,8 @@ CONFIRMED = {
 class FakeCore:
     """Accepts everything except what `refusals` names; an operation with a closed gate waits for it.
 
-    A repeat of (source, id) gets the recorded verdict; `commands` holds what ran.
+    A repeat of (source, id) gets the recorded verdict; `commands` holds what ran, `ages` when
+    each was said to have arrived.
     """
 
     def __init__(self) -> None:
@@ -34,6 +35,7 @@ class FakeCore:
             "registration": "000", "digitization": "0", "toolplan": "0", "robot": "1", "placement": "retracted",
         }  # fmt: skip
         self.commands: list[Command] = []
+        self.ages: list[float | None] = []
         self.arrived = asyncio.Event()
         self.refusals: dict[str, str] = {}
         self.results: dict[str, dict[str, Any]] = {}
@@ -52,7 +54,8 @@ class FakeCore:
     def operations(self) -> list[str]:
         return [command.operation for command in self.commands]
 
-    async def submit(self, command: Command) -> Verdict:
+    async def submit(self, command: Command, *, arrived: float | None = None) -> Verdict:
+        self.ages.append(arrived)
         key = (command.source, command.id)
         if key in self._verdicts:
             return self._verdicts[key]

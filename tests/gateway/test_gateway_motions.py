@@ -29,6 +29,7 @@ async def test_a_motion_that_comes_during_another_is_acknowledged_refused_and_ne
     (text,) = refused(cell, "busy")
     assert second[:16] in text
     assert (await cell.ask(f"{second}_#1;")).endswith("_busy;")
+    assert len(refused(cell, "busy")) == 2  # each has a row
     cell.core.open_gates()
     await arrived(cell)
     await settle_loop()
@@ -53,11 +54,13 @@ async def test_a_motion_waits_for_the_plan_that_came_before_it(cell: Any) -> Non
     for command in ("target_rotxxxxxx_0_0_0_1", "target_tslxxxxxx_0_0_0", "execute_motionxx", "start_registrati"):
         await cell.tell(f"{command};")
     assert cell.core.operations == ["plan"]
+    came = cell.clock.now
     cell.clock.now += 0.05
     cell.core.results["register"] = {"residual": 0.001}
     cell.core.open_gates()
     assert await cell.replies.received.get() == "1.000000"
     assert cell.core.operations == ["plan", "approach", "register"]
+    assert cell.core.ages[1] == came  # its wait here is a part of the time within which its checks begin
 
 
 async def test_a_motion_behind_a_long_command_is_refused_when_its_time_is_up(cell: Any) -> None:
@@ -67,7 +70,7 @@ async def test_a_motion_behind_a_long_command_is_refused_when_its_time_is_up(cel
     assert (await cell.ask("execute_motionxx_#1;")).endswith("_busy;")  # one waits already
     cell.clock.expire(0.1)
     await arrived(cell)
-    assert len(refused(cell, "busy")) == 1  # the second of a reason is told later, with its number
+    assert [text[:16] for text in refused(cell, "busy")] == ["execute_motionxx", "execute_homexxxx"]
     assert (await cell.ask("execute_bkoffset_#2;")).startswith("2_accepted")  # none waits any more
     cell.core.open_gates()
     await arrived(cell)
@@ -96,3 +99,4 @@ async def test_the_next_part_of_a_command_may_begin_when_the_one_before_has_ende
     cell.core.open_gates()
     assert (await reply).startswith("1_accepted")
     assert cell.core.operations == ["back_off", "to_initial", "reinit", "reinit"]
+    assert cell.core.ages[1:] == [None, None, None]

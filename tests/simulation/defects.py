@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from pcmrs.messages import DeviceEvent, Reason
+from pcmrs.messages import Command, DeviceEvent, Reason
 
 FOLDER = Path(__file__).parent / "defects"
 
@@ -105,6 +105,13 @@ def _one_after_the_other(_: Any) -> Any:
         while self._queue:
             await asyncio.wait([self._start(self._queue.popleft())])
         self._draining = False
+
+    return changed
+
+
+def _forgets_the_arrival(submit: Any) -> Any:
+    async def changed(self: Any, command: Command, **_: Any) -> Any:
+        return await submit(self, command)
 
     return changed
 
@@ -207,6 +214,7 @@ DEFECTS: dict[str, Defect] = {
                 "pcmrs.gateway.session:Session._drain": _one_after_the_other,
                 "pcmrs.gateway.session:Session._give_up": _waits_for_nothing,
                 "pcmrs.gateway.session:Session._too_late": _does_nothing,
+                "pcmrs.service.core:GatewayCore.submit": _forgets_the_arrival,
             },
         ),
         Defect(

@@ -21,8 +21,8 @@ ID = re.compile("[0-9a-f]{32}")
 """Of the commands that the gateway makes for clients without ids."""
 TURNED_AWAY = ("busy", "queue_full", "latched", "stopped")
 """Reasons for which no event may be rejected: what it says has happened already."""
-BEGUN = 0.7
-"""A motion begins within this of the arrival of its command, s: 0.1 s, and a loop that was held up."""
+BEGUN = 1.2
+"""A motion begins within this of the arrival of its command, s: 0.1 s, a loop that was held up, and planning."""
 SECOND = 0.4
 """Clients take what comes later for their next acknowledgement, s."""
 HELD = 0.1

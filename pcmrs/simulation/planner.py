@@ -1,0 +1,58 @@
+"""The planning process of a simulated daemon: it takes as long as a window, and answers by what was known before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pcmrs.clock import Clock
+from pcmrs.dispatcher import Run as AnyRun
+from pcmrs.dispatcher import Workflow
+from pcmrs.dispatcher.perform import refusal
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.kinematics.urdf_arms import find_arm
+from pcmrs.messages import Reason
+from pcmrs.settings import Settings
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.planning import PlanningCell, request_of, take_answer
+
+Run = AnyRun[Cell, PlacementData]
+
+
+class SimulatedPlanner:
+    """Implements `pcmrs.dispatcher.planner.Planner`.
+
+    Args:
+        workflow: With the checks.
+        settings: Of the daemon.
+        clock: In whose time a window lasts.
+        window: Opens a window by its name, such as ``plan:placement.approach``, and tells how long it lasts, s.
+    """
+
+    def __init__(
+        self,
+        workflow: Workflow[Cell, PlacementData],
+        settings: Settings,
+        clock: Clock,
+        window: Callable[[str], float],
+    ) -> None:
+        self._workflow = workflow
+        self._settings = settings
+        self._clock = clock
+        self._window = window
+        self._cell: PlanningCell | None = None
+
+    async def check(self, run: Run) -> Reason | None:
+        """See `Planner`. A window that takes no time needs no copy of the cell: nothing can change in it."""
+        branch, operation = run.command.branch, run.command.operation
+        lasts = self._window(f"plan:{branch}.{operation}")
+        if not lasts:
+            spec = self._workflow.blueprint.branches[branch].operations[operation]
+            return refusal(self._workflow.registry, spec, run)
+        if self._cell is None:
+            arm = ArmModel(find_arm(self._settings.robot.model))
+            self._cell = PlanningCell(self._workflow, self._settings.procedure, arm)
+        request = request_of(run)
+        answer = self._cell.answer(request)
+        await self._clock.sleep(lasts)
+        return take_answer(run, request, answer)

@@ -1,0 +1,30 @@
+"""Planning takes its time in simulated time, too: others act while a motion is planned."""
+
+from __future__ import annotations
+
+import pytest
+
+from pcmrs.campaign.explore.script import Act, Script
+from pcmrs.campaign.explore.session import run_session
+
+BEFORE = [Act(1.0, "go_on", "anna", {"turn": turn}) for turn in (1, 0, 1, 0, 1)]
+APPROACH = Act(1.0, "placement.approach", "anna", waits=False)
+
+
+@pytest.mark.parametrize(
+    ("meanwhile", "seen", "never"),
+    [
+        pytest.param("stop", "rejected placement.approach", "accepted placement.approach", id="stop"),
+        pytest.param(
+            "registration.clear_registration",
+            "accepted placement.approach",
+            "accepted registration.clear_registration",
+            id="a change of what it rests on",
+        ),
+    ],
+)
+def test_what_comes_while_a_motion_is_planned(meanwhile: str, seen: str, never: str) -> None:
+    act = Act(0.05, meanwhile, "ben", window="plan:placement.approach", held=0.3)
+    found = run_session(Script(seed=5, acts=[*BEFORE, APPROACH, act]))
+    assert (found.invariant, found.text) == ("", "")
+    assert (found.seen.get(seen), found.seen.get(never)) == (1, None)

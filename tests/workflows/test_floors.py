@@ -1,0 +1,54 @@
+"""How near an arm may come on its way, worked out in parts: Stop does not wait for all of them."""
+
+from __future__ import annotations
+
+import asyncio
+
+import numpy as np
+import pytest
+
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.kinematics.urdf_arms import find_arm
+from pcmrs.settings import Settings
+from pcmrs.workflows import open_workflow
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.floors import PART, Floors
+from pcmrs.workflows.planning import PlanningCell
+
+SAMPLES = 10 * PART + 7
+
+
+@pytest.fixture(scope="module")
+def cell() -> Cell:
+    settings = Settings()
+    planning = PlanningCell(
+        open_workflow(settings.workflow), settings.procedure, ArmModel(find_arm(settings.robot.model))
+    )
+    return planning._cell
+
+
+async def test_parts_find_what_the_whole_way_shows(cell: Cell) -> None:
+    home = np.array(cell.home)
+    turn = np.array([0.9, 0.4, 0.0, -0.5, 0.0, 0.3, 0.0])
+    way = home + np.linspace(0.0, 1.0, SAMPLES)[:, None] * turn
+    floors = await Floors.along(cell, way)
+    planned = cell.zones.look_at(way).distances.min(axis=0)
+    np.testing.assert_allclose(floors._floors, Floors(cell, planned)._floors, atol=2e-3)
+    at_home = Floors.at(cell, home)._floors
+    np.testing.assert_allclose(at_home, Floors(cell, cell.zones.look_at([home]).distances[0])._floors)
+
+
+async def test_the_loop_goes_on_between_the_parts(cell: Cell) -> None:
+    way = np.tile(cell.home, (SAMPLES, 1))
+    turns = 0
+
+    async def count() -> None:
+        nonlocal turns
+        while True:
+            turns += 1
+            await asyncio.sleep(0)
+
+    counting = asyncio.create_task(count())
+    await Floors.along(cell, way)
+    counting.cancel()
+    assert turns >= SAMPLES // PART
