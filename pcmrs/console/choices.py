@@ -10,6 +10,13 @@ from pcmrs.messages import Snapshot
 from pcmrs.messages.setup import Setup
 
 
+def latch_of(shown: Snapshot | None) -> str | None:
+    """Name of the text that says whether a latched Stop is confirmed; None where Stop is not latched."""
+    if shown is None or not shown.latched:
+        return None
+    return "latched_standing" if shown.stop.confirmed else "latched_unconfirmed"
+
+
 @dataclass(frozen=True, slots=True)
 class Choice:
     """One operation for a person to ask for.

@@ -9,7 +9,7 @@ from nicegui import events, ui
 from pcmrs.console.asking import Asking
 from pcmrs.console.cell import CellPanel
 from pcmrs.console.chart import ChartPanel
-from pcmrs.console.choices import Choice, Choices
+from pcmrs.console.choices import Choice, Choices, latch_of
 from pcmrs.console.feed import Feed
 from pcmrs.console.geometry import placement
 from pcmrs.console.planning.panel import PlanningPanel
@@ -107,7 +107,7 @@ class Page:
             stop = ui.button(f"{texts('stop')} ({texts('stop_key')})", on_click=self._asking.stop, color="red-9")
             stop.props("size=md no-caps unelevated").classes("text-weight-bold").style("min-height: 48px")
             stop.props('data-testid="stop"')
-            self._latched = ui.badge(texts("latched"), color="red-9").props('data-testid="latched"')
+            self._latched = ui.badge(color="red-9").props('data-testid="latched"')
             with ui.column().classes("gap-0").style("min-width: 0; flex-shrink: 1"):
                 ui.label(self._blueprint.title or self._blueprint.id).classes("text-weight-bold ellipsis w-full")
                 signed = texts("signed_in", user=self._setup.user, role=self._setup.role)
@@ -187,7 +187,10 @@ class Page:
 
     def _show_holder(self, shown: Snapshot | None) -> None:
         """Of the cell as it is now, whatever is shown otherwise: Stop goes there."""
-        self._latched.set_visibility(shown is not None and shown.latched)
+        latch = latch_of(shown)
+        self._latched.set_visibility(latch is not None)
+        if latch is not None:
+            self._latched.set_text(self._texts(latch))
         holder = None if shown is None or shown.lease is None else shown.lease.holder
         texts = self._texts
         self._lease.set_text(texts("nobody_holds") if holder is None else texts("holds", user=holder))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import uuid
+from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager, suppress
 from typing import Any, TypeVar
 
@@ -80,14 +81,14 @@ class RemoteDevice:
     async def _ask(
         self, request: DeviceRequest, kind: type[T], timeout: float, sender: str = "", *, urgent: bool = False
     ) -> T:
-        what = f"{self._device}.{request.method}"
+        what, hear = f"{self._device}.{request.method}", self._hearing()
         try:
             async with self._clock.timeout(timeout):
                 key = f"dev/{self._device}/cmd"
                 reply = await self._link.request(key, request, DeviceReply, timeout, sender, urgent=urgent)
         except TimeoutError:
             raise UnknownOutcomeError(f"{what} was not answered within {timeout:g} s.", method=what) from None
-        self._answered(reply)
+        hear(reply)
         if reply.failure is not None:
             failure = reply.failure
             if failure.code == UnknownOutcomeError.code:
@@ -98,8 +99,13 @@ class RemoteDevice:
         except msgspec.ValidationError as error:
             raise UnknownOutcomeError(f"{what} answered with something unexpected: {error}.", method=what) from error
 
-    def _answered(self, reply: DeviceReply) -> None:
-        """Takes what every reply says beside its result."""
+    def _hearing(self) -> Callable[[DeviceReply], None]:
+        """A request leaves: returns what takes what its reply says beside the result."""
+        return _nothing_else
+
+
+def _nothing_else(_: DeviceReply) -> None:
+    """The device has no gate."""
 
 
 class ActingDevice(RemoteDevice):
@@ -196,8 +202,20 @@ class ActingDevice(RemoteDevice):
         node, epoch = (self.gate.node, self.gate.epoch) if self.gate is not None else ("", -1)
         return ActToken(daemon=self._daemon, node=node, epoch=epoch, number=self._number)
 
-    def _answered(self, reply: DeviceReply) -> None:
-        self.take(reply.gate)
+    @property
+    def _node(self) -> str:
+        """Session of the node that is known; empty before one was heard."""
+        return "" if self.gate is None else self.gate.node
+
+    def _hearing(self) -> Callable[[DeviceReply], None]:
+        before = self._node
+
+        def hear(reply: DeviceReply) -> None:
+            # A reply may be overtaken by the first word of the next node: it is then of one that has ended.
+            if reply.gate is not None and self._node in (before, reply.gate.node):
+                self.take(reply.gate)
+
+        return hear
 
 
 class RemoteRobot(ActingDevice):

@@ -10,7 +10,7 @@ import pytest
 from test_console_geometry import setup
 from workflow_bench import WorkflowBench, open_bench
 
-from pcmrs.console.choices import Choice, Choices
+from pcmrs.console.choices import Choice, Choices, latch_of
 from pcmrs.messages import LeaseState, Snapshot
 from pcmrs.messages.roles import COMMANDING, ROLES, Role
 from pcmrs.messages.setup import Setup
@@ -69,6 +69,16 @@ async def test_the_lease_of_others_closes_everything_but_to_a_planner(start: tup
     assert any("anna" in each.why_not for each in unable)
     assert offered(choices, held, msgspec.structs.replace(setup(), user="eve", role="planner"))[0]
     assert not offered(choices, shown, msgspec.structs.replace(setup(), lease_required=True))[0]
+
+
+async def test_the_latch_is_shown_as_begun_until_standstill_is_confirmed() -> None:
+    async with open_bench() as bench:
+        dispatcher = bench.dispatcher
+        assert latch_of(None) is latch_of(dispatcher.snapshot()) is None
+        stopping = dispatcher.begin_stop("test:operator")
+        assert latch_of(dispatcher.snapshot()) == "latched_unconfirmed"
+        assert await stopping
+        assert latch_of(dispatcher.snapshot()) == "latched_standing"
 
 
 async def test_the_latch_closes_what_moves_and_leaves_acknowledging(start: tuple[Choices, Snapshot]) -> None:

@@ -211,6 +211,32 @@ async def test_calls_and_results_keep_their_types(bench: Bench) -> None:
     assert bench.hand.calls == ["release", prompt, (3, (0.01, 0.0, 0.0))], "it acts for who has held it last"
 
 
+class SlowLink(MemoryLink):
+    """Its one reply comes when the test says so."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.reply: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+
+    async def request(self, *_: Any, **__: Any) -> Any:
+        return await self.reply
+
+
+@pytest.mark.parametrize("method", ["stop", "joints"])
+async def test_a_late_reply_of_a_node_that_has_ended_does_not_hide_its_successor(method: str) -> None:
+    link = SlowLink()
+    robot = RemoteRobot(link, ManualClock())
+    asked = asyncio.create_task(getattr(robot, method)())
+    await settle()
+    robot.take(GateState(node="second", epoch=0, latched=True))
+    ended = GateState(node="first", epoch=1, latched=True, changes=1)
+    link.reply.set_result(DeviceReply(result=msgspec.to_builtins(STATE), gate=ended))
+    await asked
+    robot.take(GateState(node="second", epoch=3, latched=True, changes=3))
+    assert robot.gate is not None
+    assert (robot.gate.node, robot.gate.epoch) == ("second", 3)
+
+
 async def test_a_scene_moves_its_head_reference_and_pointer(bench: Bench) -> None:
     burst = HeadBurst(time=1.0, duration=0.5, speed=0.086, direction=(1.0, 0.0, 0.0))
     motion = HeadMotion(drift=(3.3e-5, 0.0, 0.0), bursts=[burst], seed=3)

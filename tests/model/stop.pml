@@ -8,7 +8,9 @@
    -D NO_EPOCH, NO_SESSIONS, NO_RELEASE_CHECK, NO_PENDING, NO_LOCK, STAMPED_LATE leave out one rule each, and have a
    counterexample. -D REACHES looks for a motion that begins after a Stop was confirmed and acknowledged: there is one.
 
-   Lines that begin with "gate" are calls of pcmrs/devices/gate.py with their results, for the replay. */
+   Lines that begin with "gate" are calls of pcmrs/devices/gate.py with their results, for the replay. -D STEPS adds what
+   the replay on the dispatcher needs: a line "step" with what happens, and one "state" with what is true after it.
+   -D DELAY=n is for random traces. */
 
 #define STOPS 3                    /* by an operator, by a danger event, by a beat that shows a latch */
 #define DONE end: false            /* a process that stays costs fewer states than one that is removed */
@@ -24,8 +26,10 @@ bool connected = false, latched = false, begun = false;
 byte newest = 0;                   /* number of the newest Stop */
 byte sent_by[4];                   /* which daemon has sent the hold of a Stop that is not yet on its way */
 bool hold_pending = false, event_pending = false;
-byte known_node = 0, known_epoch = 0, released_node = 0, released_epoch = 0;
+byte known_node = 0, known_epoch = 0;
+bool releasing = false;            /* a connection or an acknowledgement is under way */
 byte running = 0;                  /* the motion that the dispatcher runs */
+bool ending = false;               /* a motion was stopped, and waits for the hold of its Stop */
 bool committing = false, ready = true, at_body = false;
 
 /* Of alike processes one begins after the other: which of them is first makes no difference. */
@@ -59,6 +63,26 @@ byte confirmed = 0;                /* Stops that were confirmed */
 #define NOTHING_PENDING (!event_pending)
 #endif
 
+#define CAN_MOVE (connected && !latched && running == 0 && ready)
+#define CAN_ACKNOWLEDGE \
+    (connected && latched && !releasing && running == 0 && !hold_pending && NOTHING_PENDING)
+
+#ifdef STEPS
+#define STEP(line) line
+#define STATE printf("state %d %d %d %d %d %d %d %d %d\n", connected, latched, hold_pending, event_pending, ready, \
+    at_body, moving, CAN_MOVE, CAN_ACKNOWLEDGE)
+#else
+#define STEP(line) skip
+#define STATE skip
+#endif
+
+/* In random traces what disturbs waits for so many turns: otherwise hardly any motion begins before it. */
+#ifdef DELAY
+#define AFTER_A_WHILE byte turns; do :: turns < DELAY -> turns++ :: else -> break od;
+#else
+#define AFTER_A_WHILE
+#endif
+
 /* A hold as the gate takes it: at once when it is received. */
 inline close_gate() {
     epoch++;
@@ -67,48 +91,73 @@ inline close_gate() {
     printf("gate hold %d %d\n", node, epoch)
 }
 
-/* Latch, number and holds are one step of the daemon's loop. */
-inline stop() {
-    newest++;
-    latched = true;
-    hold_pending = true;
-    sent_by[newest] = daemon;
+/* A report of the node reaches the daemon; one that is older than the last is not taken. */
+inline know(reported_node, reported_epoch) {
     if
-    :: !committing -> running = 0
+    :: reported_node > known_node || (reported_node == known_node && reported_epoch > known_epoch) ->
+        known_node = reported_node;
+        known_epoch = reported_epoch
     :: else
     fi
 }
 
-/* The hold of one Stop, its reply, and the limit after which it is pending no more. */
+/* Latch, number and holds are one step of the daemon's loop. Who stops while a hold is under way waits for that one. */
+inline stop() {
+    newest++;
+    latched = true;
+    releasing = false;
+    if
+    :: !hold_pending -> hold_pending = true; sent_by[newest] = daemon
+    :: else
+    fi;
+    if
+    :: running != 0 && !committing -> running = 0; ending = true; at_body = false
+    :: else
+    fi
+}
+
+/* The hold of a Stop, and its reply. */
 proctype Hold(byte which) {
     byte d, n, e;
     atomic { sent_by[which] != 0 -> d = sent_by[which]; sent_by[which] = 0 }
-#ifdef SILENT
-    if
-    :: atomic { d == daemon && which == newest && hold_pending -> hold_pending = false }
-    :: true
-    fi;
-#endif
-    atomic { close_gate(); n = node; e = epoch }
+    atomic { STEP(printf("step hold %d\n", d)); close_gate(); n = node; e = epoch; STATE }
     atomic {                                                  /* the arm stands; the reply arrives */
+        STEP(printf("step held %d\n", d));
         if
         :: d == daemon ->
-            known_node = n;
-            known_epoch = e;
-            if
-            :: which == newest && hold_pending -> hold_pending = false; final = true; confirmed++
-            :: else
-            fi
+            know(n, e);
+            hold_pending = false;
+            ending = false;
+            final = true;
+            confirmed++
         :: else
         fi;
-        d = 0; n = 0; e = 0
+        d = 0; n = 0; e = 0;
+        STATE
     }
     DONE
 }
 
-/* A release on its way, and its reply. */
+/* A hold that latches nothing, for an arm that does not stand is not released; then the release; and their replies. */
 inline release() {
     atomic {
+        STEP(printf("step end %d %d\n", d, which));
+        epoch++;
+        moving = 0;
+        n = node; e = epoch;
+        printf("gate end %d %d\n", node, epoch);
+        STATE
+    }
+    if
+    :: atomic { d == daemon && which == newest ->
+            STEP(printf("step ended %d %d\n", d, which));
+            know(n, e);
+            n = known_node; e = known_epoch;
+            STATE }
+    :: atomic { else -> goto over }                           /* stopped, or of a daemon that was killed */
+    fi;
+    atomic {
+        STEP(printf("step release %d %d\n", d, which));
         taken = RELEASE_FITS(n, e);
         printf("gate release %d %d %d -> %d\n", d, n, e, taken);
         if
@@ -120,31 +169,43 @@ inline release() {
             :: else
             fi
         :: else
-        fi
+        fi;
+        STATE
     }
     atomic {
+        STEP(printf("step released %d %d\n", d, which));
         if
-        :: d == daemon && taken && which == newest && NOTHING_PENDING ->
-            latched = false;
-            begun = false;
-            connected = true;
-            released_node = n;
-            released_epoch = e
+        :: d == daemon && which == newest ->
+            releasing = false;
+            if
+            :: taken && NOTHING_PENDING -> latched = false; begun = false; connected = true
+            :: else
+            fi
         :: else
         fi;
-        d = 0; n = 0; e = 0; which = 0; taken = 0
+        STATE
     }
+over:
+    atomic { d = 0; n = 0; e = 0; which = 0; taken = 0 }
 }
 
 proctype Connect(byte turn) {
     byte d, n, e, which;
     bool taken;
     if
-    :: atomic { turn == connects && !connected && latched -> connects++; connected = true }
-    :: atomic { turn == connects && !connected && !latched ->
+    :: atomic { turn == connects && !connected && !releasing && latched ->
+            STEP(printf("step connect %d %d\n", daemon, newest));
             connects++;
-            d = daemon; n = node; e = epoch; which = newest;
-            known_node = n; known_epoch = e }
+            know(node, epoch);
+            connected = true;
+            STATE }
+    :: atomic { turn == connects && !connected && !releasing && !latched ->
+            STEP(printf("step connect %d %d\n", daemon, newest));
+            connects++;
+            know(node, epoch);
+            releasing = true;
+            d = daemon; which = newest;
+            STATE }
         release()
     fi;
     DONE
@@ -154,10 +215,13 @@ proctype Acknowledge(byte turn) {
     byte d, n, e, which;
     bool taken;
     atomic {
-        turn == acknowledgements && connected && latched && !hold_pending && NOTHING_PENDING ->
+        turn == acknowledgements && CAN_ACKNOWLEDGE ->
+        STEP(printf("step acknowledge %d %d\n", daemon, newest));
         acknowledgements++;
         final = false;
-        d = daemon; n = known_node; e = known_epoch; which = newest
+        releasing = true;
+        d = daemon; which = newest;
+        STATE
     }
     release();
     DONE
@@ -168,20 +232,25 @@ proctype Motion(byte m) {
     byte d, n, e, count, stops;
     bool taken;
     atomic {
-        m == motions + 1 && connected && !latched && running == 0 && ready ->
+        m == motions + 1 && CAN_MOVE ->
+        STEP(printf("step motion %d\n", m));
         motions++;
         assert(!event_pending);
         running = m;
-        begun = true;
-        d = daemon
+        d = daemon;
+        STATE
     }
     if
     :: atomic {                                               /* the intent is on the disk */
         d == daemon && running == m ->
+        STEP(printf("step request %d\n", m));
+        begun = true;
         number++;
-        n = known_node; e = known_epoch; count = number; stops = confirmed
+        n = known_node; e = known_epoch; count = number; stops = confirmed;
+        STATE
     }
         atomic {                                              /* the request arrives */
+            STEP(printf("step arrive %d\n", m));
 #ifdef STAMPED_LATE
             n = known_node;
             e = known_epoch;
@@ -200,18 +269,22 @@ proctype Motion(byte m) {
                 moving = m
             :: else
             fi;
-            n = 0; e = 0; count = 0; stops = 0
+            n = 0; e = 0; count = 0; stops = 0;
+            STATE
         }
         if
         :: atomic {                                           /* it is where it should be; the reply arrives */
                 taken && moving == m ->
+                STEP(printf("step done %d\n", m));
                 moving = 0;
                 if
                 :: d == daemon && running == m && ready -> committing = true
                 :: else
-                fi
+                fi;
+                STATE
             }
             atomic {                                          /* the row is on the disk */
+                STEP(printf("step committed %d\n", m));
                 if
                 :: d == daemon && running == m && committing ->
                     assert(ready);                            /* the tool is at the body only with a registration */
@@ -220,14 +293,17 @@ proctype Motion(byte m) {
                     begun = false;
                     at_body = true
                 :: else
-                fi
+                fi;
+                STATE
             }
         :: atomic {                                           /* refused or held: the operation has failed */
                 !taken || moving != m ->
+                STEP(printf("step failed %d\n", m));
                 if
-                :: d == daemon && running == m -> running = 0; begun = false
+                :: d == daemon && running == m -> running = 0; begun = false; at_body = false
                 :: else
-                fi
+                fi;
+                STATE
             }
         fi
     :: d != daemon || running != m                            /* stopped before it was asked for */
@@ -237,66 +313,81 @@ proctype Motion(byte m) {
 }
 
 proctype Stopper() {
-    atomic { newest < STOPS -> stop() }
+    AFTER_A_WHILE
+    atomic { newest < STOPS -> STEP(printf("step stop\n")); stop(); STATE }
     DONE
 }
 
 proctype Event() {
-    atomic { newest < STOPS -> stop(); event_pending = true }
+    AFTER_A_WHILE
+    atomic { newest < STOPS -> STEP(printf("step event\n")); stop(); event_pending = true; STATE }
     atomic {
 #ifdef NO_LOCK
         event_pending ->
 #else
-        event_pending && !committing ->
+        event_pending && !committing && !ending ->            /* what it changes is locked until then */
 #endif
+        STEP(printf("step decided\n"));
         ready = false;
         at_body = false;
-        event_pending = false
+        event_pending = false;
+        STATE
     }
     DONE
 }
 
 proctype Beats() {
     do
-    :: atomic { connected && !hold_pending && (known_node != node || known_epoch != epoch) ->
-            known_node = node; known_epoch = epoch }
-    :: atomic { connected && !latched && closed && newest < STOPS &&
-            (node != released_node || epoch != released_epoch) -> stop() }
+    :: atomic { connected && !hold_pending && (latched || !closed || newest < STOPS) &&
+            (known_node != node || known_epoch != epoch || (!latched && closed)) ->
+            STEP(printf("step beat\n"));
+            know(node, epoch);
+            if
+            :: !latched && closed -> stop()                   /* it has held by itself, or has restarted alone */
+            :: else
+            fi;
+            STATE }
     od
 }
 
 proctype Deadman() {
-    atomic { close_gate() }
+    AFTER_A_WHILE
+    atomic { STEP(printf("step deadman\n")); close_gate(); STATE }
     DONE
 }
 
 proctype Crash() {
+    AFTER_A_WHILE
     if
     :: atomic {                                               /* the node restarts alone */
+        STEP(printf("step restart\n"));
         node++;
         epoch = 0;
         present = 0;
         last = 0;
         closed = true;
         moving = 0;
-        printf("gate restart %d\n", node)
+        printf("gate restart %d\n", node);
+        STATE
     }
     :: atomic {                                               /* the daemon restarts alone */
+        STEP(printf("step crash\n"));
         daemon++;
         number = 0;
         connected = false;
         latched = latched || begun;
         begun = false;
         running = 0;
+        ending = false;
         committing = false;
+        releasing = false;
         hold_pending = false;
         event_pending = false;
         at_body = false;
         known_node = 0;
         known_epoch = 0;
-        released_node = 0;
-        released_epoch = 0;
-        ready = true
+        ready = true;
+        STATE
     }
     fi;
     DONE

@@ -485,6 +485,7 @@ async def beats_late(lab: Lab) -> Evidence:
         await to_retracted(cell.client)
         async with moving(cell.client) as approach:
             async with cell.delays.delaying(rule):
+                await cell.delays.begins(rule)
                 await until_said(cell, "held_by_node")
                 late = await cell.delays.took_place(rule)
             verdict = await approach
