@@ -12,6 +12,8 @@ from pcmrs.messages import Command, DeviceEvent, JointState, Snapshot, Verdict
 
 PULSES = ("stimulation.fire", "hotspot.pulse", "threshold.pulse")
 REGISTERING = ("register", "refine", "use_previous")
+INSIDE = ("device:", "activity:")
+"""Sources of what nobody has asked for."""
 MOVING_SPEED = 1e-3
 """A joint that is slower than this stands, rad/s."""
 
@@ -58,6 +60,7 @@ class View:
         by_id: The same by id alone, which is all that a published verdict has.
         accounts: Verdicts that operators got by (source, id).
         danger: The last event was danger, and no snapshot has been published since.
+        needless: Rejected events of devices and activities that were journalled, although they have changed nothing.
         released: Journalled accepted verdicts that release the latch, which have not released it yet.
         excused: The daemon's disk has failed in this run: what it then refuses is not journalled.
         seen: How often what was seen, by names such as ``accepted placement.approach``.
@@ -78,6 +81,7 @@ class View:
     by_id: dict[str, Verdict] = field(default_factory=dict)
     accounts: dict[tuple[str, str], Verdict] = field(default_factory=dict)
     danger: bool = False
+    needless: list[str] = field(default_factory=list)
     released: int = 0
     excused: bool = False
     seen: Counter[str] = field(default_factory=Counter)
@@ -125,6 +129,8 @@ class View:
                 self.outcomes[row.source or "", row.command_id or ""] = row.verdict
                 self.by_id[row.command_id or ""] = row.verdict
                 self.released += self._releases(row.verdict)
+                if self.is_rejected_event(row.verdict) and (row.source or "").startswith(INSIDE):
+                    self.needless.append(f"{row.branch}.{row.operation}, which {row.source} has reported")
                 if row.verdict.decision == "accepted" and row.branch == "registration":
                     self._take_registration(row.operation or "", row.command_id or "")
 
@@ -140,6 +146,11 @@ class View:
         else:
             self._made.add(f"registration-{command}")
             self._in_force.add(f"registration-{command}")
+
+    def is_rejected_event(self, verdict: Verdict) -> bool:
+        """Whether it rejects what is no command, but says what has happened."""
+        spec = self.blueprint.find(verdict.branch, verdict.operation)
+        return spec is not None and spec.event and verdict.decision == "rejected"
 
     def _releases(self, verdict: Verdict) -> bool:
         spec = self.blueprint.branches[verdict.branch].operations.get(verdict.operation) if verdict.state else None
