@@ -85,7 +85,7 @@ class View:
     released: int = 0
     excused: bool = False
     seen: Counter[str] = field(default_factory=Counter)
-    _made: set[str] = field(default_factory=set)
+    _made: bool = False
     _in_force: set[str] = field(default_factory=set)
     _rows: int = 0
 
@@ -139,13 +139,10 @@ class View:
         self.seen[f"{verdict.decision} {verdict.branch}.{verdict.operation}"] += 1
 
     def _take_registration(self, operation: str, command: str) -> None:
-        if operation not in REGISTERING:
+        if operation not in REGISTERING or (operation == "use_previous" and not self._made):
             return
-        if operation == "use_previous":
-            self._in_force |= self._made
-        else:
-            self._made.add(f"registration-{command}")
-            self._in_force.add(f"registration-{command}")
+        self._made = True
+        self._in_force.add(f"registration-{command}")
 
     def is_rejected_event(self, verdict: Verdict) -> bool:
         """Whether it rejects what is no command, but says what has happened."""
