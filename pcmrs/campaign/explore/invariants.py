@@ -145,7 +145,7 @@ def durable_before_known(view: View, event: Event) -> str | None:
     return f"{verdict.branch}.{verdict.operation} was told to be {verdict.decision} and {how} ({verdict.id})."
 
 
-def only_changes_leave_rows(view: View, event: Event) -> str | None:
+def only_changes_leave_rows(view: View, _event: Event) -> str | None:
     """6: an event that the state does not allow is decided, and leaves no row."""
     return f"{view.needless[0]}, was rejected, and journalled." if view.needless else None
 
