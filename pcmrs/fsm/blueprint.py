@@ -371,11 +371,9 @@ class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dic
     @cached_property
     def uses_robot(self) -> bool:
         """Whether it connects or moves the robot: without either, the arm stays latched as it has started."""
-        moving = (
-            any(spec.moves for spec in (*branch.operations.values(), *branch.activities.values()))
-            for branch in self.branches.values()
-        )
-        return ROBOT in self.branches or any(moving)
+        operations = (spec.moves for branch in self.branches.values() for spec in branch.operations.values())
+        activities = (spec.moves for branch in self.branches.values() for spec in branch.activities.values())
+        return ROBOT in self.branches or any(operations) or any(activities)
 
     @cached_property
     def revokers(self) -> frozenset[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -33,11 +34,14 @@ def told_of(folder: Path, disk: Disk, pause: float) -> list[tuple[str, float]]:
     async def play() -> None:
         loop = asyncio.get_running_loop()
         journal = SimulatedJournal.on_disk(folder / "journal.sqlite", disk)
-        begun, appended = loop.time(), []
+        begun, appended = loop.time(), list[asyncio.Future[int]]()
+
+        def tell(name: str, _: object) -> None:
+            told.append((name, round(loop.time() - begun, 6)))
+
         for name in ("first", "second"):
-            durable = journal.append([row(name)])
-            durable.add_done_callback(lambda _, name=name: told.append((name, round(loop.time() - begun, 6))))
-            appended.append(durable)
+            appended.append(journal.append([row(name)]))
+            appended[-1].add_done_callback(partial(tell, name))
             await asyncio.sleep(pause)
         await asyncio.wait(appended)
         await asyncio.sleep(0)
