@@ -18,7 +18,9 @@ class FrameSessions:
     """Names the session of each frame as the node of a tracker publishes it.
 
     The frames of a driver come in order here, so that only here a tracker that counts anew can be told from a frame
-    that was late on the network. A new session begins with the node, and where the tracker behind it counts anew.
+    that was late on the network. A new session begins with the node, and where the tracker behind it counts anew. One
+    frame with a stamp ahead begins none: where bodies were seen before would be forgotten, and which of them the
+    tracker has mistaken for each other.
     """
 
     def __init__(self) -> None:
@@ -33,12 +35,16 @@ class FrameSessions:
     def _begin(self) -> None:
         self._session = secrets.token_hex(8)
         self._last: tuple[int, float] | None = None
+        self._before: tuple[int, float] | None = None
         self._behind: tuple[int, float] | None = None
         self._advanced = 0
 
     def _follow(self, number: int, sent: float) -> None:
         if self._last is None or (number >= self._last[0] and sent >= self._last[1]):
-            self._last, self._behind, self._advanced = (number, sent), None, 0
+            self._before, self._last, self._behind, self._advanced = self._last, (number, sent), None, 0
+            return
+        if self._before is not None and number >= self._last[0] and sent >= self._before[1]:
+            self._last = number, sent  # it goes on from the frame before the last one, whose stamp alone was ahead
             return
         before, self._behind = self._behind, (number, sent)
         advances = before is not None and number > before[0] and sent > before[1]

@@ -11,7 +11,7 @@ from itertools import takewhile
 
 from pcmrs.clock import Clock
 from pcmrs.devices.jumps import JumpGuard, PoseLimits
-from pcmrs.devices.lateness import Lateness
+from pcmrs.devices.lateness import AGREED, WINDOW, Lateness
 from pcmrs.errors import GeometryError, RefusalError
 from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform, mean_transform
@@ -89,6 +89,7 @@ class PoseFeed:
         self._session: str | None = None
         self._earlier: deque[str] = deque(maxlen=SESSIONS)
         self._number = self._offset = 0
+        self._behind: dict[str, int] = {}
         self._last_reason: dict[str, str] = {}
         self._arrived = asyncio.Event()
 
@@ -206,9 +207,9 @@ class PoseFeed:
             return None, "frame_not_advancing"
         if self._lateness.is_ahead(pose.sent, now):
             return None, "stamp_ahead"
-        late = self._lateness.hear(pose.sent, now)
-        if known and pose.captured <= known[-1].exposed:
+        if known and self._is_behind(pose, known[-1]):
             return None, "stamp_not_advancing"
+        late = self._lateness.hear(pose.sent, now)
         try:
             tracker_from_body = Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
         except GeometryError:
@@ -231,9 +232,28 @@ class PoseFeed:
         self._session = session
         return True
 
+    def _is_behind(self, pose: BodyPose, newest: Sighting) -> bool:
+        """Whether a stamp does not advance; not where so many are so far behind that the newest one must be wrong.
+
+        That one has come first of all: there was nothing that it could be ahead of.
+        """
+        if pose.captured > newest.exposed:
+            self._behind.pop(pose.body, None)
+            return False
+        is_far = newest.exposed - pose.captured > WINDOW
+        self._behind[pose.body] = self._behind.get(pose.body, 0) + 1 if is_far else 0
+        if self._behind[pose.body] < AGREED:
+            return True
+        self._lateness.forget()
+        self._jumps.forget(pose.body)
+        self._sightings[pose.body].clear()
+        del self._behind[pose.body]
+        return False
+
     def _forget(self) -> None:
         """Of every body: the tracker may stand elsewhere, and its clock may be another one."""
         self._lateness.forget()
+        self._behind.clear()
         self._offset = self._number + 1
         for body, sightings in self._sightings.items():
             self._jumps.forget(body)

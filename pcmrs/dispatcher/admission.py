@@ -10,7 +10,7 @@ import msgspec
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import RefusalError
-from pcmrs.fsm import OperationSpec
+from pcmrs.fsm import Blueprint, OperationSpec
 from pcmrs.messages import Command
 
 EVENT_SOURCES = ("device:", "detector:", "timer:", "operation:", "activity:")
@@ -44,6 +44,12 @@ def find_operation(workflow: Workflow[Any, Any], command: Command) -> OperationS
         text = f"{command.branch}.{command.operation} is called by a device, detector or timer only."
         raise RefusalError("event_operation", text, operation=command.operation, source=command.source)
     return spec
+
+
+def is_event(blueprint: Blueprint, command: Command) -> bool:
+    """Whether the daemon itself asks for an operation that says what has happened already."""
+    spec = blueprint.find(command.branch, command.operation)
+    return spec is not None and spec.event and command.source.startswith(EVENT_SOURCES)
 
 
 def check_role(command: Command, spec: OperationSpec) -> None:

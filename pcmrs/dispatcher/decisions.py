@@ -10,6 +10,7 @@ from typing import Any, Generic
 
 import structlog
 
+from pcmrs.dispatcher.admission import is_event
 from pcmrs.dispatcher.attempt import Attempt
 from pcmrs.dispatcher.memory import Memory
 from pcmrs.dispatcher.procedure import Procedure
@@ -88,8 +89,15 @@ class Decisions(Generic[C, D]):
         self.doubtful: list[Conclusion[C, D]] = []
 
     def conclude(self, conclusion: Conclusion[C, D]) -> None:
-        """Journals a decision; as soon as that is durable, it is committed and answered."""
+        """Journals a decision; as soon as that is durable, it is committed and answered.
+
+        An event that is rejected changes nothing, and what a device has reported has a row of its own: it leaves none.
+        """
         procedure, rejected = self._procedure, conclusion.decision == "rejected"
+        if rejected and is_event(procedure.blueprint, conclusion.command):
+            self._memory.forget(conclusion.command)
+            self._answer(conclusion, self._verdict(conclusion, "rejected", conclusion.reason, procedure.joint()))
+            return
         try:
             sequence = procedure.sequence if rejected else procedure.reserve(conclusion.change)
             states = procedure.joint() | (dict(conclusion.change.states) if conclusion.change is not None else {})

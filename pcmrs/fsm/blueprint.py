@@ -20,6 +20,9 @@ Target = str | dict[str, str]
 UNMET = "requirement_not_met"
 """Code of the rejection when a requirement does not hold that has no code of its own."""
 
+ROBOT = "robot"
+"""Name of the branch that connects the robot."""
+
 START_OUTCOME = "done"
 """Name of the only outcome of an operation that declares none."""
 
@@ -143,6 +146,10 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
     def targets(self) -> set[str]:
         """Every state it can lead to, by success, failure or doubt."""
         return _states_in([*self.endings.values(), *self.doubtful.values()])
+
+    def declared_targets(self) -> set[str]:
+        """Every state that it leads to when it ends as declared."""
+        return _states_in([*self.endings.values()])
 
     def doubtful_targets(self) -> set[str]:
         """Every state that failure or doubt can lead to."""
@@ -360,6 +367,13 @@ class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dic
             for key, operation in branch.operations.items()
             if operation.unlatches and not (operation.blocked_when_latched or operation.iio or operation.event)
         ]
+
+    @cached_property
+    def uses_robot(self) -> bool:
+        """Whether it connects or moves the robot: without either, the arm stays latched as it has started."""
+        operations = (spec.moves for branch in self.branches.values() for spec in branch.operations.values())
+        activities = (spec.moves for branch in self.branches.values() for spec in branch.activities.values())
+        return ROBOT in self.branches or any(operations) or any(activities)
 
     @cached_property
     def revokers(self) -> frozenset[str]:

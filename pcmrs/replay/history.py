@@ -13,7 +13,7 @@ import msgspec
 from pcmrs.errors import ReplayError
 from pcmrs.journal import JournalReader, StoredRow
 from pcmrs.messages import BlueprintTag
-from pcmrs.replay.keys import COMPARED
+from pcmrs.replay.keys import COMPARED, is_rejected_report
 from pcmrs.service.ledger import ENDED
 
 _SQLITE = b"SQLite format 3\0"
@@ -42,8 +42,9 @@ class DaemonRun:
         return self._started().get("calibration")
 
     def decided(self) -> list[StoredRow]:
-        """What the dispatcher wrote: neither the daemon's own rows, nor what it closed for the run before it."""
-        return [each for each in self.rows if each.row.kind in COMPARED and not closes_earlier_run(each)]
+        """What the dispatcher writes: neither the daemon's own rows, nor what it closed for the run before it."""
+        own = (each for each in self.rows if each.row.kind in COMPARED and not closes_earlier_run(each))
+        return [each for each in own if not is_rejected_report(each.row)]
 
     def _started(self) -> dict[str, Any]:
         """What the daemon wrote down first; empty of daemons that did not."""

@@ -83,6 +83,11 @@ def is_rejection(row: JournalRow) -> bool:
     return row.kind == "outcome" and row.verdict is not None and row.verdict.decision == "rejected"
 
 
+def is_rejected_report(row: JournalRow) -> bool:
+    """Whether a device or an activity has reported what the state did not allow: only older journals have such rows."""
+    return is_rejection(row) and (row.source or "").startswith(_DRAWS_IDS)
+
+
 def is_danger(row: JournalRow) -> bool:
     """Whether the row is an event that took the lane of Stop, or tells that Stop is not confirmed."""
     result: Mapping[str, object] = row.result or {}

@@ -6,14 +6,15 @@ from typing import Any
 
 from pcmrs.clock import Clock
 from pcmrs.dispatcher import Dispatcher
+from pcmrs.fsm.exposure import Exposure
 from pcmrs.messages import DeviceEvent, Snapshot, Verdict
-
-AT_REST = {"placement": ("unknown", "retracted", "held"), "stimulation": ("disarmed",)}
-"""Branch to the states in which nothing can happen to a patient whom nobody watches; other branches never matter."""
 
 
 class AbandonedWatch:
-    """Reports a danger when no person has asked for anything for too long while the tool is at the body, or armed.
+    """Reports a danger when no person has asked for anything for too long while the patient is exposed.
+
+    What exposes the patient, such as a tool at the body or an armed stimulator, goes by what the running blueprint
+    declares: see `Exposure`.
 
     Hands that guide the tool are a sign of a person, too. What devices report and activities post is none; an
     operation that still runs is one of whoever asked for it. The danger goes the way of Stop.
@@ -28,6 +29,7 @@ class AbandonedWatch:
         self._dispatcher = dispatcher
         self._after = after
         self._clock = clock
+        self._exposure = Exposure(dispatcher.procedure.blueprint)
         self._asked = clock.monotonic()
         dispatcher.on_publish(self._hear)
 
@@ -43,8 +45,7 @@ class AbandonedWatch:
         snapshot = self._dispatcher.snapshot()
         if snapshot.latched or snapshot.running:
             return False
-        states = snapshot.branches
-        return any(states.get(branch, rest[0]) not in rest for branch, rest in AT_REST.items())
+        return self._exposure.holds(snapshot.branches)
 
     def _event(self) -> DeviceEvent:
         text = f"Nobody has asked for anything for {self._after:g} s (procedure.abandoned_after): the session is held."

@@ -18,6 +18,7 @@ from pcmrs.devices.standstill import Standstill
 from pcmrs.dispatcher import Dispatcher, Recorder, Workflow
 from pcmrs.dispatcher.planner import Planner
 from pcmrs.errors import DeviceError
+from pcmrs.fsm import Blueprint
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import Beat, BodyPose, DeviceEvent, DeviceHealth, JointState, NodeBeat, Snapshot, Verdict
@@ -103,7 +104,7 @@ class RunningProcedure:
         self.session = self._heart.session
         self._link = link
         self._supervisor = supervisor
-        self.cell = open_cell(settings, link, clocks, self.session)
+        self.cell = open_cell(settings, workflow.blueprint, link, clocks, self.session)
         self._publishing = Publishing(link)
         self.dispatcher = Dispatcher(
             workflow,
@@ -239,8 +240,8 @@ QUIET = 10.0
 """A watch that has not come round for so long is stuck, s of the machine; reports that it waits for take their time."""
 
 
-def open_cell(settings: Settings, link: Link, clocks: Clocks, session: str) -> Cell:
-    """The cell as operations see it, its devices behind `link`; `session` is the daemon's.
+def open_cell(settings: Settings, blueprint: Blueprint, link: Link, clocks: Clocks, session: str) -> Cell:
+    """The cell as the operations of a blueprint see it, its devices behind `link`; `session` is the daemon's.
 
     Raises:
         ConfigurationError: A calibration cannot be used.
@@ -250,6 +251,7 @@ def open_cell(settings: Settings, link: Link, clocks: Clocks, session: str) -> C
         name=f"{settings.cell.site}/{settings.cell.name}",
         # Answers are waited for by the machine's clock: a fast simulation may fall behind its own.
         robot=RemoteRobot(link, machine, session),
+        uses_robot=blueprint.uses_robot,
         pointer=RemotePointer(link, machine, procedure.registration.touch_timeout_s, session),
         stimulator=RemoteStimulator(link, machine, session) if settings.stimulator.driver != "none" else None,
         emg=RemoteEmg(link, machine) if settings.emg.driver != "none" else None,

@@ -50,6 +50,8 @@ class Cell:
             and it still fits: the arm keeps away from where that has the body.
         watchers: Called with every newly measured joint state.
         zones: What the arm keeps out of.
+        uses_robot: The workflow connects or moves the robot. Otherwise nobody has ever released the arm, if there is
+            one: it is latched since it started, and neither a Stop nor its release waits for it.
         stimulator: None where none is configured.
         emg: The same.
         teleop: Where set points of teleoperators come in.
@@ -71,6 +73,7 @@ class Cell:
     initial_joints: list[float] | None = None
     watchers: list[Callable[[JointState], None]] = field(default_factory=list)
     name: str = "lab/cell1"
+    uses_robot: bool = True
     stimulator: LatchingStimulator | None = None
     emg: Emg | None = None
     teleop: TeleopPort = field(default_factory=TeleopPort)
@@ -127,7 +130,7 @@ class Cell:
             watch(state)
 
     async def make_safe(self, latch: bool) -> None:
-        """Holds the robot and disarms the stimulator, both at once.
+        """Holds the robot, if the workflow uses it, and disarms the stimulator, both at once.
 
         Args:
             latch: They act only after a release; not where only a motion is ended.
@@ -136,7 +139,9 @@ class Cell:
             PcmrsError: One of them has not confirmed it.
         """
         robot, stimulator = self.robot, self.stimulator
-        asked: list[Awaitable[object]] = [robot.stop() if latch else robot.hold()]
+        asked: list[Awaitable[object]] = []
+        if self.uses_robot:
+            asked.append(robot.stop() if latch else robot.hold())
         if stimulator is not None:
             asked.append(stimulator.stop() if latch else stimulator.disarm())
         for answer in await asyncio.gather(*asked, return_exceptions=True):
@@ -144,7 +149,7 @@ class Cell:
                 raise answer
 
     async def release(self, stopped: bool) -> list[str]:
-        """Ends the latch of robot and stimulator, once the robot has confirmed that it stands.
+        """Ends the latch of robot and stimulator, once the robot has confirmed that it stands, if it is used.
 
         Args:
             stopped: Robot and stimulator were stopped. Otherwise a robot that is not latched is left alone: it may
@@ -158,7 +163,7 @@ class Cell:
             DeviceError: The robot moves, was held once more meanwhile, or refuses.
             UnknownOutcomeError: It does not answer.
         """
-        if stopped or self.robot.latched:
+        if self.uses_robot and (stopped or self.robot.latched):
             await self.robot.hold()
             await self.robot.release_latch()
         if self.stimulator is None:

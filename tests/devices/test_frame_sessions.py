@@ -30,14 +30,31 @@ def test_a_tracker_that_counts_anew_begins_a_session_after_a_few_frames() -> Non
     assert len(set(named)) == 2
 
 
-def test_one_frame_with_a_wrong_number_or_stamp_costs_a_few_frames_only() -> None:
+def test_one_frame_with_a_wrong_number_costs_a_few_frames_only() -> None:
     named = _sessions([5, 2**31, *range(6, 20)])
     assert named[0] == named[1] != named[-1]
     assert len(set(named[1 + STEADY :])) == 1
-    times = [0.0, 3601.0, *(float(i) for i in range(2, 20))]
-    named = _sessions(range(20), times)
-    assert len(set(named[1 + STEADY :])) == 1
+
+
+def test_one_frame_with_a_wrong_stamp_begins_no_session() -> None:
+    """Nothing that was known of the bodies is forgotten because of it."""
+    for wrong in (3601.0, -3601.0):
+        assert len(set(_sessions(range(20), [0.0, 1.0, wrong, *(float(i) for i in range(3, 20))]))) == 1
+
+
+def test_a_first_frame_with_a_wrong_stamp_costs_a_few_frames_only() -> None:
+    named = _sessions(range(20), [3601.0, *(float(i) for i in range(1, 20))])
     assert named[0] != named[-1]
+    assert len(set(named[STEADY:])) == 1
+
+
+def test_stamps_that_go_back_for_good_begin_a_session() -> None:
+    """A clock that was set back, or one that was set right after it had gone ahead for several frames."""
+    for ahead in (100.0, 3600.0):
+        times = [*(ahead + i for i in range(5)), *(float(i) for i in range(5, 20))]
+        named = _sessions(range(20), times)
+        assert len(set(named)) == 2
+        assert named.index(named[-1]) == 4 + STEADY
 
 
 @given(st.lists(st.integers(0, 50), min_size=1, max_size=60).map(lambda found: sorted(found, reverse=True)))

@@ -233,6 +233,33 @@ async def test_one_frame_stamped_an_hour_ahead_changes_nothing_for_those_after_i
     assert feed.dropped == {"stamp_ahead": 1}
 
 
+async def test_a_first_frame_stamped_an_hour_ahead_costs_a_few_frames() -> None:
+    """The tracker goes on in its session, and the daemon has started with just that frame."""
+    clock, feed = _feed()
+    for body in ("coil", "body_ref"):
+        wrong = _pose(1, body)
+        feed.update(msgspec.structs.replace(wrong, captured=wrong.captured + 3600.0, sent=wrong.sent + 3600.0))
+    for number in range(2, 2 + AGREED):
+        await clock.advance(PERIOD)
+        for body in ("coil", "body_ref"):
+            feed.update(_pose(number, body))
+    assert feed.dropped == {"stamp_not_advancing": 2 * (AGREED - 1)}
+    for body in ("coil", "body_ref"):
+        assert feed.seen(body)
+        assert feed.last_seen(body) == pytest.approx(clock.monotonic() - LATENCY)
+
+
+async def test_one_frame_stamped_an_hour_back_is_dropped() -> None:
+    clock, feed = _feed()
+    for number in range(1, 30):
+        await clock.advance(PERIOD)
+        pose = _pose(number)
+        back = 3600.0 if number % AGREED == 0 else 0.0
+        feed.update(msgspec.structs.replace(pose, captured=pose.captured - back, sent=pose.sent - back))
+    assert feed.dropped == {"stamp_not_advancing": 2}
+    assert feed.seen("coil")
+
+
 async def test_where_the_first_frames_were_late_the_quicker_ones_are_believed_after_a_few() -> None:
     clock, feed = _feed()
     await clock.advance(5.0)  # so long the first frame was on its way

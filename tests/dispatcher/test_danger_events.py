@@ -11,6 +11,7 @@ from dispatcher_fakes import HELD, PLACED, RATMS, RETRACTED, STANDOFF, Bench
 from test_locks import code
 
 from pcmrs.dispatcher.lanes import MAX_WAITING
+from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceEvent
 
 MOVED = DeviceEvent(device="tracker", code="reference_moved", text="By 3 mm.", danger=True)
@@ -57,6 +58,22 @@ async def test_an_event_that_the_state_does_not_allow_is_decided(bench: Bench) -
     gate.set()
     await report
     assert [verdict.decision for verdict in bench.verdicts()] == ["rejected"]
+
+
+async def test_an_event_that_is_rejected_leaves_no_row(bench: Bench) -> None:
+    """Only what a device has said of it: the rejection changes nothing, whether the states or a check say it."""
+    await bench.go(PLACED)
+    before = len(bench.recorder.rows)
+    outside = await bench.do("alignment.outside", source="activity:watch_alignment")
+    assert (outside.decision, code(outside)) == ("rejected", "invalid_in_state")
+    bench.script.checks["alignment.within"] = RefusalError("not_watching", "Another activity watches.")
+    within = await bench.do("alignment.within", source="activity:watch_alignment")
+    assert within.decision == "rejected"
+    await bench.dispatcher.report(DeviceEvent(device="stimulator", code="within", text="It is not so."))
+    assert [row[:2] for row in bench.recorder.rows[before:]] == [("event", "within")]
+    assert len([verdict for verdict in bench.verdicts() if verdict.decision == "rejected"]) == 3, "all were decided"
+    by_somebody = await bench.do("alignment.within", source="bus:anna")
+    assert (code(by_somebody), bench.recorder.rows[-1][1]) == ("event_operation", by_somebody.id)
 
 
 async def test_an_event_waits_for_a_retreat_and_is_never_busy(bench: Bench) -> None:

@@ -27,6 +27,7 @@ async def test_what_the_oracle_rejects_is_rejected_and_changes_nothing(bench: Be
         if expected(joint, branch, operation) is not None:
             continue
         verdict = await bench.do(f"{branch}.{operation}", source=source_of(branch, operation))
+        await settle()
         state = before.branches[branch]
         assert (verdict.decision, verdict.state, verdict.sequence) == ("rejected", state, before.sequence)
         assert verdict.reason is not None

@@ -1,4 +1,4 @@
-"""A biopsy designed from a step table runs as a daemon: Stop bars what reaches the patient until it is released."""
+"""Workflows designed from step tables run as a daemon: Stop bars what reaches the patient until it is released."""
 
 from __future__ import annotations
 
@@ -8,8 +8,25 @@ from daemon_process import own_settings, running_daemon
 
 from pcmrs.campaign.driving import accept
 from pcmrs.fsm.design import design
+from pcmrs.messages import DeviceEvent
 
 TABLE = Path(__file__).parents[2] / "examples/biopsy_steps.toml"
+BY_HAND = b"""
+id = "injection_steps"
+version = "1.0.0"
+title = "Injection by hand"
+
+[[steps]]
+name = "planned"
+operation = "plan_site"
+moves = false
+
+[[steps]]
+name = "injected"
+operation = "inject"
+depends_on = ["planned"]
+affects_patient = true
+"""
 
 
 async def test_what_reaches_the_patient_waits_for_the_release_that_the_hint_names(tmp_path: Path) -> None:
@@ -32,4 +49,26 @@ async def test_what_reaches_the_patient_waits_for_the_release_that_the_hint_name
             await accept(client, "procedure.make_safe")
             await accept(client, "procedure.align")
             assert (await client.call("procedure.insert")).decision == "rejected"
+        assert daemon.end() == 0
+
+
+async def test_a_workflow_without_a_robot_is_left_alone_by_nobody_and_released_without_one(tmp_path: Path) -> None:
+    """What is in the patient is a danger when nobody attends to it; no robot is there to confirm that it stands."""
+    workflow = tmp_path / "injection_steps.toml"
+    workflow.write_text(design(BY_HAND).text)
+    no_devices = [f"{device}.driver=none" for device in ("robot", "tracker", "pointer", "scene", "stimulator", "emg")]
+    settings = [*own_settings(tmp_path), f"workflow={workflow}", *no_devices, "procedure.abandoned_after=3"]
+    with running_daemon(settings, tmp_path) as daemon:
+        async with daemon.client() as client:
+            for operation in ("procedure.plan_site", "procedure.inject"):
+                await accept(client, operation)
+            async for event in client.watch():
+                if isinstance(event, DeviceEvent) and event.code == "session_abandoned":
+                    assert "safety.acknowledge" in event.text
+                    break
+            stopped = (await client.state()).stop.number
+            assert await client.standstill(stopped)
+            assert (await client.acknowledge()).decision == "accepted"
+            await accept(client, "procedure.make_safe")
+            assert not (await client.state()).latched
         assert daemon.end() == 0

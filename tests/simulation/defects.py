@@ -92,6 +92,13 @@ def _never(_: Any) -> Any:
     return changed
 
 
+def _whatever_the_newest_one_is(_: Any) -> Any:
+    def changed(_self: Any, pose: Any, newest: Any) -> bool:
+        return bool(pose.captured <= newest.exposed)
+
+    return changed
+
+
 def _refuses_no_motion(begin: Any) -> Any:
     def changed(self: Any, *given: Any) -> Any:
         self._motion = None
@@ -244,6 +251,7 @@ DEFECTS: dict[str, Defect] = {
             found_by=("poses_go_on",),
             put_back={
                 "pcmrs.devices.lateness:Lateness.is_ahead": _never,
+                "pcmrs.devices.poses:PoseFeed._is_behind": _whatever_the_newest_one_is,
                 "pcmrs.devices.frame_sessions:FrameSessions._follow": _does_nothing,
             },
         ),

@@ -52,6 +52,20 @@ def test_the_head_is_reached_when_nothing_is_wrong() -> None:
     assert found.seen["accepted placement.confirm"] == 1
 
 
+def test_a_registration_that_is_taken_back_is_one_of_the_journal() -> None:
+    """It has the id of the command that took it back."""
+    found = run_session(Script(seed=1, acts=[*TO_THE_HEAD[:4], Act(1.0, "registration.use_previous", "ben")]))
+    assert (found.invariant, found.text) == ("", "")
+    assert found.seen["accepted registration.use_previous"] == 1
+
+
+def test_a_frame_stamped_ahead_while_two_tools_are_taken_for_each_other_makes_neither_believed() -> None:
+    """Otherwise the reference would count as being where the witness is, and not be believed any more afterwards."""
+    swap = {"first": "witness", "second": "body_ref", "on": True, "lasts": 9.7}
+    found = run_session(Script(seed=1, acts=[Act(0.7, "fault:tool_swap", "", swap), Act(0.6, "fault:frame_ahead")]))
+    assert (found.invariant, found.text) == ("", "")
+
+
 @pytest.mark.nightly
 def test_a_pulse_is_given_when_nothing_is_wrong() -> None:
     """What is explored must come to what matters: rates that are too low for a pulse would hide all that follows."""

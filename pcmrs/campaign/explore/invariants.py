@@ -137,10 +137,17 @@ def durable_before_known(view: View, event: Event) -> str | None:
         journalled = view.by_id.get(verdict.id)
     if journalled is not None and journalled.decision == verdict.decision:
         return None
+    if journalled is None and view.is_rejected_event(verdict):
+        return None  # nothing rests on it
     if view.excused and verdict.decision in ("rejected", "unknown"):
         return None
     how = "is not in the journal" if journalled is None else f"is {journalled.decision} in the journal"
     return f"{verdict.branch}.{verdict.operation} was told to be {verdict.decision} and {how} ({verdict.id})."
+
+
+def only_changes_leave_rows(view: View, _event: Event) -> str | None:
+    """6: an event that the state does not allow is decided, and leaves no row."""
+    return f"{view.needless[0]}, was rejected, and journalled." if view.needless else None
 
 
 def performed_once(view: View, event: Event) -> str | None:
@@ -208,7 +215,7 @@ INVARIANTS: Mapping[type[Event], tuple[Invariant, ...]] = {
         sequence_never_goes_back,
         starts_with_nothing,
     ),
-    Verdict: (durable_before_known, performed_once, rejection_changes_nothing),
+    Verdict: (durable_before_known, only_changes_leave_rows, performed_once, rejection_changes_nothing),
     DeviceEvent: (danger_latches,),
     Moved: (nothing_moves_unasked, stop_holds),
     Fired: (fires_only_armed_and_placed,),

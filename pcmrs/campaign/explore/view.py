@@ -12,6 +12,8 @@ from pcmrs.messages import Command, DeviceEvent, JointState, Snapshot, Verdict
 
 PULSES = ("stimulation.fire", "hotspot.pulse", "threshold.pulse")
 REGISTERING = ("register", "refine", "use_previous")
+INSIDE = ("device:", "activity:")
+"""Sources of what nobody has asked for."""
 MOVING_SPEED = 1e-3
 """A joint that is slower than this stands, rad/s."""
 
@@ -58,6 +60,7 @@ class View:
         by_id: The same by id alone, which is all that a published verdict has.
         accounts: Verdicts that operators got by (source, id).
         danger: The last event was danger, and no snapshot has been published since.
+        needless: Rejected events of devices and activities that were journalled, although they have changed nothing.
         released: Journalled accepted verdicts that release the latch, which have not released it yet.
         excused: The daemon's disk has failed in this run: what it then refuses is not journalled.
         seen: How often what was seen, by names such as ``accepted placement.approach``.
@@ -78,10 +81,11 @@ class View:
     by_id: dict[str, Verdict] = field(default_factory=dict)
     accounts: dict[tuple[str, str], Verdict] = field(default_factory=dict)
     danger: bool = False
+    needless: list[str] = field(default_factory=list)
     released: int = 0
     excused: bool = False
     seen: Counter[str] = field(default_factory=Counter)
-    _made: set[str] = field(default_factory=set)
+    _made: bool = False
     _in_force: set[str] = field(default_factory=set)
     _rows: int = 0
 
@@ -125,6 +129,8 @@ class View:
                 self.outcomes[row.source or "", row.command_id or ""] = row.verdict
                 self.by_id[row.command_id or ""] = row.verdict
                 self.released += self._releases(row.verdict)
+                if self.is_rejected_event(row.verdict) and (row.source or "").startswith(INSIDE):
+                    self.needless.append(f"{row.branch}.{row.operation}, which {row.source} has reported")
                 if row.verdict.decision == "accepted" and row.branch == "registration":
                     self._take_registration(row.operation or "", row.command_id or "")
 
@@ -133,13 +139,15 @@ class View:
         self.seen[f"{verdict.decision} {verdict.branch}.{verdict.operation}"] += 1
 
     def _take_registration(self, operation: str, command: str) -> None:
-        if operation not in REGISTERING:
+        if operation not in REGISTERING or (operation == "use_previous" and not self._made):
             return
-        if operation == "use_previous":
-            self._in_force |= self._made
-        else:
-            self._made.add(f"registration-{command}")
-            self._in_force.add(f"registration-{command}")
+        self._made = True
+        self._in_force.add(f"registration-{command}")
+
+    def is_rejected_event(self, verdict: Verdict) -> bool:
+        """Whether it rejects what is no command, but says what has happened."""
+        spec = self.blueprint.find(verdict.branch, verdict.operation)
+        return spec is not None and spec.event and verdict.decision == "rejected"
 
     def _releases(self, verdict: Verdict) -> bool:
         spec = self.blueprint.branches[verdict.branch].operations.get(verdict.operation) if verdict.state else None
