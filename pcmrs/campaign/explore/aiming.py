@@ -12,28 +12,34 @@ import random
 from collections.abc import Sequence
 from typing import Any
 
+import msgspec
+
 from pcmrs.campaign.explore.faults import FAULTS
 from pcmrs.campaign.explore.script import Act
 
-DEEPEST = 9
-"""Steps that lead on from nothing: with 5 the arm may approach, with 7 the tool is at its place."""
+DEPTHS = (1, 3, 5, 5, 6, 7, 8, 8)
+"""Steps that lead on from nothing: with 5 the arm may approach, and the last of 8 is done at the body."""
+TO_THE_BODY = 7
+"""With so many the tool is at its place."""
 MEETINGS = (1, 3)
 """Of a session, at least and at most."""
 AFTERWARDS = (2, 4)
 """Steps that lead on after a meeting, at least and at most."""
 SOON, LATER = 0.05, 0.6
 """Half of the pauses between acts that are aimed are shorter than the first, the others than the second, s."""
+DURING = 3.0
+"""What interrupts comes within this, one time in three: motions take seconds, s."""
 SLOWED = 0.5
 """Part of the meetings that take place while something is slow."""
-INTERRUPTED = 0.75
+INTERRUPTED = 0.8
 """Part of the meetings in which what has begun is interrupted."""
 ANSWERED = 0.7
-"""Part of the interruptions that somebody acknowledges at once."""
+"""Part of the interruptions that somebody acknowledges at once, and goes on."""
 CHANGED = 0.6
 """Part of the steps that lead on inside which something changes."""
-INSIDE = 0.7
-"""Part of the interruptions, and of the answers to them, that wait for a window."""
-HELD_UP = 0.25
+INSIDE = 0.5
+"""Part of the interruptions that wait for a window; the others come at any moment."""
+HELD_UP = 0.4
 """Part of the windows in which the loop of a process has no time, beside the thread that holds the window."""
 LONGEST = 0.5
 """A window is held open so long at most, s; a third of them so long."""
@@ -68,14 +74,12 @@ OF_STOPS = (
     "send:robot.hold",
     "reply:robot.hold",
     "write:device:*",
-    "written:device:*",
 )
 """Windows through which Stop comes, and what devices report."""
 EVENTS = (
     *("bump_reference", "bump_reference", "bump_reference"),
-    *("push_tool", "cut_robot", "e_stop", "interrupt", "drop_client"),
-    "tracker_restart",
-    "frame_ahead",
+    *("push_tool", "e_stop", "drop_client"),
+    *("tracker_restart", "frame_ahead"),
 )
 """What devices report, or report wrongly: of the patient, of the robot, of the tracker."""
 ENDS = ("crash_daemon", "crash_daemon", "crash_node")
@@ -88,8 +92,8 @@ CHANGES = ("toolplan.clear", "toolplan.plan", "registration.clear_registration",
 
 def draw_aimed(draw: random.Random) -> list[Act]:
     """Acts that go straight to some state, and then meet."""
-    depth = max(draw.randint(0, DEEPEST), draw.randint(0, DEEPEST))
-    turns = [(number + 1) % 2 if number < 7 else draw.randrange(60) for number in range(depth)]
+    depth = draw.choice(DEPTHS)
+    turns = [(number + 1) % 2 if number < TO_THE_BODY else draw.randrange(3) for number in range(depth)]
     acts = [Act(0.5, "go_on", "anna", {"turn": turn}) for turn in turns]
     for _ in range(draw.randint(*MEETINGS)):
         acts += _meeting(draw)
@@ -98,13 +102,14 @@ def draw_aimed(draw: random.Random) -> list[Act]:
 
 def _meeting(draw: random.Random) -> list[Act]:
     """Something begins, is interrupted and answered, in windows or while something is slow; then people go on."""
-    acts = draw.choice((_go_on, _go_on, _move, _old, _event))(draw)
+    acts = draw.choice((_go_on, _go_on, _move, _old, _nothing))(draw)
     if draw.random() < SLOWED:
-        acts.insert(draw.randint(0, 1), _fault(draw, SLOW))
+        acts.insert(draw.randint(0, min(1, len(acts))), _fault(draw, SLOW))
     if draw.random() < INTERRUPTED:
-        acts += _mostly_inside(draw, draw.choice((_stop, _event, _end))(draw), OF_OPERATIONS)
+        interrupts = draw.choice((_stop, _event, _end))(draw)
+        acts += _inside(draw, interrupts, OF_OPERATIONS) if draw.random() < INSIDE else _during(draw, interrupts)
         if draw.random() < ANSWERED:
-            acts += _mostly_inside(draw, [Act(_pause(draw), "robot.acknowledge", "ben")], OF_STOPS)
+            acts += _inside(draw, [Act(0.0, "robot.acknowledge", "ben")], OF_STOPS) + _go_on(draw)
     for _ in range(draw.randint(*AFTERWARDS)):
         acts += _afterwards(draw)
     return acts
@@ -118,8 +123,9 @@ def _afterwards(draw: random.Random) -> list[Act]:
     return draw.choice((_go_on, _go_on, _go_on, _old))(draw) + _inside(draw, changed, OF_OPERATIONS)
 
 
-def _mostly_inside(draw: random.Random, acts: list[Act], windows: Sequence[str]) -> list[Act]:
-    return _inside(draw, acts, windows) if draw.random() < INSIDE else acts
+def _during(draw: random.Random, acts: list[Act]) -> list[Act]:
+    after = round(draw.uniform(0.0, draw.choice((SOON, LATER, DURING))), 3)
+    return [msgspec.structs.replace(acts[0], after=after), *acts[1:]]
 
 
 def _inside(draw: random.Random, acts: list[Act], windows: Sequence[str]) -> list[Act]:
@@ -136,6 +142,11 @@ def _pause(draw: random.Random) -> float:
 
 def _go_on(draw: random.Random) -> list[Act]:
     return [Act(_pause(draw), "go_on", "anna", {"turn": draw.randrange(60)}, waits=False)]
+
+
+def _nothing(_: random.Random) -> list[Act]:
+    """What goes on already is met."""
+    return []
 
 
 def _move(draw: random.Random) -> list[Act]:
