@@ -117,7 +117,7 @@ NETWORK: Mapping[str, Fault] = {
     "loss": Fault(("N1",), lambda draw: {"part": draw.choice((0.05, 0.2))}, {"part": 0.0}),
     "duplicates": Fault(("N2", "O10"), lambda draw: {"part": draw.choice((0.2, 0.5))}, {"part": 0.0}, weight=2.0),
     "reordering": Fault(("N3",), lambda draw: {"part": draw.choice((0.2, 0.5))}, {"part": 0.0}),
-    "delay": Fault(("N4",), lambda draw: {"seconds": draw.choice((0.05, 0.5))}, {"seconds": 0.0}),
+    "delay": Fault(("N4",), lambda draw: {"seconds": round(draw.uniform(0.05, 0.5), 3)}, {"seconds": 0.0}),
     "partition": Fault(("N9", "N13"), _ends, {}, 10.0, 2.0),
 }
 """Brought about by the simulated network."""

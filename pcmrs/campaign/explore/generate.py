@@ -17,7 +17,7 @@ FEWEST, MOST = 12, 30
 """Acts of a session."""
 CODED = 0.25
 """Part of the sessions in which every message is packed and unpacked."""
-AIMED = 0.6
+AIMED = 0.75
 """Part of the sessions that are aimed at windows."""
 SLOW = (0.0, 0.0, 0.1, 0.3)
 """Parts of the windows that take time by themselves; one for each session."""
