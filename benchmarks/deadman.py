@@ -235,15 +235,21 @@ def stats(seconds: list[float]) -> dict[str, float]:
     return {"n": len(found), **quantiles, "max": round(float(found.max()), 2)}
 
 
+async def silences(made: Bench, runs: int) -> tuple[list[tuple[float, float]], int]:
+    """So many runs, as `Bench.stopped` gives them, and how many approaches that took."""
+    tried = 0
+    found: list[tuple[float, float]] = []
+    while len(found) < runs and tried < 3 * runs:
+        tried += 1
+        if (run := await made.stopped()) is not None:
+            found.append(run)
+    return found, tried
+
+
 async def stops(runs: int, deadman: float, *, hogged: bool) -> Report:
     async with bench(deadman) as made:
         with Timers(deadman) as timers, hogs() if hogged else nullcontext():
-            tried = 0
-            found: list[tuple[float, float]] = []
-            while len(found) < runs and tried < 3 * runs:
-                tried += 1
-                if (run := await made.stopped()) is not None:
-                    found.append(run)
+            found, tried = await silences(made, runs)
         report = {"approaches": {"n": float(tried), "ended before": float(tried - len(found))}}
         report["stopped to hold"] = stats([stopped for stopped, _ in found])
         report["silence at hold"] = stats([silence for _, silence in found])

@@ -1,0 +1,129 @@
+"""What the benchmark of Stop finds, in simulated time and on a real daemon, and the limits that it is held against."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import numpy as np
+
+from pcmrs.campaign.lateness import percentile
+from pcmrs.devices.motion.follower import brake_limits
+from pcmrs.kinematics.trajectory import brake
+from pcmrs.kinematics.urdf_arms import find_arm
+from pcmrs.messages import HeadMotion
+from pcmrs.spatial import Floats
+from sim.settings import SimSettings
+
+BREATHING = HeadMotion(breathing_amplitude=0.003, breathing_hz=0.3)
+"""What the tool follows."""
+
+LATCHED, BRAKING = "stop received to hold sent", "hold received to braking"
+STANDSTILL, SILENCE = "braking to standstill", "sign of life to hold"
+"""The four times of a Stop."""
+LIMITS = {LATCHED: ("p99", 0.020), BRAKING: ("max", 0.020), SILENCE: ("max", 0.125)}
+"""What a time may be beside a bare timer's lateness in the same run: of which value, and how much, s. How long braking
+may last follows from its distance."""
+
+_FACTS, _ARM = find_arm("iiwa14"), SimSettings().arm
+_LIMITS = brake_limits(_FACTS, _ARM.brake_acceleration, _ARM.brake_jerk)
+
+
+@dataclass(frozen=True, slots=True)
+class Braking:
+    """How an arm that begins to brake comes to rest.
+
+    Attributes:
+        begun: When, s.
+        start: Joint positions then, rad, (n,).
+        end: Joint positions at rest, by its speed and the limits of its brakes, rad, (n,).
+        lasts: Until then, s.
+    """
+
+    begun: float
+    start: Floats
+    end: Floats
+    lasts: float
+
+    @classmethod
+    def at(cls, begun: float, positions: Sequence[float], velocities: Sequence[float]) -> Self:
+        """Begins with these joint positions, rad, and velocities, rad/s."""
+        stop = brake(positions, velocities, _LIMITS)
+        lasts = stop.period * (len(stop.positions) - 1)
+        return cls(begun, np.array(positions), np.array(stop.positions[-1]), lasts)
+
+    def beyond(self, positions: Floats) -> float:
+        """How far the joint that is farthest out lies beyond its braking distance, rad; 0 where none does."""
+        low, high = np.minimum(self.start, self.end), np.maximum(self.start, self.end)
+        return float(np.maximum(np.maximum(low - positions, positions - high), 0.0).max())
+
+
+@dataclass
+class Found:
+    """What was measured, s and rad.
+
+    Attributes:
+        times: By what they are.
+        moved: Of the joint that has moved farthest after a confirmed Stop, each time.
+        beyond: Of the joint that went farthest beyond its braking distance before standstill, each time it braked.
+        pressed: How often Stop was pressed, by motion and route.
+        moving: How often the arm moved then.
+        wrong: What must not be, for people.
+        notes: What did not come about without being wrong.
+    """
+
+    times: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    moved: list[float] = field(default_factory=list)
+    beyond: list[float] = field(default_factory=list)
+    pressed: Counter[str] = field(default_factory=Counter)
+    moving: Counter[str] = field(default_factory=Counter)
+    wrong: list[str] = field(default_factory=list)
+    notes: Counter[str] = field(default_factory=Counter)
+
+    def add(self, other: Found) -> None:
+        """Takes over what was measured elsewhere."""
+        for name, values in other.times.items():
+            self.times[name] += values
+        self.moved += other.moved
+        self.beyond += other.beyond
+        self.pressed += other.pressed
+        self.moving += other.moving
+        self.wrong += other.wrong
+        self.notes += other.notes
+
+    def late(self, timer: Sequence[float]) -> list[str]:
+        """Which times are above their limits, for people; `timer` is how late a bare timer was meanwhile, s."""
+        allowed = stats(timer, 1.0)
+        measured = {name: stats(self.times[name], 1.0) for name in LIMITS if name in self.times}
+        return [
+            f"{name}: {which} {1e3 * measured[name][which]:.1f} ms, limit {1e3 * limit:g} ms and the bare timer's "
+            f"{1e3 * allowed[which]:.1f} ms."
+            for name, (which, limit) in LIMITS.items()
+            if name in measured and measured[name][which] > limit + allowed[which]
+        ]
+
+    def report(self) -> dict[str, Any]:
+        """For JSON: milliseconds and degrees."""
+        return {
+            "ms": {name: stats(values, 1e3) for name, values in self.times.items()},
+            "moved after confirmed, deg": stats(np.degrees(self.moved).tolist(), 1.0),
+            "beyond the braking distance, deg": stats(np.degrees(self.beyond).tolist(), 1.0),
+            "pressed": dict(sorted(self.pressed.items())),
+            "moving": dict(sorted(self.moving.items())),
+            "notes": dict(self.notes),
+            "wrong": self.wrong,
+        }
+
+
+def stats(values: Sequence[float], scale: float) -> dict[str, float]:
+    """Number, median, 99th percentile and largest, of values times `scale`."""
+    shares = {"p50": 0.5, "p99": 0.99}
+    found = {name: round(percentile(values, share) * scale, 6) for name, share in shares.items()}
+    return {"n": len(values), **found, "max": round(max(values, default=0.0) * scale, 6)}
+
+
+def farthest(base: Floats, later: Iterable[Floats]) -> float:
+    """Largest displacement of a joint from `base`, rad."""
+    return max((float(np.abs(each - base).max()) for each in later), default=0.0)

@@ -1,0 +1,109 @@
+"""A cell that can be stopped by every route, and the presses: sockets, bus, a page, a signing peer, and far away.
+
+The daemon has certificates and dials a router, a console serves its page, and a peer has a key. Whoever is far away has
+a certificate and reaches the cell through the router, over TLS.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
+
+from stop_page import open_page
+
+from pcmrs.campaign.lab import REAL_TIME, LabCell, open_cell
+from pcmrs.client import Client
+from pcmrs.clock import SystemClock
+from pcmrs.experiment.process import free_port
+from pcmrs.gateway.keys import new_key, read_key
+from pcmrs.gateway.signing import Signer
+from pcmrs.pki import Authority, read_credentials
+from pcmrs.planner import Planner
+from pcmrs.service.children import end_child
+
+ROUTES = ("udp", "tcp", "zenoh", "console", "signed", "remote")
+BY_SOCKET = ("udp", "tcp", "signed")
+"""Routes of which the daemon receives the bytes that are sent; of the others it receives a message on the bus."""
+START_TIME = 120.0
+END_TIME = 10.0
+SITE = "lab"
+
+Press = Callable[[], Awaitable[object]]
+
+
+@asynccontextmanager
+async def stoppable_cell(
+    folder: Path, environment: Mapping[str, str]
+) -> AsyncIterator[tuple[LabCell, Mapping[str, Press]]]:
+    """A running cell, and how Stop is pressed by each route.
+
+    Args:
+        folder: Of everything.
+        environment: Of daemon and nodes, besides that of this process.
+    """
+    endpoint, key, name, now = f"tls/127.0.0.1:{free_port()}", folder / "panel.key", folder.name, SystemClock().wall()
+    new_key(key)
+    authority = Authority.init(folder / "pki", SITE, now)
+    authority.issue("router", "gate", now, hosts=("127.0.0.1",), into=folder)
+    authority.issue("daemon", "daemon1", now, cells=(f"{SITE}/*",), into=folder)
+    authority.issue("operator", "far", now, cells=(f"{SITE}/*",), into=folder)
+    register = authority.folder / "register.json"
+    access = (
+        f"access.identity={folder / 'daemon1'}",
+        f"access.register={register}",
+        f'access.routers=["{endpoint}"]',
+        f"gateway.peers.panel.key_file={key}",
+    )
+    async with AsyncExitStack() as stack:
+        router = ("--identity", str(folder / "gate"), "--register", str(register), "--listen", endpoint)
+        await stack.enter_async_context(_command("router", *router))
+        cell = await stack.enter_async_context(open_cell(folder, (*REAL_TIME, *access), environment=environment))
+        await stack.enter_async_context(cell.client.holding())
+        own = ("--endpoint", cell.ready.endpoint, "--site", SITE, "--cell", name)
+        said = await stack.enter_async_context(_command("console", "--port", "0", "--json", *own))
+        page = await stack.enter_async_context(open_page(json.loads(said)["url"]))
+        signing = Planner.open(*cell.ready.links["planner"], signer=Signer("panel", read_key(key)))
+        panel = await stack.enter_async_context(await signing)
+        credentials = read_credentials(folder / "far", now)
+        far = await stack.enter_async_context(Client.connect(endpoint, SITE, name, credentials=credentials))
+        yield (
+            cell,
+            {
+                "udp": cell.planner.stop,
+                "tcp": lambda: _by_tcp(cell),
+                "zenoh": cell.client.stop,
+                "console": page.stop,
+                "signed": panel.stop,
+                "remote": far.stop,
+            },
+        )
+
+
+async def _by_tcp(cell: LabCell) -> None:
+    reader, writer = await asyncio.open_connection(*cell.ready.links["tcp"])
+    writer.write(b"stop_now_xxxxxxx;")
+    await writer.drain()
+    await reader.read(64)
+    writer.close()
+
+
+@asynccontextmanager
+async def _command(name: str, *words: str) -> AsyncIterator[str]:
+    """A command of ``pcmrs`` that runs for the length of the context; yields its first line."""
+    command = (sys.executable, "-m", "pcmrs.cli", name, *words)
+    process = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
+    try:
+        assert process.stdout is not None
+        async with asyncio.timeout(START_TIME):
+            line = await process.stdout.readline()
+        if not line:
+            raise RuntimeError(f"pcmrs {name} has ended: it says why on standard error.")
+        yield line.decode()
+    finally:
+        if process.returncode is None:
+            process.terminate()
+        await end_child(process, END_TIME)
