@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import shutil
 import sqlite3
 from contextlib import closing, suppress
@@ -16,6 +17,9 @@ from pcmrs.campaign.fault import Evidence, fault
 from pcmrs.campaign.flood import flood
 from pcmrs.campaign.lab import Lab, LabCell
 from pcmrs.campaign.lateness import percentile, timer_lateness
+from pcmrs.gateway.authentication import FRESH_FOR
+from pcmrs.gateway.keys import new_key, read_key
+from pcmrs.gateway.signing import Signer
 from pcmrs.gateway.tcp import MOST_OF_A_HOST
 from pcmrs.journal.verification import verify
 
@@ -198,6 +202,36 @@ async def silent_connections(lab: Lab) -> Evidence:
                 pass  # the daemon learns of the closed ones one after the other
         await confirmed(cell)
     return Evidence("bounded, and Stop works", {"connections": SILENT, "control": control.decode()})
+
+
+@fault("A30", how="a signed command that is kept back; at a peer with the time in its counters, and at one without")
+async def held_back(lab: Lab) -> Evidence:
+    """Somebody on the way keeps a datagram, and lets it through when nobody thinks of it any more."""
+    command, peers, settings = b"rob_conn_onxxxxx_#1;", {}, []
+    for name, counter in (("timed", "unix_ns"), ("growing", "growing")):
+        key = lab.folder / f"{name}.key"
+        new_key(key)
+        peers[name] = Signer(name, read_key(key))
+        table = {"key_file": str(key), "counter": counter, "role": "operator", "allow": ["robot"]}
+        settings += [f"gateway.peers.{name}.{setting}={json.dumps(value)}" for setting, value in table.items()]
+    async with lab.daemon(*settings) as cell, raw_socket(cell.ready.links["planner"]) as raw:
+        held = {name: signer.sign(command) for name, signer in peers.items()}
+        await asyncio.sleep(FRESH_FOR + 0.5)
+        row = cell.last_row()
+        async with unmoved(cell):
+            (answer,) = await _asked(raw, held["timed"])
+            await reported(cell, row, edge="gateway", code="too_old", count=1)
+        expect(b"_rejected_" in answer and b"too_old;" in answer, f"The peer with the time was answered {answer!r}.")
+        (control,) = await _asked(raw, held["growing"])
+        expect(b"_accepted_" in control, f"The peer without the time was answered {control!r}.")
+        (fresh,) = await _asked(raw, peers["timed"].sign(command.replace(b"#1", b"#2")))
+        expect(b"_accepted_" in peers["timed"].check(fresh), f"What was fresh was answered {fresh!r}.")
+    return Evidence("refused as too old", {"answer": answer.decode(), "control": control.decode()})
+
+
+async def _asked(raw: Raw, sent: bytes) -> list[bytes]:
+    raw.send(sent)
+    return await _answers(raw, 1)
 
 
 async def _told(cell: LabCell, sent: bytes) -> bytes:
