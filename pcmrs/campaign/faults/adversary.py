@@ -6,6 +6,7 @@ import asyncio
 import json
 import shutil
 import sqlite3
+import sys
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,21 @@ MAGIC = (
     b"close", b"quit", b"exit", b"shutdown", b"q", b"stop", b"end", b"\x03", b"\x04", b"\x1a",
     b"close;", b"quit;", b"exit;", b"shutdown;", b"end_session;", b"end_communication",
 )  # fmt: skip
+
+TAKEN_OVER = """
+import os, socket, subprocess, sys
+from pcmrs.console.planning.confined import confine
+file = os.open(sys.argv[2], os.O_WRONLY | os.O_CREAT)
+if sys.argv[1] == "confined":
+    confine(2**30, 60)
+for act, *words in ((socket.socket,), (subprocess.run, ["true"]), (bytes, 2**31), (os.write, file, b"x")):
+    try:
+        act(*words)
+        print("done")
+    except (OSError, MemoryError) as error:
+        print(type(error).__name__)
+"""
+"""What a file could make its reader do."""
 
 
 @fault("A4", how="a process that sends 40,000 datagrams per second, nearly all of them refused", deadline=180.0)
@@ -227,6 +243,20 @@ async def held_back(lab: Lab) -> Evidence:
         (fresh,) = await _asked(raw, peers["timed"].sign(command.replace(b"#1", b"#2")))
         expect(b"_accepted_" in peers["timed"].check(fresh), f"What was fresh was answered {fresh!r}.")
     return Evidence("refused as too old", {"answer": answer.decode(), "control": control.decode()})
+
+
+@fault("A31", how="a program in place of the one that reads uploaded files, with its limits and without")
+async def a_reader_is_taken_over(lab: Lab) -> Evidence:
+    """A file makes its reader open a connection, start a program, take memory and write; each is tried."""
+    tries = {}
+    for how in ("confined", "free"):
+        words = (sys.executable, "-c", TAKEN_OVER, how, str(lab.folder / how))
+        process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE)
+        said, _ = await process.communicate()
+        tries[how] = said.decode().split()
+    expect(tries["free"] == ["done"] * 4, f"Without limits came {tries['free']}: the attack did not take place.")
+    expect(len(tries["confined"]) == 4 and "done" not in tries["confined"], f"With limits came {tries['confined']}.")
+    return Evidence("each is refused by the kernel", tries)
 
 
 async def _asked(raw: Raw, sent: bytes) -> list[bytes]:
