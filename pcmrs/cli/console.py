@@ -78,7 +78,8 @@ def console(
     try:
         from pcmrs.console.server import Place  # loads the web server
     except ModuleNotFoundError as error:
-        text = f"The page is served by the package {error.name}, which is missing: pip install pcmrs[console]."
+        text = f"The page is served by the package {error.name}, which is missing: "
+        text += "install the extra console (docs/supply.md)."
         raise ConfigurationError(text, package=error.name) from None
 
     uploads = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "pcmrs" / UPLOADS

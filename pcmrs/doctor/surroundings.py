@@ -80,10 +80,10 @@ def extras(settings: Settings, wanted: Mapping[str, tuple[str, ...]] = EXTRAS) -
         if not missing:
             yield good("extras", f"{extra}: installed")
         elif extra == "console":
-            remedy = f'`pip install "pcmrs[{extra}]"`, or set console.enabled=false.'
+            remedy = "Install it as docs/supply.md says, or set console.enabled=false."
             yield warning("extras", f"{extra}: {', '.join(missing)} is missing; no page is served", remedy)
         else:
-            remedy = f'`pip install "pcmrs[{extra}]"` in the environment of pcmrs-serve.'
+            remedy = "Install it as docs/supply.md says, in the environment of pcmrs-serve."
             yield bad("extras", f"{extra}: {', '.join(missing)} is missing", remedy)
 
 

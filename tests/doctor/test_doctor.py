@@ -167,7 +167,7 @@ def test_a_missing_extra_is_named_with_its_packages(tmp_path: Path, monkeypatch:
     assert found["sim"].verdict == "bad"
     assert "mujoco" in found["sim"].found
     assert found["console"].verdict == "warning"
-    assert 'pip install "pcmrs[sim]"' in found["sim"].remedy
+    assert "docs/supply.md" in found["sim"].remedy
 
 
 def test_a_device_that_is_not_there_is_bad_and_a_cabinet_is_not_dialled(tmp_path: Path) -> None:
