@@ -15,7 +15,7 @@ class Clock(Protocol):
         """Seconds on a clock that is never set; its zero has no meaning."""
 
     def wall(self) -> float:
-        """Unix seconds, for display and records; nothing is decided by it but whether a calibration has expired."""
+        """Unix seconds, for display and records; decides only if a calibration or a signature is too old."""
 
     async def sleep(self, seconds: float) -> None:
         """Waits `seconds` of this clock."""

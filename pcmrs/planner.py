@@ -51,7 +51,8 @@ class Planner(asyncio.DatagramProtocol):
     """A client of the planner link; open it with `Planner.open`, as a context or with `close`.
 
     Args:
-        signer: Signs the commands; None sends them unsigned, which is accepted from loopback only.
+        signer: Signs the commands and checks the answers; None sends them unsigned, which is accepted from loopback
+            only.
     """
 
     def __init__(self, signer: Signer | None = None) -> None:
@@ -189,9 +190,9 @@ class Planner(asyncio.DatagramProtocol):
         self._transport = cast(asyncio.DatagramTransport, transport)
 
     def datagram_received(self, data: bytes, _: tuple[Any, ...]) -> None:
-        """Called by the event loop for every answer; what is no verdict is dropped."""
+        """Called by the event loop for every answer; what is no verdict, or not the daemon's, is dropped."""
         try:
-            client_id, verdict = parse_reply(data)
+            client_id, verdict = parse_reply(data if self._signer is None else self._signer.check(data))
         except PayloadError:
             return
         answer = self._answers.get(client_id)

@@ -11,10 +11,9 @@ trap 'rm -rf "$work"' EXIT
 mmdebstrap --variant=minbase --include=ca-certificates,libgomp1,python3,python3-venv bookworm "$work/rootfs.tar"
 
 mkdir "$work/wheels"
-sed -nE 's/^([a-z0-9._-]+==[^ ]+).*/\1/p' requirements.lock >"$work/constraints.txt"
+.venv/bin/python deploy/locked.py sim hardware >"$work/locked.txt"
 .venv/bin/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir "$work/wheels" .
-.venv/bin/python -m pip wheel --quiet --constraint "$work/constraints.txt" --wheel-dir "$work/wheels" \
-    "$(echo "$work"/wheels/pcmrs-*.whl)[sim,hardware]"
+.venv/bin/python -m pip wheel --quiet --require-hashes --no-deps --requirement "$work/locked.txt" --wheel-dir "$work/wheels"
 
 cp deploy/container/Containerfile "$work"
 buildah bud --isolation chroot --tag "$image" "$work"

@@ -13,7 +13,11 @@ from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[2]
 HOME = "index.md"
-PAGES = (Path("CHANGELOG.md"), *(path.relative_to(ROOT) for path in sorted((ROOT / "deploy").rglob("README.md"))))
+PAGES = (
+    Path("CHANGELOG.md"),
+    Path("SECURITY.md"),
+    *(path.relative_to(ROOT) for path in sorted((ROOT / "deploy").rglob("README.md"))),
+)
 """Pages outside docs/; the README besides is the home page."""
 
 _LINK = re.compile(r"(\]\()([^)#:\s]+)((?:#[^)]*)?\))")

@@ -17,7 +17,7 @@ import msgspec
 from pcmrs.cli.lifeline import NICENESS, inherited
 from pcmrs.cli.options import Address, address_options, json_option
 from pcmrs.cli.running import readable_errors, run
-from pcmrs.console.settings import TOKEN
+from pcmrs.console.settings import TOKEN, UPLOADS
 from pcmrs.errors import ConfigurationError
 from pcmrs.files import read_secret
 from pcmrs.recording.settings import FOLDER
@@ -78,14 +78,17 @@ def console(
     try:
         from pcmrs.console.server import Place  # loads the web server
     except ModuleNotFoundError as error:
-        text = f"The page is served by the package {error.name}, which is missing: pip install pcmrs[console]."
+        text = f"The page is served by the package {error.name}, which is missing: "
+        text += "install the extra console (docs/supply.md)."
         raise ConfigurationError(text, package=error.name) from None
 
+    uploads = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "pcmrs" / UPLOADS
     if lifeline:
         os.nice(NICENESS)
         settings = inherited().settings
         port, language, token_file = settings.console.port, settings.console.language, settings.cell.path() / TOKEN
         recordings, address = settings.cell.path() / FOLDER, _address(settings)
+        uploads = settings.cell.path() / UPLOADS
     address.credentials()  # what cannot be used is said before anything is served
     token = secrets.token_urlsafe(24) if token_file is None else read_secret(token_file).decode().strip()
 
@@ -93,7 +96,7 @@ def console(
         click.echo(msgspec.json.encode({"url": url}).decode() if as_json else f"open {url}")
         sys.stdout.flush()
 
-    run(_serve(address, Place(host, port, names), token, language, ready, recordings, lifeline=lifeline))
+    run(_serve(address, Place(host, port, names), token, language, ready, uploads, recordings, lifeline=lifeline))
 
 
 def _address(settings: Settings) -> Address:
@@ -108,6 +111,7 @@ async def _serve(
     token: str,
     language: str,
     ready: Callable[[str], None],
+    uploads: Path,
     recordings: Path | None,
     *,
     lifeline: bool,
@@ -120,4 +124,4 @@ async def _serve(
         loop.add_signal_handler(number, ended.set)
     if lifeline:
         when_input_ends(ended.set)
-    await serve_console(address.connect, place, token, language, ready, ended, recordings)
+    await serve_console(address.connect, place, token, language, ready, ended, uploads, recordings)

@@ -35,7 +35,9 @@ def new(name: str, folder: Path, as_json: bool) -> None:
     """Make a key for the peer NAME, and print the table that lets it send commands.
 
     The key goes into NAME.key, which only you may read: copy it to the client's machine over a safe way, and give each
-    client one of its own. Without the line `allow` a peer may do what a planner does, and not move the robot.
+    client one of its own. Without the line `allow` a peer may do what a planner does, and not move the robot. With the
+    line `counter` its commands, except Stop, are refused when they are more than 2 s old, and answers to it are signed;
+    its clock must be right. Remove the line for a client that does not check answers.
 
     Exit status: 0 made, 2 it cannot be written, 4 there is such a key, or the name cannot be one.
 
@@ -43,15 +45,17 @@ def new(name: str, folder: Path, as_json: bool) -> None:
     """
     from pcmrs.gateway.keys import new_key
     from pcmrs.gateway.permissions import DEFAULT
-    from pcmrs.gateway.settings import GatewayConfig, PeerConfig
+    from pcmrs.gateway.settings import UNIX_NS, GatewayConfig, PeerConfig
 
     file = folder.absolute() / f"{name}.key"
-    GatewayConfig(peers={name: PeerConfig(key_file=str(file))})  # refuses the name before there is a file
+    # Refuses the name before there is a file.
+    GatewayConfig(peers={name: PeerConfig(key_file=str(file), counter=UNIX_NS)})
     new_key(file)
     if as_json:
-        say_json({"peer": name, "key_file": str(file), "allow": DEFAULT})
+        say_json({"peer": name, "key_file": str(file), "allow": DEFAULT, "counter": UNIX_NS})
         return
     click.echo(f"# {file} is made. To your configuration add:")
     click.echo(f"[gateway.peers.{name}]")
     click.echo(f"key_file = {msgspec.json.encode(str(file)).decode()}")
     click.echo(f"allow = {msgspec.json.encode(DEFAULT).decode()}")
+    click.echo(f'counter = "{UNIX_NS}"')

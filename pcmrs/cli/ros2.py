@@ -34,7 +34,8 @@ def ros2(file: Path | None, overrides: tuple[str, ...], as_json: bool) -> None:
     try:
         from pcmrs.ros2.copying import copy_for_ros2
     except ModuleNotFoundError as error:
-        text = f"Messages of ROS 2 are written by the package {error.name}, which is missing: pip install pcmrs[ros2]."
+        text = f"Messages of ROS 2 are written by the package {error.name}, which is missing: "
+        text += "install the extra ros2 (docs/supply.md)."
         raise ConfigurationError(text, package=error.name) from None
     from pcmrs.kinematics.urdf_arms import find_arm
     from pcmrs.recording.chain import Mounting

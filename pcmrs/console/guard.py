@@ -57,7 +57,7 @@ class Guard:
             await send({"type": "websocket.close", "code": 1008})
         else:
             status, text, more = refusal
-            await _answer(send, status, text, more)
+            await answer(send, status, text, more)
 
     def _refusal(self, scope: Scope, headers: dict[str, str]) -> tuple[int, str, dict[str, str]] | None:
         """Status, text and headers of the answer to a request that does not get through."""
@@ -93,7 +93,8 @@ def _cookie(header: str, name: str) -> str:
     return "" if found is None else found.value
 
 
-async def _answer(send: Send, status: int, text: str, more: dict[str, str]) -> None:
+async def answer(send: Send, status: int, text: str, more: dict[str, str]) -> None:
+    """Answers a request with a text; `more` are further headers."""
     headers = {"content-type": "text/plain; charset=utf-8", "cache-control": "no-store", **more}
     listed = [(name.encode(), value.encode("latin-1")) for name, value in headers.items()]
     await send({"type": "http.response.start", "status": status, "headers": listed})

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 import socket
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,14 +18,19 @@ from nicegui import ui
 from pcmrs.console.feed import Dial, Feed
 from pcmrs.console.guard import Guard
 from pcmrs.console.page import Page
+from pcmrs.console.planning.files import LARGEST as LARGEST_UPLOAD
 from pcmrs.console.playback import Playback
 from pcmrs.console.recordings import Recordings
 from pcmrs.console.replaying import refuse_recording, wait_for_recording
 from pcmrs.console.surfaces import Surfaces
 from pcmrs.console.texts import Texts
-from pcmrs.errors import BusError, PcmrsError
+from pcmrs.console.upload_limit import UploadLimit
+from pcmrs.errors import BusError, ConfigurationError, PcmrsError
+from pcmrs.files import make_private
 from pcmrs.fsm import Blueprint, parse_blueprint
 
+FORM = 2**20
+"""Bytes that a form may add to the files of an upload."""
 LARGEST = 2**20
 """Bytes of a message of a browser."""
 AWAY, REMEMBERED = 60.0, 10_000
@@ -54,6 +61,7 @@ async def serve_console(
     language: str,
     ready: Callable[[str], None],
     ended: asyncio.Event,
+    uploads: Path,
     recordings: Path | None = None,
 ) -> None:
     """Serves the page until it is told to end.
@@ -65,10 +73,12 @@ async def serve_console(
         language: Of whoever asks for none.
         ready: Called with the address, token included, as soon as it can be opened.
         ended: Set to end it.
+        uploads: Folder for what is uploaded, as long as it is read. What an earlier run has left there is removed.
         recordings: Folder with those that may be looked at; None for none.
 
     Raises:
         BusError: The port is taken, or the address is not ours.
+        ConfigurationError: The folder for uploads cannot be made, or the token is too short.
     """
     feed = Feed(dial)
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
@@ -78,7 +88,10 @@ async def serve_console(
     )
     listening = _listen(place)
     host, port = listening.getsockname()[:2]
-    guarded = Guard(app, token, {f"{name}:{port}" for name in (host, "127.0.0.1", "localhost")} | {*place.names})
+    # The port is ours, so nobody else uses this folder.
+    _keep_temporary_files(uploads / str(port))
+    names = {f"{name}:{port}" for name in (host, "127.0.0.1", "localhost")} | {*place.names}
+    guarded = Guard(UploadLimit(app, LARGEST_UPLOAD + FORM), token, names)
     server = _Server(
         uvicorn.Config(
             guarded,
@@ -98,6 +111,17 @@ async def serve_console(
         server.should_exit = True
         await serving
         following.cancel()
+
+
+def _keep_temporary_files(folder: Path) -> None:
+    """Has all temporary files of this process, those of the web server too, lie in a folder that is empty and ours."""
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+        make_private(folder)
+    except OSError as error:
+        text = f"The folder for uploads, {folder}, cannot be made: {error.strerror}."
+        raise ConfigurationError(text, folder=str(folder)) from None
+    tempfile.tempdir = str(folder)
 
 
 class _Server(uvicorn.Server):

@@ -7,8 +7,10 @@ from typing import Annotated, Final, Literal
 import msgspec
 
 HOST: Final = "127.0.0.1"
-TOKEN: Final = "console.token"
+TOKEN: Final = "console.token"  # noqa: S105  # the name of a file
 """File in the cell's folder that has what opens the page; only its owner may read it."""
+UPLOADS: Final = "uploads"
+"""Folder in the cell's folder, for files of patients as long as they are read."""
 
 
 class ConsoleSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -40,7 +40,7 @@ class TriggerLine:
         except ImportError:
             raise ConfigurationError(
                 "A trigger on a serial port needs pyserial; install the extra `hardware`: "
-                "pip install 'pcmrs[hardware]'."
+                "install the extra hardware (docs/supply.md)."
             ) from None
         self._serial: Any = serial.Serial(baudrate=baud, write_timeout=LONGEST_WRITE)
         self._serial.port = port

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pcmrs.doctor.disk import disk, free_space
 from pcmrs.doctor.finding import Finding, Verdict
 from pcmrs.doctor.machine import clock_source, kernel, limits, scheduling
-from pcmrs.doctor.surroundings import certificates, devices, extras, is_running, ports, streams
+from pcmrs.doctor.surroundings import certificates, devices, extras, is_running, peers, ports, streams
 from pcmrs.messages import Message
 from pcmrs.settings import Settings
 
@@ -48,4 +48,5 @@ def _findings(settings: Settings) -> Iterator[Finding]:
     yield from extras(settings)
     yield from devices(settings, running=running)
     yield from streams(settings)
+    yield from peers(settings)
     yield from certificates(settings)

@@ -18,6 +18,7 @@ from pcmrs.console.settings import HOST
 from pcmrs.devices.lsl.library import lab_configuration
 from pcmrs.doctor.finding import Finding, bad, good, warning
 from pcmrs.errors import ConfigurationError
+from pcmrs.gateway.settings import UNIX_NS
 from pcmrs.hosts import is_loopback
 from pcmrs.service.health_report import ENDS_SOON
 from pcmrs.service.metrics import HOST as METRICS_HOST
@@ -79,10 +80,10 @@ def extras(settings: Settings, wanted: Mapping[str, tuple[str, ...]] = EXTRAS) -
         if not missing:
             yield good("extras", f"{extra}: installed")
         elif extra == "console":
-            remedy = f'`pip install "pcmrs[{extra}]"`, or set console.enabled=false.'
+            remedy = "Install it as docs/supply.md says, or set console.enabled=false."
             yield warning("extras", f"{extra}: {', '.join(missing)} is missing; no page is served", remedy)
         else:
-            remedy = f'`pip install "pcmrs[{extra}]"` in the environment of pcmrs-serve.'
+            remedy = "Install it as docs/supply.md says, in the environment of pcmrs-serve."
             yield bad("extras", f"{extra}: {', '.join(missing)} is missing", remedy)
 
 
@@ -109,6 +110,17 @@ def streams(settings: Settings) -> Iterator[Finding]:
         yield warning("streams", f"{own} configures Lab Streaming Layer; other machines may reach its streams", remedy)
     else:
         yield good("streams", "Lab Streaming Layer is offered to this machine only")
+
+
+def peers(settings: Settings) -> Iterator[Finding]:
+    """Whether commands of signed peers are refused when they are old."""
+    growing = sorted(name for name, peer in settings.gateway.peers.items() if peer.counter != UNIX_NS)
+    if growing:
+        remedy = 'Update their clients and set counter = "unix_ns" in their tables: docs/configuration.md.'
+        found = f"{', '.join(growing)}: a command that was held back on its way is taken, and answers are not signed"
+        yield warning("peers", found, remedy)
+    else:
+        yield good("peers", f"{len(settings.gateway.peers)} sign their commands, all with the time")
 
 
 def certificates(settings: Settings) -> Iterator[Finding]:

@@ -47,6 +47,8 @@ def read_mesh(path: Path, unit: Unit, space: Space) -> Mesh:
     loaded = _load(path, read_bytes(path, MAX_MESH_BYTES), kind.removeprefix("."))
     if not len(loaded.faces):
         refuse(path, "holds no triangles.")
+    if np.shape(loaded.vertices)[1:] != (3,) or np.shape(loaded.faces)[1:] != (3,):
+        refuse(path, "has corners without three coordinates, or faces without three corners; export the mesh again.")
     if not np.isfinite(loaded.vertices).all():
         refuse(path, "holds a corner that is not finite; export the mesh again.")
     if not 0 <= loaded.faces.min() <= loaded.faces.max() < len(loaded.vertices):

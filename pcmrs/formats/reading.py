@@ -51,7 +51,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         FileFormatError: It is no YAML, holds a key twice, or is no mapping; the text says where.
     """
     try:
-        found = yaml.load(read_text(path), Loader=_UniqueKeysLoader)
+        found = yaml.load(read_text(path), Loader=_UniqueKeysLoader)  # noqa: S506  # it is a SafeLoader
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # a ValueError for a date that does not exist
         reason = " ".join(str(error).split())
         refuse(path, f"is not YAML: {reason}.")

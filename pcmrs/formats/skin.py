@@ -47,7 +47,8 @@ def skin_of(volume: Volume, threshold: float | None = None, step: Step | None = 
         from skimage.filters import threshold_otsu
         from skimage.measure import marching_cubes
     except ModuleNotFoundError as error:
-        text = f"The skin is extracted by the package {error.name}, which is missing: pip install pcmrs[imaging]."
+        text = f"The skin is extracted by the package {error.name}, which is missing: "
+        text += "install the extra imaging (docs/supply.md)."
         raise ConfigurationError(text, package=error.name) from None
     say = step or (lambda _text, _done, _total: None)
     say(STAGES[0], 0, len(STAGES))

@@ -54,7 +54,8 @@ def read_volume(path: Path) -> Volume:
 
             return read_nifti(path)
     except ModuleNotFoundError as error:
-        text = f"Volumes are read by the package {error.name}, which is missing: pip install pcmrs[imaging]."
+        text = f"Volumes are read by the package {error.name}, which is missing: "
+        text += "install the extra imaging (docs/supply.md)."
         raise ConfigurationError(text, package=error.name) from None
     refuse(path, f"is no volume that can be read: give {' or '.join(NIFTI)}, or a folder with one DICOM series.")
 

@@ -43,19 +43,19 @@ class Admission:
         """The peer that a datagram is from. Raises `RefusalError`."""
         return authenticate(self._peers, signed)
 
-    def enter_at_once(self, peer: SignedPeer, counter: int, enter: Enter, refusal: RefusalError | None = None) -> None:
+    def enter_at_once(self, peer: SignedPeer, enter: Enter, refusal: RefusalError | None = None) -> None:
         """Lets Stop in, or has a command rejected; neither waits for the disk, which gets the counter all the same."""
-        self._keeper.note(peer.name, counter)
+        self._keeper.note(peer.name, peer.newest)
         enter(refusal)
 
-    def enter_when_kept(self, peer: SignedPeer, counter: int, enter: Enter) -> None:
+    def enter_when_kept(self, peer: SignedPeer, enter: Enter) -> None:
         """Lets a command in once its counter is kept; it is rejected when that fails, or when Stop comes before."""
         if peer.waiting >= MAX_WAITING:
             text = f"{peer.waiting} commands of {peer.name!r} wait for the disk, the limit is {MAX_WAITING}; send less."
-            self.enter_at_once(peer, counter, enter, RefusalError(QUEUE_FULL, text))
+            self.enter_at_once(peer, enter, RefusalError(QUEUE_FULL, text))
             return
         stops = self._stops
-        kept = self._keeper.keep(peer.name, counter)
+        kept = self._keeper.keep(peer.name, peer.newest)
 
         def decide(_: asyncio.Future[None]) -> None:
             peer.waiting -= 1

@@ -1,4 +1,4 @@
-"""Who a signed datagram is from: a configured peer whose tag holds, and whose counter has grown."""
+"""Who a signed datagram is from: a configured peer whose tag holds, and whose counter has grown; and how old it is."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from pcmrs.gateway.bucket import TokenBucket
 from pcmrs.gateway.commands import Action, Spec
 from pcmrs.gateway.keys import read_key
 from pcmrs.gateway.permissions import allowed
-from pcmrs.gateway.settings import PeerConfig
-from pcmrs.gateway.signing import Signed
+from pcmrs.gateway.session import Answer, Send
+from pcmrs.gateway.settings import UNIX_NS, PeerConfig
+from pcmrs.gateway.signing import Signed, sign_answer
 from pcmrs.messages.identity import Asker
 
 UNKNOWN_PEER = "unknown_peer"
@@ -20,6 +21,10 @@ BAD_TAG = "bad_tag"
 OLD_COUNTER = "old_counter"
 NOT_ALLOWED = "not_allowed"
 OVER_RATE = "over_rate"
+TOO_OLD = "too_old"
+CLOCK_AHEAD = "clock_ahead"
+FRESH_FOR = 2.0
+"""Seconds between the clock of a peer and ours at which its command is still taken: its way included."""
 
 
 class SignedPeer:
@@ -33,6 +38,7 @@ class SignedPeer:
 
     Attributes:
         name: Its name.
+        newest: The largest counter that it has used.
         waiting: How many of its commands wait until their counters are kept.
 
     Raises:
@@ -45,7 +51,8 @@ class SignedPeer:
         self._key = read_key(Path(config.key_file).expanduser())
         self._config = config
         self._allowed = allowed(config.allow)
-        self._newest = newest
+        self.newest = newest
+        self._clock = clock
         self._bucket = TokenBucket(config.rate, config.burst, clock)
 
     @property
@@ -61,24 +68,47 @@ class SignedPeer:
     def accept(self, signed: Signed) -> None:
         """Takes a datagram as this peer's, and its counter as used.
 
+        A counter that is a time in the future is not taken as used: otherwise the peer could send nothing, not even
+        Stop, between the moment when its clock is corrected and that time.
+
         Raises:
             RefusalError: The tag does not hold, or the counter has not grown.
         """
         if not signed.holds(self._key):
             raise RefusalError(BAD_TAG, f"The tag is not one of {self.name!r}: use its key, and sign every byte.")
-        if signed.counter <= self._newest:
+        if signed.counter <= self.newest:
             raise RefusalError(
                 OLD_COUNTER,
-                f"The counter of {self.name!r} is {signed.counter}, and {self._newest} was used; count on from there.",
+                f"The counter of {self.name!r} is {signed.counter}, and {self.newest} was used; count on from there.",
                 counter=signed.counter,
-                newest=self._newest,
+                newest=self.newest,
             )
-        self._newest = signed.counter
+        if self._age(signed.counter) >= -FRESH_FOR:
+            self.newest = signed.counter
 
-    def objection(self, spec: Spec) -> RefusalError | None:
+    def objection(self, spec: Spec, counter: int) -> RefusalError | None:
         """Why it may not give this command now; Stop may always be given."""
         if spec.action is Action.STOP:
             return None
+        age = self._age(counter)
+        if age > FRESH_FOR:
+            return RefusalError(
+                TOO_OLD,
+                f"A command of {self.name!r} is {age:.1f} s old, the limit is {FRESH_FOR:g} s: it was held back on its "
+                "way, or the clock of that machine is behind ours. Set both clocks, by NTP for example.",
+                peer=self.name,
+                age=age,
+                limit=FRESH_FOR,
+            )
+        if age < -FRESH_FOR:
+            return RefusalError(
+                CLOCK_AHEAD,
+                f"The clock of {self.name!r} is {-age:.1f} s ahead of ours, the limit is {FRESH_FOR:g} s. Set both "
+                "clocks, by NTP for example.",
+                peer=self.name,
+                ahead=-age,
+                limit=FRESH_FOR,
+            )
         if not self._bucket.take():
             limits = f"{self._config.rate:g} per second after {self._config.burst}"
             return RefusalError(OVER_RATE, f"{self.name!r} sends more than {limits}; send less, or raise its rate.")
@@ -86,6 +116,27 @@ class SignedPeer:
             text = f"{self.name!r} may not give {spec.name}; list it in gateway.peers.{self.name}.allow."
             return RefusalError(NOT_ALLOWED, text, peer=self.name, command=spec.name)
         return None
+
+    def signs(self, answer: Answer, counter: int) -> Answer:
+        """Return where answers to the command with this counter go; those to a peer with a clock are signed."""
+        if not self._timed:
+            return answer
+        acknowledge = answer.acknowledge
+        return Answer(
+            verdict=self._signing(answer.verdict, counter),
+            acknowledge=None if acknowledge is None else self._signing(acknowledge, counter),
+        )
+
+    @property
+    def _timed(self) -> bool:
+        return self._config.counter == UNIX_NS
+
+    def _age(self, counter: int) -> float:
+        """Seconds since the peer signed; 0 where its counter is no time."""
+        return self._clock.wall() - counter * 1e-9 if self._timed else 0.0
+
+    def _signing(self, send: Send, counter: int) -> Send:
+        return lambda text: send(sign_answer(text, self.name, counter, self._key))
 
 
 def authenticate(peers: Mapping[str, SignedPeer], signed: Signed) -> SignedPeer:

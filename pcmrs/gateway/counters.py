@@ -35,6 +35,7 @@ class CounterFile:
 
     Attributes:
         kept: Newest counter of each peer when it was opened.
+        made: Whether it was made now, so that every peer begins at 0.
 
     Raises:
         ConfigurationError: It cannot be made, read or written, or no slot of it is whole.
@@ -43,7 +44,8 @@ class CounterFile:
     def __init__(self, path: Path) -> None:
         self._path = path
         try:
-            if not path.exists():
+            self.made = not path.exists()
+            if self.made:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_durably(path, b"".join(_slot(number, {}) for number in range(2)), mode=0o600)
             self._descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)

@@ -9,7 +9,16 @@ from pcmrs.clock import Clock
 from pcmrs.errors import PayloadError, PcmrsError, RefusalError
 from pcmrs.gateway.actions import Actions, Services
 from pcmrs.gateway.admission import NOT_KEPT, Admission
-from pcmrs.gateway.authentication import BAD_TAG, NOT_ALLOWED, OLD_COUNTER, OVER_RATE, UNKNOWN_PEER, SignedPeer
+from pcmrs.gateway.authentication import (
+    BAD_TAG,
+    CLOCK_AHEAD,
+    NOT_ALLOWED,
+    OLD_COUNTER,
+    OVER_RATE,
+    TOO_OLD,
+    UNKNOWN_PEER,
+    SignedPeer,
+)
 from pcmrs.gateway.commands import COMMANDS, Action
 from pcmrs.gateway.grammar import Request, parse, parse_tool_points
 from pcmrs.gateway.memory import Memory
@@ -24,7 +33,7 @@ STREAMS = ("tcp", "openigtlink")
 """Links that are no UDP."""
 LINK_ERROR = "link_error"
 """Reason where nothing was wrong with what was sent, or only a part of it came."""
-OF_PEERS = (UNKNOWN_PEER, BAD_TAG, OLD_COUNTER, NOT_ALLOWED, OVER_RATE, NOT_KEPT)
+OF_PEERS = (UNKNOWN_PEER, BAD_TAG, OLD_COUNTER, TOO_OLD, CLOCK_AHEAD, NOT_ALLOWED, OVER_RATE, NOT_KEPT)
 """Reasons why what is signed is refused; the first three are not answered."""
 
 
@@ -155,12 +164,12 @@ class Intake:
             raise RefusalError(UNKNOWN_PEER, "No peer has a key; make one with: pcmrs peers new NAME.")
         peer = self._admission.identify(signed)
         request = _as_meant(link, parse(signed.command))
-        enter = partial(self._enter, peer, request, answer, arrived)
-        objection = peer.objection(request.spec)
+        enter = partial(self._enter, peer, request, peer.signs(answer, signed.counter), arrived)
+        objection = peer.objection(request.spec, signed.counter)
         if objection is not None or request.spec.action is Action.STOP:
-            self._admission.enter_at_once(peer, signed.counter, enter, objection)
+            self._admission.enter_at_once(peer, enter, objection)
         else:
-            self._admission.enter_when_kept(peer, signed.counter, enter)
+            self._admission.enter_when_kept(peer, enter)
 
     def _enter(
         self, peer: SignedPeer, request: Request, answer: Answer, arrived: float, refusal: RefusalError | None

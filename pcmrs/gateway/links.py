@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from uuid import uuid4
+
+import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.errors import ConfigurationError
@@ -23,18 +25,22 @@ from pcmrs.gateway.keeper import CounterKeeper
 from pcmrs.gateway.markers import Markers
 from pcmrs.gateway.records import Records
 from pcmrs.gateway.refusals import Refusals
-from pcmrs.gateway.settings import GatewayConfig, LinkConfig
+from pcmrs.gateway.settings import UNIX_NS, GatewayConfig, LinkConfig, PeerConfig
 from pcmrs.gateway.streams import Send, Streams
 from pcmrs.gateway.tasks import Tasks
 from pcmrs.gateway.tcp import LINK, TcpLink
 from pcmrs.gateway.udp import UdpLink
+from pcmrs.messages import DeviceEvent
 
 FINISH_WITHIN = 1.0
 """Seconds that closing waits for running commands to end and be answered."""
 COUNTERS = "peers.counters"
 """File of the newest counters of signed peers."""
+RESET = "counters_reset"
 RECORDS = "records"
 """Folder of what clients save."""
+
+_log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +76,9 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         streams = Streams(core, kernel_beats, config, await _open_sender(stack), tasks)
         records = Records(core, clock, folder / RECORDS, tasks)
         refusals = Refusals(core, clock, tasks)
-        admission = _open_admission(stack, config, clock, folder / COUNTERS, refusals, tasks) if config.peers else None
+        admission = None
+        if config.peers:
+            admission = _open_admission(stack, core, config, clock, folder / COUNTERS, refusals, tasks)
         services = Services(uuid4().hex, core, clock, streams, records, refusals)
         intake = Intake(services, jobs, config.unsigned_peers, admission)
         core.on_stop(intake.halt)
@@ -93,15 +101,33 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
 
 
 def _open_admission(
-    stack: AsyncExitStack, config: GatewayConfig, clock: Clock, path: Path, refusals: Refusals, tasks: Tasks
+    stack: AsyncExitStack,
+    core: Core,
+    config: GatewayConfig,
+    clock: Clock,
+    path: Path,
+    refusals: Refusals,
+    tasks: Tasks,
 ) -> Admission:
     file = CounterFile(path)
     stack.callback(file.close)
     check_room(file.kept, config.peers, path)
+    if file.made:
+        _report_reset(core, config.peers, path)
     peers = {name: SignedPeer(name, peer, file.kept.get(name, 0), clock) for name, peer in config.peers.items()}
     keeper = CounterKeeper(file, lambda error: refusals.add("gateway", NOT_KEPT, f"{path} cannot be written: {error}."))
     stack.push_async_callback(keeper.close)
     return Admission(peers, keeper, clock, tasks)
+
+
+def _report_reset(core: Core, peers: Mapping[str, PeerConfig], path: Path) -> None:
+    """In a new folder every counter begins at 0, and whoever has kept old commands could send them again."""
+    growing = ", ".join(sorted(name for name, peer in peers.items() if peer.counter != UNIX_NS))
+    text = f"{path} is new: counters of signed peers begin at 0. If this cell had another folder, copy it from there."
+    if growing:
+        text += f" Otherwise commands that were sent before could be taken once more from: {growing}."
+    _log.warning(RESET, text=text, peers=sorted(peers))
+    core.report(DeviceEvent(device="gateway", code=RESET, text=text, fields={"peers": sorted(peers)}))
 
 
 async def _open_sender(stack: AsyncExitStack) -> Send:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import msgspec
 
@@ -16,6 +16,8 @@ from pcmrs.hosts import is_loopback
 from pcmrs.messages.identity import LOCAL
 
 MAX_PEERS = 64
+UNIX_NS: Final = "unix_ns"
+"""Counters that are nanoseconds since 1970."""
 
 Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 
@@ -99,6 +101,8 @@ class PeerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         allow: Commands and groups of commands that it may give. Stop may always be given.
         rate: Commands per second that it may give in the long run; Stop is never limited.
         burst: Commands that it may give at once: a plan is one for each landmark and two more.
+        counter: ``unix_ns``: its counters are nanoseconds since 1970, so that a command that was held back on its way
+            is known and refused; answers to it are signed. ``growing``: they only grow, as those of older clients.
 
     Raises:
         ConfigurationError: The path is relative, an entry of `allow` is neither, or no command could ever be given.
@@ -109,6 +113,7 @@ class PeerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     allow: tuple[str, ...] = DEFAULT
     rate: float = 50.0
     burst: int = 200
+    counter: Literal["growing", "unix_ns"] = "growing"
 
     def __post_init__(self) -> None:
         if not Path(self.key_file).expanduser().is_absolute():

@@ -3,6 +3,10 @@
 A signed datagram is ``<command>;|<peer>|<counter>|<tag>``: the peer's name, a decimal counter that grows with every
 datagram of that peer, and the first 32 hex digits, in lower case, of HMAC-SHA256 over everything before the last
 ``|``. Whether a signature holds is not decided here.
+
+A signed answer is ``<answer>;|<peer>|<counter>|<tag>`` with the counter of the command that it answers. Its tag is made
+of a zero byte and everything before the last ``|``: no command holds that byte, so none can be sent back as an answer,
+nor an answer as a command.
 """
 
 from __future__ import annotations
@@ -22,6 +26,8 @@ PEER_NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 _TAG_DIGITS = 32
 _SIGNED = re.compile(rb"(([\x20-\x3a\x3c-\x7e]{0,255};)\|([A-Za-z0-9_-]{1,32})\|([1-9][0-9]{0,18}))\|([0-9a-f]{32})")
 """A command of at most 256 bytes with its signature, of at most 86."""
+_ANSWER = re.compile(rb"(([\x20-\x3a\x3c-\x7e]*;)\|([A-Za-z0-9_-]{1,32})\|([1-9][0-9]{0,18}))\|([0-9a-f]{32})")
+_OF_ANSWERS = b"\0"
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +66,21 @@ def tag_of(covered: bytes, key: bytes) -> bytes:
     return hmac.new(key, covered, hashlib.sha256).hexdigest()[:_TAG_DIGITS].encode("ascii")
 
 
+def sign_answer(answer: str, peer: str, counter: int, key: bytes) -> str:
+    """Return an answer with its signature.
+
+    Args:
+        answer: The answer; it is ended by ``;`` if it is not.
+        peer: Who gets it.
+        counter: Of the command that it answers.
+        key: The peer's.
+    """
+    covered = f"{answer.removesuffix(';')};|{peer}|{counter}"
+    return f"{covered}|{tag_of(_OF_ANSWERS + covered.encode('ascii'), key).decode('ascii')}"
+
+
 class Signer:
-    """Signs the commands of one peer.
+    """Signs the commands of one peer, and checks the answers to them.
 
     Counters are nanoseconds since 1970 unless given, so that they grow across restarts of the client without a file.
 
@@ -69,12 +88,16 @@ class Signer:
         peer: The peer's name in the daemon's configuration.
         key: Its key, 32 bytes.
         counter: Gives a number; the next one where it has not grown.
+        answers_signed: Whether an answer without a signature is refused. The daemon signs its answers to peers with
+            ``counter = "unix_ns"``, and to no others.
 
     Raises:
         PayloadError: The name or the length of the key cannot be one.
     """
 
-    def __init__(self, peer: str, key: bytes, counter: Callable[[], int] = time.time_ns) -> None:
+    def __init__(
+        self, peer: str, key: bytes, counter: Callable[[], int] = time.time_ns, *, answers_signed: bool = False
+    ) -> None:
         if not PEER_NAME.fullmatch(peer):
             raise PayloadError(f"{peer!r} is no name of a peer: 1 to 32 letters, digits, '-' and '_'.", peer=peer)
         if len(key) != KEY_BYTES:
@@ -82,10 +105,31 @@ class Signer:
         self._peer = peer
         self._key = key
         self._counter = counter
-        self._last = 0
+        self._answers_signed = answers_signed
+        self._first = self._last = 0
 
     def sign(self, command: bytes) -> bytes:
         """The signed datagram of a command; each time with a new counter, also for a command sent again."""
         self._last = max(self._last + 1, self._counter())
+        self._first = self._first or self._last
         covered = b"%s|%s|%d" % (command, self._peer.encode("ascii"), self._last)
         return covered + b"|" + tag_of(covered, self._key)
+
+    def check(self, answer: bytes) -> bytes:
+        """Return an answer without its signature.
+
+        An answer to a command of an earlier run is refused. Within a run the command's id tells which one is answered.
+
+        Raises:
+            PayloadError: The daemon did not sign it for this peer, or it answers no command that this has signed.
+        """
+        match = _ANSWER.fullmatch(answer)
+        if match is None:
+            if self._answers_signed or b"|" in answer:
+                raise PayloadError(f"{answer[:60]!r} is no signed answer.")
+            return answer
+        tag = tag_of(_OF_ANSWERS + match[1], self._key)
+        ours = match[3] == self._peer.encode("ascii") and 0 < self._first <= int(match[4]) <= self._last
+        if not (ours and hmac.compare_digest(match[5], tag)):
+            raise PayloadError(f"{answer[:60]!r} is no answer to {self._peer!r}, or its signature does not hold.")
+        return match[2]

@@ -75,7 +75,7 @@ class JournalReader:
             found = self._last(where, values, last)
         else:
             limit = -1 if first is None else first  # a negative limit is none
-            query = f"SELECT {COLUMNS} FROM journal WHERE {where} ORDER BY sequence LIMIT ?"
+            query = f"SELECT {COLUMNS} FROM journal WHERE {where} ORDER BY sequence LIMIT ?"  # noqa: S608  # values are bound
             found = chain.from_iterable(self._rows(file, query, [*values, limit]) for file in self._followed())
         yield from islice(found, first)
 
@@ -135,7 +135,7 @@ class JournalReader:
         return self._files
 
     def _last(self, where: str, values: Sequence[Any], last: int) -> Iterator[StoredRow]:
-        query = f"SELECT {COLUMNS} FROM journal WHERE {where} ORDER BY sequence DESC LIMIT ?"
+        query = f"SELECT {COLUMNS} FROM journal WHERE {where} ORDER BY sequence DESC LIMIT ?"  # noqa: S608  # values are bound
         found: list[StoredRow] = []
         for file in reversed(self._followed()):
             if len(found) < last:
@@ -144,7 +144,7 @@ class JournalReader:
 
     def _row_of(self, kind: Literal["intent", "outcome"], source: str, command_id: str) -> JournalRow | None:
         # The kind is part of the text: only so does SQLite use the index of that kind.
-        query = f"SELECT {COLUMNS} FROM journal WHERE kind = '{kind}' AND source = ? AND command_id = ?"
+        query = f"SELECT {COLUMNS} FROM journal WHERE kind = '{kind}' AND source = ? AND command_id = ?"  # noqa: S608  # ours
         for file in reversed(self._followed()):
             for stored in self._rows(file, query, (source, command_id)):
                 return stored.row

@@ -137,7 +137,7 @@ def version_of(connection: sqlite3.Connection) -> int:
 def last_sequence(connection: sqlite3.Connection, path: Path, *, kind: Kind | None = None) -> int:
     """Sequence of the last row, of its kind where one is given; 0 when there is none. Raises `JournalError`."""
     where, values = ("", ()) if kind is None else ("WHERE kind = ?", (kind,))
-    query = f"SELECT sequence FROM journal {where} ORDER BY sequence DESC LIMIT 1"
+    query = f"SELECT sequence FROM journal {where} ORDER BY sequence DESC LIMIT 1"  # noqa: S608  # values are bound
     try:
         found = connection.execute(query, values).fetchone()
     except DATABASE_ERRORS as error:

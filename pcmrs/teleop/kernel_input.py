@@ -43,7 +43,8 @@ def _evdev() -> Any:
     try:
         return import_module("evdev")
     except ImportError:
-        text = "SpaceMouse and gamepad are read by the package evdev, which is missing: pip install pcmrs[teleop]."
+        text = "SpaceMouse and gamepad are read by the package evdev, which is missing: "
+        text += "install the extra teleop (docs/supply.md)."
         raise ConfigurationError(text) from None
 
 

@@ -39,7 +39,7 @@ class Desk:
     """
 
     def __init__(self, cell: Cell, port: int | None = None, **settings: Any) -> None:
-        signer = link.Signer("slicer", link.read_key(str(_key(cell.cell.folder))))
+        signer = link.Signer("slicer", link.read_key(str(_key(cell.cell.folder))), answers_signed=True)
         ours = {"pose_port": cell.pose_port, "point_port": cell.point_port, "signer": signer}
         self.link = link.Link(port=port or cell.port, **{**ours, **settings})
         self.planner = link.Planner(self.link)
@@ -89,6 +89,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
         f'gateway.unsigned_peers=["{UNSIGNED}"]',
         f"gateway.peers.slicer.key_file={_key(folder)}",
         "gateway.peers.slicer.role=operator",
+        "gateway.peers.slicer.counter=unix_ns",
         'gateway.peers.slicer.allow=["read","stream","plan","digitize","register","robot","motion"]',
         "cell.rate=2",  # what is quicker fails on a machine that does much else
         "robot.deadman=1.0",  # likewise: such a machine leaves a daemon alone for so long, and the arm would be held

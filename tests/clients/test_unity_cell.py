@@ -143,6 +143,7 @@ async def test_a_procedure_is_run_and_seen_by_the_client(programs: Path, tmp_pat
         "gateway.openigtlink.port=0",
         f"gateway.peers.unity.key_file={key}",
         "gateway.peers.unity.role=operator",
+        "gateway.peers.unity.counter=unix_ns",
         'gateway.peers.unity.allow=["plan", "digitize", "register", "robot", "motion"]',
     )
     async with Lab(1, tmp_path).daemon(*overrides) as cell:

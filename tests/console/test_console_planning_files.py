@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 import trimesh
 from nicegui.elements.upload_files import SmallFileUpload
 
-from pcmrs.console.planning import files
+from pcmrs.console.planning import files, importer
 from pcmrs.console.planning.files import read_points, read_surface
 from pcmrs.console.planning.upload_form import stored
 from pcmrs.errors import FileFormatError
@@ -29,7 +30,7 @@ def markups(path: Path, **changed: Any) -> Path:
 
 
 async def test_a_mesh_is_read_by_another_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "read_mesh", None)  # in this one it would fail
+    monkeypatch.setattr(importer, "read_mesh", None)  # in this one it would fail
     BALL.export(tmp_path / "head.stl")
     mesh = await read_surface(tmp_path / "head.stl", "mm", "RAS", None)
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 0.09, atol=1e-6)
@@ -40,7 +41,7 @@ async def test_a_mesh_is_read_by_another_process(tmp_path: Path, monkeypatch: py
 
 
 def test_points_come_in_ras_and_metres(tmp_path: Path) -> None:
-    found = files._points(markups(tmp_path / "F.mrk.json"))
+    found = importer.read_points(markups(tmp_path / "F.mrk.json"))
     assert found.names == ("nasion",)
     np.testing.assert_allclose(found.points, [[0.0, 0.09, 0.0]])
 
@@ -48,25 +49,105 @@ def test_points_come_in_ras_and_metres(tmp_path: Path) -> None:
 def test_what_is_no_plan_is_refused_with_its_reason(tmp_path: Path) -> None:
     BALL.export(tmp_path / "head.ply")
     with pytest.raises(FileFormatError, match="Give its other unit"):
-        files._surface(tmp_path / "head.ply", "m", "RAS", None)
+        importer.read_surface(tmp_path / "head.ply", "m", "RAS", None)
     with pytest.raises(FileFormatError, match="no volume"):
-        files._surface(tmp_path / "head.vtk", "mm", "RAS", None)
+        importer.read_surface(tmp_path / "head.vtk", "mm", "RAS", None)
     for changed in ({"coordinateSystem": "IJK"}, {"coordinateUnits": "inch"}, {"type": "Curve"}):
         with pytest.raises(FileFormatError, match=r"F\.mrk\.json"):
-            files._points(markups(tmp_path / "F.mrk.json", **changed))
+            importer.read_points(markups(tmp_path / "F.mrk.json", **changed))
     (tmp_path / "d.yaml").write_text(DIGITIZED)
     with pytest.raises(FileFormatError, match="digitized"):
-        files._points(tmp_path / "d.yaml")
+        importer.read_points(tmp_path / "d.yaml")
 
 
-def dies(path: Path) -> None:
-    os._exit(1)
+async def test_points_come_from_another_process(tmp_path: Path) -> None:
+    found = await read_points(markups(tmp_path / "F.mrk.json"))
+    assert (found.names, found.role) == (("nasion",), None)
+    np.testing.assert_allclose(found.points, [[0.0, 0.09, 0.0]])
 
 
-@pytest.mark.nightly
-async def test_a_file_that_ends_its_reader_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match="ended the process"):
-        await files._apart(dies, tmp_path / "a.stl")
+def answering(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
+    """Has another program stand in for the reader, as one that a file has taken over."""
+    monkeypatch.setattr(files, "_CHILD", (sys.executable, "-c", f"import os, sys\n{program}"))
+
+
+@pytest.mark.parametrize(
+    ("program", "word"),
+    [
+        ("os._exit(1)", "ended the process"),
+        ("sys.stdout.buffer.write(b'nonsense')", "no surface and no points"),
+        ("import pickle; sys.stdout.buffer.write(pickle.dumps(print))", "no surface and no points"),
+        ("import msgspec; sys.stdout.buffer.write(msgspec.msgpack.encode({'type': 'refused', 'text': 'so'}))", "so"),
+        ("while True: sys.stdout.buffer.write(bytes(1 << 20))", "no surface and no points"),
+    ],
+)
+async def test_whatever_the_reader_says_is_only_data(
+    program: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answering(monkeypatch, program)
+    with pytest.raises(FileFormatError, match=word):
+        await read_points(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces"),
+    [
+        ([[0.0, 0.0, 0.0]], [[0, 0, 1]]),
+        ([[0.0, 0.0, 0.0]], [[0, -1, 0]]),
+        ([[0.0, 0.0, float("nan")]], [[0, 0, 0]]),
+        ([[0.0, 0.0, 0.0]], []),
+        ([[0.0, 0.0]], [[0, 0, 0]]),
+        ([[0.0, 0.0, 0.0]], [[0, 0, 0]] * (importer.MOST_FACES + 1)),
+    ],
+)
+def test_a_surface_that_is_none_is_not_taken(vertices: list[list[float]], faces: list[list[int]]) -> None:
+    answer = importer.SurfaceAnswer(np.array(vertices).tobytes(), np.array(faces, dtype=np.int64).tobytes())
+    with pytest.raises(FileFormatError, match="no surface"):
+        files.surface_in(Path("a.stl"), answer)
+    with pytest.raises(FileFormatError, match="no surface"):
+        files.surface_in(Path("a.stl"), importer.PointsAnswer((), (), None))
+
+
+CONFINED = """
+import os, resource, socket, subprocess, sys, threading
+from pcmrs.console.planning.confined import confine
+
+go, out = threading.Event(), []
+def beside():
+    go.wait()
+    out.append(refused(socket.socket))
+def refused(act, *words):
+    try:
+        act(*words)
+    except (OSError, MemoryError) as error:
+        return type(error).__name__
+    return "done"
+thread = threading.Thread(target=beside, daemon=True)
+thread.start()
+file = os.open(sys.argv[2], os.O_WRONLY | os.O_CREAT)
+if sys.argv[1] == "confined":
+    confine(2**30, 60)
+out += [refused(socket.socket), refused(subprocess.run, ["/bin/true"])]
+out += [refused(bytes, 2**31), refused(os.write, file, b"x")]
+go.set()
+thread.join()
+print(*out)
+"""
+
+
+@pytest.mark.parametrize("how", ["free", "confined"])
+def test_a_reader_has_neither_network_nor_programs_nor_much_memory(how: str, tmp_path: Path) -> None:
+    words = [sys.executable, "-c", CONFINED, how, str(tmp_path / "file")]
+    said = subprocess.run(words, capture_output=True, text=True, check=True, timeout=120).stdout.split()
+    ended = ["PermissionError", "PermissionError", "MemoryError", "OSError", "PermissionError"]
+    assert said == (ended if how == "confined" else ["done"] * 5)
+
+
+async def test_a_reader_without_memory_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    BALL.export(tmp_path / "head.stl")
+    monkeypatch.setattr(files, "MEMORY", 2**20)
+    with pytest.raises(FileFormatError, match="for want of memory"):
+        await read_surface(tmp_path / "head.stl", "mm", "RAS", None)
 
 
 async def test_what_takes_too_long_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -121,6 +121,7 @@ def test_the_daemon_keeps_what_it_was_seen_to_fail_without() -> None:
     assert not re.search("^ProcSubset=pid", unit, re.MULTILINE)  # the boot_id of every row of the journal
     assert "AF_NETLINK" in unit  # which interface is loopback, for access control
     assert "SystemCallFilter=setpriority" in unit  # the recorder is nicer than the daemon
+    assert "SystemCallFilter=seccomp" in unit  # what reads uploaded files confines itself
 
 
 OPENED_FOR_THE_BEAT = {"sched_setattr", "sched_setparam", "sched_setscheduler"}

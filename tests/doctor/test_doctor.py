@@ -17,7 +17,7 @@ from pcmrs.cli.doctor import doctor
 from pcmrs.doctor import Examination, Finding, surroundings
 from pcmrs.doctor.disk import disk, free_space, judged
 from pcmrs.doctor.machine import clock_source, kernel, limits, scheduling
-from pcmrs.doctor.surroundings import certificates, devices, extras, is_running, ports, streams
+from pcmrs.doctor.surroundings import certificates, devices, extras, is_running, peers, ports, streams
 from pcmrs.settings import Settings, read_settings
 
 
@@ -167,7 +167,7 @@ def test_a_missing_extra_is_named_with_its_packages(tmp_path: Path, monkeypatch:
     assert found["sim"].verdict == "bad"
     assert "mujoco" in found["sim"].found
     assert found["console"].verdict == "warning"
-    assert 'pip install "pcmrs[sim]"' in found["sim"].remedy
+    assert "docs/supply.md" in found["sim"].remedy
 
 
 def test_a_device_that_is_not_there_is_bad_and_a_cabinet_is_not_dialled(tmp_path: Path) -> None:
@@ -193,6 +193,14 @@ def test_streams_that_other_machines_may_reach_are_told(tmp_path: Path, monkeypa
     assert only(streams(used), "streams").verdict == "good"
     monkeypatch.setenv("LSLAPICFG", "/etc/lab.cfg")
     assert only(streams(used), "streams").verdict == "warning"
+
+
+def test_peers_whose_old_commands_would_be_taken_are_told(tmp_path: Path) -> None:
+    timed = ["gateway.peers.planner.key_file=/planner.key", "gateway.peers.planner.counter=unix_ns"]
+    assert only(peers(settings(tmp_path, *timed)), "peers").verdict == "good"
+    found = only(peers(settings(tmp_path, *timed, "gateway.peers.panel.key_file=/panel.key")), "peers")
+    assert found.verdict == "warning"
+    assert found.found.startswith("panel: a command that was held back")
 
 
 def test_an_identity_that_cannot_be_used_is_bad(tmp_path: Path) -> None:

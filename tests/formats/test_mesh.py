@@ -58,6 +58,13 @@ def test_what_is_no_mesh_is_refused_with_file_and_reason(name: str, raw: bytes, 
     assert str(path) in caught.value.text
 
 
+def test_corners_with_two_coordinates_are_refused(tmp_path: Path) -> None:
+    """Found by `fuzz.uploads`: it ended with another error than the refusal."""
+    (tmp_path / "flat.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
+    with pytest.raises(FileFormatError, match=r"flat\.obj"):
+        read_mesh(tmp_path / "flat.obj", "mm", "RAS")
+
+
 def test_a_huge_mesh_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mesh_file, "MAX_MESH_BYTES", 1000)
     path = tmp_path / "a.stl"

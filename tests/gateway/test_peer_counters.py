@@ -25,6 +25,9 @@ DAEMON = """
 import asyncio, json, sys
 from pathlib import Path
 
+import structlog
+
+structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
 sys.path[:0] = sys.argv[2:]
 from clock import ManualClock
 from gateway_fakes import FakeCore

@@ -81,6 +81,7 @@ def test_keys_differ(tmp_path: Path) -> None:
         ({"a": {"key_file": "/a.key", "rate": float("inf")}}, "greater than 0"),
         ({"a": {"key_file": "/a.key", "burst": 0}}, "1 or more"),
         ({"a": {"key_file": "/a.key", "key": "00"}}, "unknown field `key`"),
+        ({"a": {"key_file": "/a.key", "counter": "unix_ms"}}, "unix_ms"),
         ({"a|b": {"key_file": "/a.key"}}, "1 to 32 letters"),
         ({"a" * 33: {"key_file": "/a.key"}}, "1 to 32 letters"),
         ({f"a{number}": {"key_file": "/a.key"} for number in range(MAX_PEERS + 1)}, f"limit is {MAX_PEERS}"),
@@ -126,14 +127,14 @@ def test_a_new_key_comes_with_the_table_that_uses_it(tmp_path: Path) -> None:
     assert read_key(file).hex() not in ended.output
     (tmp_path / "cell.toml").write_text(ended.stdout)
     settings = read_settings(tmp_path / "cell.toml")
-    assert settings.gateway.peers == {"planner": PeerConfig(key_file=str(file))}
+    assert settings.gateway.peers == {"planner": PeerConfig(key_file=str(file), counter="unix_ns")}
     assert tomllib.loads(ended.stdout)["gateway"]["peers"]["planner"]["allow"] == list(DEFAULT)
 
 
 def test_as_json(tmp_path: Path) -> None:
     ended = run("planner", "--folder", str(tmp_path), "--json")
     assert json.loads(ended.stdout) == {
-        "peer": "planner", "key_file": str(tmp_path / "planner.key"), "allow": list(DEFAULT),
+        "peer": "planner", "key_file": str(tmp_path / "planner.key"), "allow": list(DEFAULT), "counter": "unix_ns",
     }  # fmt: skip
 
 

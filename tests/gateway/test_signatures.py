@@ -22,7 +22,7 @@ from pcmrs.gateway.authentication import SignedPeer, authenticate
 from pcmrs.gateway.grammar import MAX_BYTES, parse
 from pcmrs.gateway.keys import new_key, read_key
 from pcmrs.gateway.settings import PeerConfig
-from pcmrs.gateway.signing import Signer, split
+from pcmrs.gateway.signing import Signer, sign_answer, split
 
 CLIENTS = Path(__file__).parents[2] / "clients"
 VECTORS: list[dict[str, Any]] = json.loads((CLIENTS / "signature_vectors.json").read_text(encoding="ascii"))
@@ -171,6 +171,56 @@ def test_all_python_signers_make_the_bytes_of_the_vectors(vector: dict[str, Any]
     assert parts.holds(bytes.fromhex(vector["key"]))
 
 
+@pytest.mark.parametrize("vector", VECTORS)
+def test_all_python_signers_take_the_answers_of_the_vectors_and_no_others(vector: dict[str, Any]) -> None:
+    key, answer = bytes.fromhex(vector["key"]), vector["signed_answer"].encode()
+    assert sign_answer(vector["answer"], vector["peer"], vector["counter"], key).encode() == answer
+    for maker in (Signer, reference().Signer):
+        made = maker(vector["peer"], key, lambda: vector["counter"], answers_signed=True)
+        with pytest.raises((PayloadError, ValueError), match="answer"):
+            made.check(answer)  # nothing was asked yet
+        made.sign(vector["command"].encode())
+        assert made.check(answer) == vector["answer"].encode()
+
+
+@pytest.mark.parametrize("place", range(len(VECTORS[1]["signed_answer"])))
+def test_every_flipped_bit_of_an_answer_is_refused(place: int) -> None:
+    vector = VECTORS[1]
+    for maker in (Signer, reference().Signer):
+        made = maker(vector["peer"], bytes.fromhex(vector["key"]), lambda: vector["counter"], answers_signed=True)
+        made.sign(vector["command"].encode())
+        for bit in range(8):
+            flipped = bytearray(vector["signed_answer"].encode())
+            flipped[place] ^= 1 << bit
+            with pytest.raises((PayloadError, ValueError), match="answer"):
+                made.check(bytes(flipped))
+
+
+@pytest.mark.parametrize("maker", ["ours", "reference"])
+def test_what_is_no_answer_to_this_run_is_refused(maker: str) -> None:
+    made = (Signer if maker == "ours" else reference().Signer)("planner", bytes(32), count(5).__next__)
+    made.sign(b"stop_now_xxxxxxx;")
+    made.sign(b"stop_now_xxxxxxx;")
+    for counter in (5, 6):
+        assert made.check(sign_answer("ack", "planner", counter, bytes(32)).encode()) == b"ack;"
+    command = Signer("planner", bytes(32), lambda: 5).sign(b"ack;")
+    for wrong in (
+        sign_answer("ack", "planner", 4, bytes(32)).encode(),
+        sign_answer("ack", "planner", 7, bytes(32)).encode(),
+        sign_answer("ack", "panel", 5, bytes(32)).encode(),
+        sign_answer("ack", "planner", 5, b"k" * 32).encode(),
+        command,
+    ):
+        with pytest.raises((PayloadError, ValueError), match="answer"):
+            made.check(wrong)
+    assert made.check(b"ack") == b"ack"  # of a daemon that does not sign, where that is allowed
+
+
+def test_an_answer_is_no_command(key_file: Path) -> None:
+    answer = sign_answer("stop_now_xxxxxxx;", "planner", 9, read_key(key_file))
+    assert not take(peers(key_file), answer.encode())
+
+
 def test_the_manual_shows_the_first_vector() -> None:
     assert bytes.fromhex(VECTORS[0]["key"]) == bytes(range(32))
     assert VECTORS[0]["datagram"] in (CLIENTS.parent / "docs" / "wire.md").read_text(encoding="utf-8").splitlines()
@@ -207,8 +257,19 @@ public static class Vectors
     public static void Main(string[] words)
     {
         byte[] key = Signer.ReadKey(words[1]);
-        var signer = new Signer(words[0], key, () => long.Parse(words[2]));
-        Console.Write(Encoding.ASCII.GetString(signer.Sign(words[3])));
+        var signer = new Signer(words[0], key, () => long.Parse(words[2]), true);
+        Console.WriteLine(Encoding.ASCII.GetString(signer.Sign(words[3])));
+        foreach (string answer in new[] { words[4], words[4].Replace("|" + words[2] + "|", "|3|"), "ack;" })
+        {
+            try
+            {
+                Console.WriteLine(signer.Check(answer));
+            }
+            catch (FormatException)
+            {
+                Console.WriteLine("refused");
+            }
+        }
     }
 }
 """
@@ -217,14 +278,15 @@ public static class Vectors
 @pytest.mark.skipif(
     not (shutil.which("mcs") and shutil.which("mono")), reason="mcs and mono are not installed: C# is not compiled here"
 )
-def test_the_csharp_signer_makes_the_bytes_of_the_vectors(tmp_path: Path) -> None:
+def test_the_csharp_signer_makes_the_bytes_of_the_vectors_and_takes_their_answers(tmp_path: Path) -> None:
     main, program, key = tmp_path / "Vectors.cs", tmp_path / "vectors.exe", tmp_path / "peer.key"
     main.write_text(_MAIN, encoding="ascii")
     source = CLIENTS / "unity" / "Runtime" / "Core" / "Signer.cs"
     subprocess.run(["mcs", "-langversion:7", "-warnaserror", f"-out:{program}", source, main], check=True)
     for vector in VECTORS:
         key.write_text(vector["key"] + "\n", encoding="ascii")
-        words = [vector["peer"], key, str(vector["counter"]), vector["command"]]
+        words = [vector["peer"], key, str(vector["counter"]), vector["command"], vector["signed_answer"]]
         ran = subprocess.run(["mono", program, *words], check=True, capture_output=True)
         # On a line before, mono may tell that it does not know how this process is scheduled.
-        assert ran.stdout.splitlines()[-1] == vector["datagram"].encode()
+        told = [vector["datagram"], vector["answer"], "refused", "refused"]
+        assert ran.stdout.decode("ascii").splitlines()[-4:] == told

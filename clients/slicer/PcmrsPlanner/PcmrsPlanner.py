@@ -80,14 +80,22 @@ class PcmrsPlannerLogic(ScriptedLoadableModuleLogic):
         self.feed: Feed | None = None
         self._shown: dict[str, float] = {}
 
-    def connect(self, host: str, port: int, feed_port: int, peer: str, key_file: str) -> None:
-        """Opens the sockets and says hello; a `feed_port` of 0 does without OpenIGTLink, a `peer` of "" signs nothing.
+    def connect(self, host: str, port: int, feed_port: int, peer: str, key_file: str, *, answers_signed: bool) -> None:
+        """Opens the sockets and says hello.
+
+        Args:
+            host: The daemon's.
+            port: Of its planner link.
+            feed_port: Of its OpenIGTLink; 0 does without.
+            peer: Name to sign with; "" signs nothing.
+            key_file: The peer's key.
+            answers_signed: Whether answers without a signature are dropped.
 
         Raises:
             OSError: A port is in use, the host is not known, or the key cannot be read.
             ValueError: The key file holds no key, or the name is none that can sign.
         """
-        signer = Signer(peer, read_key(key_file)) if peer else None
+        signer = Signer(peer, read_key(key_file), answers_signed=answers_signed) if peer else None
         self.planner = Planner(Link(host, port, signer=signer))
         self.feed = Feed(host, feed_port) if feed_port else None
         self.planner.hello()
@@ -160,6 +168,8 @@ class PcmrsPlannerWidget(ScriptedLoadableModuleWidget):
         self._peer.setToolTip("Name of this client in gateway.peers; empty sends unsigned.")
         self._key_file = ctk.ctkPathLineEdit()
         self._key_file.filters = ctk.ctkPathLineEdit.Files
+        self._answers_signed = qt.QCheckBox()
+        self._answers_signed.setToolTip('Drops answers that are not signed: for a peer with counter = "unix_ns".')
         self._connect = qt.QPushButton("Connect")
         self._connect.connect("clicked(bool)", lambda _: self._toggle())
         form.addRow("Host", self._host)
@@ -167,6 +177,7 @@ class PcmrsPlannerWidget(ScriptedLoadableModuleWidget):
         form.addRow("OpenIGTLink port", self._feed_port)
         form.addRow("Signs as", self._peer)
         form.addRow("Key file", self._key_file)
+        form.addRow("Answers are signed", self._answers_signed)
         form.addRow(self._connect)
 
     def _add_plans(self) -> None:
@@ -244,9 +255,15 @@ class PcmrsPlannerWidget(ScriptedLoadableModuleWidget):
         if self.logic.planner is not None:
             self.logic.disconnect()
         else:
-            peer, key_file = self._peer.text.strip(), self._key_file.currentPath
             try:
-                self.logic.connect(self._host.text.strip(), self._port.value, self._feed_port.value, peer, key_file)
+                self.logic.connect(
+                    self._host.text.strip(),
+                    self._port.value,
+                    self._feed_port.value,
+                    self._peer.text.strip(),
+                    self._key_file.currentPath,
+                    answers_signed=self._answers_signed.checked,
+                )
             except (LinkError, OSError, ValueError) as error:
                 slicer.util.errorDisplay(str(error))
         self._refresh()

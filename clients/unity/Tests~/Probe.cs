@@ -17,12 +17,12 @@ public static class Probe
     private static PoseStreams poses;
     private static StateLink state;
 
-    /// <summary>Without words what needs no daemon; else its command port, and the peer and key file to sign with.</summary>
+    /// <summary>Without words what needs no daemon; else its command port, and the peer and key file to sign with; answers are signed, too.</summary>
     public static void Main(string[] words)
     {
         if (words.Length > 0)
         {
-            Signer signer = words.Length == 1 ? null : new Signer(words[1], Signer.ReadKey(words[2]));
+            Signer signer = words.Length == 1 ? null : new Signer(words[1], Signer.ReadKey(words[2]), true);
             commands = new CommandLink(new IPEndPoint(Daemon, Port(words[0])), signer);
             planner = new Planner(commands);
         }

@@ -260,7 +260,7 @@ def _prefix(pid: int | None) -> str:
 
 def _memory() -> str:
     """Where files are kept in memory, if anywhere: nothing of a session outlives it."""
-    shared = Path("/dev/shm")
+    shared = Path("/dev/shm")  # noqa: S108  # names in it are made by mkdtemp
     return str(shared) if shared.is_dir() else tempfile.gettempdir()
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import shutil
 import sqlite3
+import sys
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,9 @@ from pcmrs.campaign.fault import Evidence, fault
 from pcmrs.campaign.flood import flood
 from pcmrs.campaign.lab import Lab, LabCell
 from pcmrs.campaign.lateness import percentile, timer_lateness
+from pcmrs.gateway.authentication import FRESH_FOR
+from pcmrs.gateway.keys import new_key, read_key
+from pcmrs.gateway.signing import Signer
 from pcmrs.gateway.tcp import MOST_OF_A_HOST
 from pcmrs.journal.verification import verify
 
@@ -39,6 +44,21 @@ MAGIC = (
     b"close", b"quit", b"exit", b"shutdown", b"q", b"stop", b"end", b"\x03", b"\x04", b"\x1a",
     b"close;", b"quit;", b"exit;", b"shutdown;", b"end_session;", b"end_communication",
 )  # fmt: skip
+
+TAKEN_OVER = """
+import os, socket, subprocess, sys
+from pcmrs.console.planning.confined import confine
+file = os.open(sys.argv[2], os.O_WRONLY | os.O_CREAT)
+if sys.argv[1] == "confined":
+    confine(2**30, 60)
+for act, *words in ((socket.socket,), (subprocess.run, ["true"]), (bytes, 2**31), (os.write, file, b"x")):
+    try:
+        act(*words)
+        print("done")
+    except (OSError, MemoryError) as error:
+        print(type(error).__name__)
+"""
+"""What a file could make its reader do."""
 
 
 @fault("A4", how="a process that sends 40,000 datagrams per second, nearly all of them refused", deadline=180.0)
@@ -200,6 +220,50 @@ async def silent_connections(lab: Lab) -> Evidence:
     return Evidence("bounded, and Stop works", {"connections": SILENT, "control": control.decode()})
 
 
+@fault("A30", how="a signed command that is kept back; at a peer with the time in its counters, and at one without")
+async def held_back(lab: Lab) -> Evidence:
+    """Somebody on the way keeps a datagram, and lets it through when nobody thinks of it any more."""
+    command, peers, settings = b"rob_conn_onxxxxx_#1;", {}, []
+    for name, counter in (("timed", "unix_ns"), ("growing", "growing")):
+        key = lab.folder / f"{name}.key"
+        new_key(key)
+        peers[name] = Signer(name, read_key(key))
+        table = {"key_file": str(key), "counter": counter, "role": "operator", "allow": ["robot"]}
+        settings += [f"gateway.peers.{name}.{setting}={json.dumps(value)}" for setting, value in table.items()]
+    async with lab.daemon(*settings) as cell, raw_socket(cell.ready.links["planner"]) as raw:
+        held = {name: signer.sign(command) for name, signer in peers.items()}
+        await asyncio.sleep(FRESH_FOR + 0.5)
+        row = cell.last_row()
+        async with unmoved(cell):
+            (answer,) = await _asked(raw, held["timed"])
+            await reported(cell, row, edge="gateway", code="too_old", count=1)
+        expect(b"_rejected_" in answer and b"too_old;" in answer, f"The peer with the time was answered {answer!r}.")
+        (control,) = await _asked(raw, held["growing"])
+        expect(b"_accepted_" in control, f"The peer without the time was answered {control!r}.")
+        (fresh,) = await _asked(raw, peers["timed"].sign(b"rob_conn_offxxxx_#2;"))
+        expect(b"_accepted_" in peers["timed"].check(fresh), f"What was fresh was answered {fresh!r}.")
+    return Evidence("refused as too old", {"answer": answer.decode(), "control": control.decode()})
+
+
+@fault("A31", how="a program in place of the one that reads uploaded files, with its limits and without")
+async def a_reader_is_taken_over(lab: Lab) -> Evidence:
+    """A file makes its reader open a connection, start a program, take memory and write; each is tried."""
+    tries = {}
+    for how in ("confined", "free"):
+        words = (sys.executable, "-c", TAKEN_OVER, how, str(lab.folder / how))
+        process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE)
+        said, _ = await process.communicate()
+        tries[how] = said.decode().split()
+    expect(tries["free"] == ["done"] * 4, f"Without limits came {tries['free']}: the attack did not take place.")
+    expect(len(tries["confined"]) == 4 and "done" not in tries["confined"], f"With limits came {tries['confined']}.")
+    return Evidence("each is refused by the kernel", tries)
+
+
+async def _asked(raw: Raw, sent: bytes) -> list[bytes]:
+    raw.send(sent)
+    return await _answers(raw, 1)
+
+
 async def _told(cell: LabCell, sent: bytes) -> bytes:
     """What the TCP link answers first; nothing where the connection ends."""
     reader, writer = await asyncio.open_connection(*cell.ready.links["tcp"])
@@ -222,7 +286,7 @@ async def the_journal_is_edited(lab: Lab) -> Evidence:
     with closing(sqlite3.connect(journal)) as connection:
         (guard,) = connection.execute("SELECT sql FROM sqlite_master WHERE name = 'no_update'").fetchone()
         connection.executescript(
-            f"DROP TRIGGER no_update; UPDATE journal SET body = zeroblob(20) WHERE sequence = 2; {guard};"
+            f"DROP TRIGGER no_update; UPDATE journal SET body = zeroblob(20) WHERE sequence = 2; {guard};"  # noqa: S608  # of the file itself
         )
     verified = await asyncio.to_thread(verify, journal)
     expect(not verified.sound and verified.first_bad == 2, f"Verified as {verified}.")

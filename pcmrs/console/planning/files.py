@@ -1,36 +1,48 @@
-"""Files that a person gives to the page: read in a process of their own, so that the page goes on come what may."""
+"""Files that a person gives to the page: read in a process of their own, so that the page goes on come what may.
+
+That process has limits and no network, and what it answers is checked as if a stranger had sent it: a file may have
+taken it over.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
+import sys
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Final, NoReturn
 
+import msgspec
 import numpy as np
 
-from pcmrs.errors import PcmrsError
-from pcmrs.formats.landmarks import Landmarks, read_landmarks
-from pcmrs.formats.mesh import KINDS, Mesh, read_mesh
+from pcmrs.console.planning.importer import (
+    MOST_FACES,
+    MOST_POINTS,
+    Answer,
+    PointsAnswer,
+    PointsRequest,
+    Refused,
+    Request,
+    SurfaceAnswer,
+    SurfaceRequest,
+)
+from pcmrs.errors import FileFormatError
+from pcmrs.formats.landmarks import Landmarks
+from pcmrs.formats.mesh import Mesh
 from pcmrs.formats.reading import refuse
-from pcmrs.formats.skin import skin_of
 from pcmrs.formats.units import Space, Unit
-from pcmrs.formats.volume import read_volume
-
-T = TypeVar("T")
 
 LARGEST = 1_000_000_000
 """Of all files of one upload, bytes."""
 MOST_FILES = 900
 """Of one upload; the library that takes uploads has its own limit at 1000."""
-MOST_FACES = 300_000
-"""A browser shows no more in time."""
-LEAST_EXTENT, MOST_EXTENT = 0.02, 2.0
-"""Of a surface along its longest side, m: outside of these the unit is another one."""
 PATIENCE = 300.0
 """For one file, s."""
+MEMORY = 8 * 2**30
+"""Address space of the process that reads one file, bytes: a volume of `LARGEST` and what is made of it."""
+
+_CHILD: Final = (sys.executable, "-m", "pcmrs.console.planning.importer")
+_LONGEST_ANSWER: Final = 2 * MOST_FACES * 3 * 8 + 2**20
+"""Bytes: a closed surface has about half as many vertices as triangles, an open one not many more."""
 
 
 async def read_surface(path: Path, unit: Unit, space: Space, threshold: float | None) -> Mesh:
@@ -45,58 +57,69 @@ async def read_surface(path: Path, unit: Unit, space: Space, threshold: float | 
     Raises:
         PcmrsError: It cannot be read, or is no surface to plan on.
     """
-    return await _apart(_surface, path, unit, space, threshold)
+    answer = await _ask(path, SurfaceRequest(str(path), MEMORY, int(PATIENCE), unit, space, threshold))
+    return surface_in(path, answer)
 
 
 async def read_points(path: Path) -> Landmarks:
     """The points of a file of landmarks. Raises `PcmrsError`."""
-    return await _apart(_points, path)
+    answer = await _ask(path, PointsRequest(str(path), MEMORY, int(PATIENCE)))
+    if not isinstance(answer, PointsAnswer):
+        _refuse_answer(path)
+    points = np.array(answer.points, dtype=float).reshape(-1, 3)
+    if not (len(points) == len(set(answer.names)) <= MOST_POINTS and np.isfinite(points).all()):
+        _refuse_answer(path)
+    return Landmarks(answer.names, points, answer.role)
 
 
-async def _apart(function: Callable[..., T], path: Path, *arguments: Any) -> T:
-    """Calls a function in a process of its own, which ends with the call. Raises `PcmrsError`."""
-    spawning = get_context("spawn")
-    ours, theirs = spawning.Pipe(duplex=False)
-    process = spawning.Process(target=_tell, args=(theirs, function, path, *arguments), daemon=True)
-    process.start()
-    theirs.close()
+def surface_in(path: Path, answer: Answer) -> Mesh:
+    """The surface that an answer about `path` holds. Raises `FileFormatError` where it holds none."""
+    if not isinstance(answer, SurfaceAnswer) or len(answer.vertices) % 24 or len(answer.faces) % 24:
+        _refuse_answer(path)
+    vertices = np.frombuffer(answer.vertices, dtype=np.float64).reshape(-1, 3)
+    faces = np.frombuffer(answer.faces, dtype=np.int64).reshape(-1, 3)
+    ours = 0 < len(faces) <= MOST_FACES and faces.min() >= 0 and faces.max() < len(vertices)
+    if not (ours and np.isfinite(vertices).all()):
+        _refuse_answer(path)
+    return Mesh(vertices, faces)
+
+
+async def _ask(path: Path, request: Request) -> Answer:
+    """The answer of a process of its own, which ends with the call. Raises `PcmrsError`."""
+    process = await asyncio.create_subprocess_exec(
+        *_CHILD, stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE
+    )
     try:
         async with asyncio.timeout(PATIENCE):
-            found: T | PcmrsError = await asyncio.to_thread(ours.recv)
+            answer = await _told(process, msgspec.msgpack.encode(request))
     except TimeoutError:
         refuse(path, f"took more than {PATIENCE:g} s to read; give a smaller one.", limit=PATIENCE)
-    except EOFError:
-        refuse(path, "ended the process that read it, perhaps for want of memory; give a smaller one.")
     finally:
-        process.kill()  # which ends the thread, too
-        process.join()
-    if isinstance(found, PcmrsError):
-        raise found
-    return found
-
-
-def _tell(channel: Connection, function: Callable[..., object], *arguments: Any) -> None:
-    """What a function returns or refuses, to another process."""
+        if process.returncode is None:
+            process.kill()
+        await process.wait()
+    if not answer:
+        refuse(path, "ended the process that read it, perhaps for want of memory; give a smaller one.")
     try:
-        channel.send(function(*arguments))
-    except PcmrsError as error:
-        channel.send(error)
-
-
-def _surface(path: Path, unit: Unit, space: Space, threshold: float | None) -> Mesh:
-    mesh = read_mesh(path, unit, space) if path.suffix.lower() in KINDS else skin_of(read_volume(path), threshold)
-    if len(mesh.faces) > MOST_FACES:
-        text = f"has {len(mesh.faces)} triangles; the limit is {MOST_FACES}. Simplify it, as in 3D Slicer or MeshLab."
-        refuse(path, text, value=len(mesh.faces), limit=MOST_FACES)
-    extent = float(np.ptp(mesh.vertices, axis=0).max())
-    if not LEAST_EXTENT <= extent <= MOST_EXTENT:
-        text = f"would be {extent:.3g} m long; {LEAST_EXTENT:g} to {MOST_EXTENT:g} m are taken. Give its other unit."
-        refuse(path, text, value=extent)
-    return mesh
-
-
-def _points(path: Path) -> Landmarks:
-    found = read_landmarks(path)
-    if found.role == "digitized":
-        refuse(path, "holds digitized landmarks, which are in body_ref; give planned ones, which are in the image.")
+        found: Answer = msgspec.msgpack.decode(answer, type=Answer)
+    except msgspec.MsgspecError:
+        _refuse_answer(path)
+    if isinstance(found, Refused):
+        raise FileFormatError(found.text, file=str(path))
     return found
+
+
+async def _told(process: asyncio.subprocess.Process, request: bytes) -> bytes:
+    """What the process writes, up to a limit; nothing when it ends before."""
+    assert process.stdin is not None  # for mypy: they were asked for
+    assert process.stdout is not None
+    process.stdin.write(request)
+    process.stdin.close()
+    try:
+        return await process.stdout.readexactly(_LONGEST_ANSWER + 1)
+    except asyncio.IncompleteReadError as ended:
+        return ended.partial
+
+
+def _refuse_answer(path: Path) -> NoReturn:
+    refuse(path, "was answered by the process that read it with what is no surface and no points; look at the file.")

@@ -80,7 +80,7 @@ class UploadForm:
         self._busy.set_visibility(True)
         self._say(self._editing.texts("file_read"), good=True)
         try:
-            with TemporaryDirectory(prefix="pcmrs-console-") as folder:
+            with TemporaryDirectory() as folder:  # in the folder that the server keeps for that
                 await self._use_in(Path(folder), event.files)
         finally:
             self._busy.set_visibility(False)

@@ -56,7 +56,7 @@ def load_lsl() -> Any:
     except (ImportError, RuntimeError, OSError) as error:
         raise ConfigurationError(
             f"Lab Streaming Layer cannot be used ({error}); install the extra `hardware`: "
-            "pip install 'pcmrs[hardware]'."
+            "install the extra hardware (docs/supply.md)."
         ) from None
     own = lab_configuration()
     if own is None:

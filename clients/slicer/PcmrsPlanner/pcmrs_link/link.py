@@ -107,7 +107,8 @@ class Link:
         port: Of its planner link.
         pose_port: Where the tool's poses come; None does not listen.
         point_port: Where pointer tip and tool points come; None does not listen.
-        signer: Signs the commands; None sends them unsigned, which is taken on the daemon's own machine only.
+        signer: Signs the commands and checks the answers; None sends them unsigned, which is taken on the daemon's own
+            machine only.
         clock: Seconds that only grow.
 
     Attributes:
@@ -236,8 +237,8 @@ class Link:
 
     def _take_verdict(self, data: bytes) -> None:
         try:
-            number, verdict = parse_verdict(data)
-        except MessageError:
+            number, verdict = parse_verdict(data if self.signer is None else self.signer.check(data))
+        except ValueError:  # no verdict, or not the daemon's
             self.counts.dropped += 1
             return
         for job in (self._stop, self._job):

@@ -15,6 +15,7 @@ DECISIONS = ("accepted", "rejected", "failed")
 REASONS = {
     "bad_series": "a landmark came twice or out of range; send all of them again",
     "busy": "something that excludes it is running; wait until it has ended",
+    "clock_ahead": "the clock of this machine is ahead of the daemon's; set both",
     "counter_not_kept": "the daemon cannot write to its disk",
     "hold_not_confirmed": "the robot has not confirmed that it stands: USE THE EMERGENCY STOP",
     "id_reused": "its number was used before; connect again",
@@ -41,6 +42,7 @@ REASONS = {
     "role_not_allowed": "this client's role may not do it (gateway.peers, role)",
     "rotation_too_old": "the second half of the tool pose came too late; send it again",
     "stopped": "Stop came",
+    "too_old": "it came more than 2 s late, or the clock of this machine is behind the daemon's; set both",
     "tre_too_large": "the error to be expected at the target is too large",
     "wrong_unit": "the numbers look like metres for millimetres, or the reverse",
 }

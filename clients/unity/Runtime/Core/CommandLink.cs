@@ -41,7 +41,7 @@ namespace Pcmrs
         private volatile bool ended;
 
         /// <param name="daemon">A command link of the daemon, such as that of the planner, port 8057.</param>
-        /// <param name="signer">Signs the commands; unsigned ones are taken on the daemon's own machine only.</param>
+        /// <param name="signer">Signs the commands and checks the answers; unsigned ones are taken on the daemon's own machine only.</param>
         public CommandLink(IPEndPoint daemon, Signer signer = null)
         {
             this.signer = signer;
@@ -173,7 +173,7 @@ namespace Pcmrs
                 }
                 catch (FormatException)
                 {
-                    // No verdict; whoever waits for one is sent it when the command is repeated.
+                    // No verdict, or not the daemon's; whoever waits for one is sent it when the command is repeated.
                 }
             }
         }
@@ -181,7 +181,7 @@ namespace Pcmrs
         private void Take(string reply)
         {
             string id;
-            Verdict verdict = Verdict.Parse(reply, out id);
+            Verdict verdict = Verdict.Parse(signer == null ? reply : signer.Check(reply), out id);
             lock (gate)
             {
                 TaskCompletionSource<Verdict> answer;

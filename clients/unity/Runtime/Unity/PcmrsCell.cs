@@ -26,6 +26,9 @@ namespace Pcmrs.Unity
         [Tooltip("Path of the peer's key; in no folder that is built into the player")]
         public string keyFile = "";
 
+        [Tooltip("Drops answers that are not signed: for a peer with counter = \"unix_ns\"")]
+        public bool answersSigned;
+
         private StreamReceiver receiver;
         private CommandLink commands;
         private StateLink stateLink;
@@ -56,7 +59,7 @@ namespace Pcmrs.Unity
         private void OnEnable()
         {
             IPAddress address = IPAddress.Parse(daemon);
-            Signer signer = peer == "" ? null : new Signer(peer, Signer.ReadKey(keyFile));
+            Signer signer = peer == "" ? null : new Signer(peer, Signer.ReadKey(keyFile), answersSigned);
             receiver = new StreamReceiver(address, streamPort);
             commands = new CommandLink(new IPEndPoint(address, commandPort), signer);
             stateLink = statePort == 0 ? null : new StateLink(new IPEndPoint(address, statePort));

@@ -1,0 +1,39 @@
+"""Blueprints: a workflow that was proved, or refused with what is wrong in it.
+
+python -m fuzz.blueprints -max_total_time=60
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import atheris
+
+from fuzz.running import run
+
+with atheris.instrument_imports(include=["pcmrs.fsm"]):
+    from pcmrs.errors import PcmrsError
+    from pcmrs.fsm import Blueprint, parse_blueprint
+
+SMALL = b"""
+schema = 1
+id = "small"
+title = "Small"
+[[branches]]
+id = "lamp"
+levels = [{ id = "lit", title = "Lit" }]
+initial = "0"
+"""
+
+
+def one(data: bytes) -> None:
+    try:
+        blueprint = parse_blueprint(data)
+    except PcmrsError:
+        return
+    assert isinstance(blueprint, Blueprint)
+
+
+if __name__ == "__main__":
+    workflows = Path(__file__).parents[1] / "pcmrs" / "workflows"
+    run(one, SMALL, (workflows / "ratms.toml").read_bytes()[:4000])

@@ -1,0 +1,34 @@
+"""CDR, as bridges to ROS 2 send it: a message of its kind, or refused.
+
+python -m fuzz.cdr -max_total_time=60
+"""
+
+from __future__ import annotations
+
+import atheris
+
+from fuzz.running import run
+
+with atheris.instrument_imports(include=["pcmrs.ros2.cdr", "pycdr2"]):
+    from pcmrs.errors import PayloadError
+    from pcmrs.ros2.cdr import Header, JointState, Pose, PoseStamped, String, TFMessage, Time, decode, header
+
+KINDS = (PoseStamped, TFMessage, JointState, String, Pose)
+
+
+def one(data: bytes) -> None:
+    """The first byte chooses the kind."""
+    kind = KINDS[data[0] % len(KINDS) if data else 0]
+    try:
+        message = decode(data[1:], kind)
+    except PayloadError:
+        return
+    assert isinstance(message, kind)
+
+
+if __name__ == "__main__":
+    stamped = header("map", 1.5)
+    assert isinstance(stamped, Header)
+    assert isinstance(stamped.stamp, Time)
+    joints = JointState(stamped, ["a", "b"], [0.1, 0.2], [], [])
+    run(one, b"\x02" + joints.serialize(), b"\x03" + String("text").serialize())

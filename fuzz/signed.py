@@ -1,0 +1,54 @@
+"""Signed commands and answers, over UDP and TCP: without the key nothing is taken, and a stream ends or goes on.
+
+python -m fuzz.signed -max_total_time=60
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import atheris
+
+from fuzz.running import pieces, run
+
+with atheris.instrument_imports(include=["pcmrs.gateway"]):
+    from pcmrs.errors import PayloadError
+    from pcmrs.gateway.frames import Frames
+    from pcmrs.gateway.signing import Signer, sign_answer, split
+
+KEY = bytes(range(32))
+
+
+def one(data: bytes) -> None:
+    """A datagram that splits is of the parts that it says, and nobody has its tag by chance."""
+    kind, rest = data[:1], data[1:]
+    if kind < b"\x55":
+        signed = split(rest)
+        if signed is not None:
+            assert b"%s|%s|%d" % (signed.command, signed.peer.encode(), signed.counter) == signed.covered
+            assert rest == signed.covered + b"|" + signed.tag
+            assert not signed.holds(KEY[::-1])
+    elif kind < b"\xaa":
+        frames = Frames()
+        with suppress(PayloadError):
+            for piece in pieces(rest):
+                for frame in frames.feed(piece):
+                    assert frame.count(b";") == 1
+                assert len(frames.unfinished) < 512 + len(piece)
+    else:
+        signer = Signer("planner", KEY, lambda: 7, answers_signed=True)
+        signer.sign(b"stop_now_xxxxxxx;")
+        with suppress(PayloadError):
+            assert rest == sign_answer("ack", "planner", 7, KEY).encode() or signer.check(rest) == b"no answer"
+
+
+if __name__ == "__main__":
+    datagram = Signer("planner", KEY, lambda: 7).sign(b"stop_now_xxxxxxx;")
+    run(
+        one,
+        b"\x00" + datagram,
+        b"\x60\x00|;" + datagram + b";" + datagram + b";",
+        b"\x60\x02\x05\x09stop_now_xxxxxxx;rob_conn_onxxxxx;",
+        b"\xff" + sign_answer("ack", "planner", 7, KEY).encode(),
+        b"\xff1_accepted_robot_1;",
+    )
