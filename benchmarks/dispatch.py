@@ -47,8 +47,8 @@ from pcmrs.messages import BlueprintTag
 from pcmrs.service.core import GatewayCore
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.recorder import JournalRecorder
-from pcmrs.workflows import open_workflow
 from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.settings import ProcedureSettings
 
 PAUSE = 0.0005  # s between commands, as planners leave far more: what is measured is latency, not throughput

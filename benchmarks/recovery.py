@@ -28,7 +28,7 @@ from pcmrs.experiment.process import free_port
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Command, Verdict
 from pcmrs.service.recorder import SNAPSHOT_EVERY, JournalRecorder
-from pcmrs.workflows import open_workflow
+from pcmrs.workflows.opening import open_workflow
 
 IMPORTS = "import time; begin = time.perf_counter(); import pcmrs.service.daemon, pcmrs.cli.serve; "
 IMPORTS += "print(time.perf_counter() - begin)"

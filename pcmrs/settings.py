@@ -17,7 +17,8 @@ from pcmrs.bus.settings import SECURED
 from pcmrs.clock import SystemClock
 from pcmrs.config import as_config, overlaid, read_file, set_values
 from pcmrs.console.settings import ConsoleSettings
-from pcmrs.devices.dwell import DwellSettings
+from pcmrs.devices.dwelling import DwellSettings
+from pcmrs.devices.opening import DRIVERS
 from pcmrs.errors import ConfigurationError, PayloadError
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.kinematics.arms import ArmFacts
@@ -28,11 +29,9 @@ from pcmrs.recording.settings import RecordingSettings
 from pcmrs.workflows import find_workflow, read_workflow
 from pcmrs.workflows.settings import ProcedureSettings
 
-DRIVERS = "pcmrs.drivers"
 DRIVER_SETTINGS = "pcmrs.driver_settings"
-
-SIMULATION = "sim"
-"""The driver of the simulated cell."""
+SIMULATIONS = "pcmrs.simulations"
+"""Drivers that open their devices in the process that asks, as simulated time needs it."""
 DEVICES = ("robot", "tracker", "pointer", "scene", "stimulator", "emg")
 TABLES = ("sim", "kst", "ndi", "plus", "lsl", "trigger", "ros2")
 """Drivers that have a table of their own."""

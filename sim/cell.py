@@ -55,6 +55,10 @@ class Cell:
 
     Attributes:
         devices: Robot, tracker, pointer, scene, stimulator and emg by those names.
+        robot: One of them.
+        tracker: Another one.
+        stimulator: Another one.
+        listen: Called before each stride of physics: what has been asked meanwhile is done first.
         facts: The arm.
         clock: The cell keeps up with it.
         world: The truth.
@@ -66,17 +70,18 @@ class Cell:
         self.clock = clock
         start = clock.monotonic()
         self.world = World(settings, facts, force, start)
-        self._robot = SimRobot(self.world, clock, start)
-        self._tracker = SimTracker(self.world, clock, start)
-        self._stimulator = SimStimulator(self.world, clock)
+        self.robot = SimRobot(self.world, clock, start)
+        self.tracker = SimTracker(self.world, clock, start)
+        self.stimulator = SimStimulator(self.world, clock)
+        self.listen: Callable[[], None] = lambda: None
         self._watchers: list[Callable[[], None]] = []
         pointer = SimPointer(self.world, clock)
         self.devices: Mapping[str, Device] = {
-            "robot": self._robot,
-            "tracker": self._tracker,
+            "robot": self.robot,
+            "tracker": self.tracker,
             "pointer": pointer,
             "scene": SimScene(self.world, pointer, partial(inject, self), self.watched),
-            "stimulator": self._stimulator,
+            "stimulator": self.stimulator,
             "emg": SimEmg(self.world, clock),
         }
         self._kinematic = settings.arm.physics == "kinematic"
@@ -90,9 +95,9 @@ class Cell:
                 await self.clock.sleep(self._pause())
                 self.catch_up()
         finally:
-            self._robot.close()
-            self._tracker.close()
-            self._stimulator.close()
+            self.robot.close()
+            self.tracker.close()
+            self.stimulator.close()
             if self.lag:
                 log.warning("the simulated cell was slower than its clock", lag=round(self.lag, 3))
 
@@ -101,17 +106,33 @@ class Cell:
         if not self._kinematic:
             return BATCH
         # One step more, for time goes on in whole steps.
-        pause = max(0.0, min(self._robot.due, self._tracker.due) - self.clock.monotonic()) + STEP
+        pause = max(0.0, min(self.robot.due, self.tracker.due) - self.clock.monotonic()) + STEP
         return pause if self.world.arm.at_rest else min(pause, LATEST_REST)
 
     @property
     def robot_faults(self) -> RobotFaults:
         """What is wrong with the robot."""
-        return self._robot.faults
+        return self.robot.faults
 
     def cut_robot(self, cut: bool) -> None:
         """Cuts the robot's link, or restores it."""
-        self._robot.cut(cut)
+        self.robot.cut(cut)
+
+    def acts(self, served: Collection[str]) -> bool:
+        """Whether one of these devices acts: the arm follows something, or the stimulator can fire."""
+        return ("robot" in served and self.robot.follows) or ("stimulator" in served and self.stimulator.acts)
+
+    def lose_node(self, served: Collection[str], why: str) -> None:
+        """Nobody can stop these devices any more: the arm brakes, and the stimulator disarms.
+
+        Args:
+            served: By the node that is gone or silent.
+            why: Why it is taken for that, as half a sentence.
+        """
+        if "robot" in served:
+            self.robot.lose_node(why)
+        if "stimulator" in served:
+            self.stimulator.lose_node(why)
 
     @contextmanager
     def watched(self, watcher: Callable[[], None]) -> Iterator[None]:
@@ -133,11 +154,12 @@ class Cell:
         self.lag += lost
         world.time += lost
         while world.time + STEP <= now:
-            due = min(self._robot.due, self._tracker.due, now)
+            self.listen()
+            due = min(self.robot.due, self.tracker.due, now)
             world.step(max(1, math.ceil((due - world.time) / STEP - ROUNDING)))
-            self._robot.update(world.time)
-            self._tracker.update(world.time)
-        self._stimulator.update(now)
+            self.robot.update(world.time)
+            self.tracker.update(world.time)
+        self.stimulator.update(now)
         for watcher in tuple(self._watchers):
             watcher()
 
@@ -146,12 +168,23 @@ class Cell:
 async def open_devices(
     devices: Collection[str], settings: Mapping[str, Any], clock: Clock
 ) -> AsyncIterator[Mapping[str, Any]]:
-    """Opens the asked devices of one simulated cell; see `pcmrs.devices.protocols.OpenDriver`.
+    """Opens the asked devices of one simulated cell in this process; see `pcmrs.devices.protocols.OpenDriver`.
 
     Args:
         devices: Among ``robot``, ``tracker``, ``pointer``, ``scene``, ``stimulator`` and ``emg``.
         settings: The whole configuration; ``sim`` and ``robot`` are read.
         clock: The cell's clock.
+
+    Raises:
+        ConfigurationError: A device or the arm is unknown, or the table ``sim`` is wrong.
+    """
+    async with open_cell(devices, settings, clock) as cell:
+        yield {name: cell.devices[name] for name in devices}
+
+
+@asynccontextmanager
+async def open_cell(devices: Collection[str], settings: Mapping[str, Any], clock: Clock) -> AsyncIterator[Cell]:
+    """A running cell that has these devices, and serves the virtual ones that the settings ask for; see `open_devices`.
 
     Raises:
         ConfigurationError: A device or the arm is unknown, or the table ``sim`` is wrong.
@@ -162,7 +195,7 @@ async def open_devices(
             raise ConfigurationError(
                 f"The simulated cell has no {', '.join(unknown)}; it has {', '.join(cell.devices)}.", unknown=unknown
             )
-        yield {name: cell.devices[name] for name in devices}
+        yield cell
 
 
 @asynccontextmanager

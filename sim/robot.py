@@ -101,8 +101,7 @@ class SimRobot:
             self.sessions.take(setpoint, None if self.faults.cut else self._arm)
 
     async def hold(self) -> JointState:
-        if not self.faults.cut:
-            self._arm.hold()
+        self.brake()
         self._check_link()
         await self._rest()
         return self._state()
@@ -112,6 +111,33 @@ class SimRobot:
 
     def events(self) -> AsyncIterator[DeviceEvent]:
         return self._events.read()
+
+    @property
+    def moving(self) -> bool:
+        """Whether the arm moves."""
+        return not self._arm.at_rest
+
+    @property
+    def follows(self) -> bool:
+        """Whether the arm moves by what it was asked for, or may do so at any moment."""
+        return not (self._arm.reference.ended or self._arm.stopped)
+
+    def brake(self) -> None:
+        """Brakes, unless nothing reaches the robot."""
+        if not self.faults.cut:
+            self._arm.hold()
+
+    def lose_node(self, why: str) -> None:
+        """Brakes by itself, and says so, since its node is silent or gone.
+
+        Args:
+            why: Why it is taken for that, as half a sentence.
+        """
+        if not self.follows:
+            return
+        self._arm.hold("link_silent")
+        text = f"The robot brakes by itself: {why}. Look at the arm before going on."
+        self._arm.alarms.append(DeviceEvent(device="robot", code="link_silent", text=text, danger=True))
 
     def cut(self, cut: bool) -> None:
         """Cuts the link, which ends the connection and makes the arm brake by itself; or restores it."""

@@ -78,6 +78,21 @@ class SimStimulator:
         if self._arming.expired(time):
             self._events.publish(self._arming.expiry())
 
+    @property
+    def acts(self) -> bool:
+        """Whether it can fire."""
+        return self._arming.armed
+
+    def lose_node(self, why: str) -> None:
+        """Disarms by itself, and says so, since its node is silent or gone.
+
+        Args:
+            why: Why it is taken for that, as half a sentence.
+        """
+        self._charging += 1
+        if self._arming.armed:
+            self._events.publish(self._arming.disarmed(why.capitalize()))
+
     def close(self) -> None:
         """Makes it unable to fire and ends all readers."""
         self._charging += 1

@@ -17,6 +17,7 @@ from pcmrs.config import as_config, as_table, overlaid, read_file, set_values
 from pcmrs.errors import ConfigurationError
 from pcmrs.settings import Settings, read_settings
 from pcmrs.workflows import read_workflow
+from pcmrs.workflows.planning import PlanningSettings
 
 
 class Inner(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -126,6 +127,17 @@ def test_the_configuration_as_a_table_reads_back(tmp_path: Path) -> None:
     settings = read_settings(None, ["cell.rate=5", "sim.seed=7", "procedure.placement.standoff=0.08"])
     assert msgspec.convert(as_table(settings), Settings) == settings
     assert msgspec.json.decode(msgspec.json.encode(settings), type=Settings) == settings
+
+
+def test_ages_of_poses_are_of_the_machines_time_however_fast_the_cell_is() -> None:
+    given = read_settings(None, ["cell.rate=8", "procedure.max_pose_age=0.5"])
+    assert (given.procedure.max_pose_age, given.procedure.tracking.unseen) == (0.5, 0.5)
+    for_cell = given.procedure.in_cell_time(given.cell.rate)
+    assert (for_cell.max_pose_age, for_cell.tracking.unseen) == (4.0, 4.0)
+    assert given.procedure.in_cell_time(50.0).tracking.unseen == 5.0, "no motion goes on blindly for longer"
+    assert given.procedure.in_cell_time(1.0) == given.procedure
+    planning = msgspec.json.encode(PlanningSettings(given.workflow, given.procedure.in_cell_time(50.0), "iiwa14"))
+    assert msgspec.json.decode(planning, type=PlanningSettings).procedure.max_pose_age == 25.0
 
 
 @pytest.mark.parametrize(

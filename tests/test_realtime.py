@@ -44,7 +44,7 @@ async def run():
     working = ThreadPoolExecutor(1, thread_name_prefix="planning")
     for pool in (sending, working):
         pool.submit(int).result()
-    keeping = asyncio.create_task(RealTime(Priority.LOOP, main={main}).keep(asyncio.sleep))
+    keeping = asyncio.create_task(RealTime(Priority.LOOP).keep(asyncio.sleep))
     await asyncio.sleep(0)
     own = "import os; print(os.sched_getscheduler(0))"
     child = subprocess.run([sys.executable, "-c", own], capture_output=True, check=True)
@@ -57,11 +57,10 @@ asyncio.run(run())
 
 
 @needs_permission
-@pytest.mark.parametrize("main", [True, False])
-def test_loop_and_bus_have_the_policy_and_neither_workers_nor_children(main: bool) -> None:
-    said = subprocess.run([sys.executable, "-c", GIVEN.format(main=main)], capture_output=True, text=True, check=True)
-    expected = (REALTIME if main else os.SCHED_OTHER, REALTIME, os.SCHED_OTHER, os.SCHED_OTHER)
-    assert [int(word) for word in said.stdout.split()] == list(expected), "loop, bus, worker, child"
+def test_loop_and_bus_have_the_policy_and_neither_workers_nor_children() -> None:
+    said = subprocess.run([sys.executable, "-c", GIVEN], capture_output=True, text=True, check=True)
+    expected = [REALTIME, REALTIME, os.SCHED_OTHER, os.SCHED_OTHER]
+    assert [int(word) for word in said.stdout.split()] == expected, "loop, bus, worker, child"
 
 
 WITHOUT = """

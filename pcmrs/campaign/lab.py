@@ -26,8 +26,7 @@ from pcmrs.service import Ready
 QUICK = (
     "cell.rate=5",
     "robot.deadman=0.5",
-    "procedure.max_pose_age=3",  # a machine that does much else may leave a process alone for so long
-    "procedure.tracking.unseen=2.5",  # 0.5 s of the machine
+    "procedure.max_pose_age=0.6",  # a machine that does much else may leave a process alone for so long
     "procedure.motion.joint_speed_fraction=1.0",
     "procedure.motion.joint_acceleration=5.0",
     "procedure.motion.linear_velocity=0.5",

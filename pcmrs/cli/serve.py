@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 import structlog
 
-from pcmrs.cli.lifeline import inherited
+from pcmrs.cli.lifeline import inherited, inherited_table
 from pcmrs.cli.log import log_to_stderr
 from pcmrs.cli.options import config_options
 from pcmrs.cli.printing import say_json
@@ -59,21 +59,31 @@ def node(driver: str, devices: tuple[str, ...], file: Path | None, overrides: tu
     Without --config and --set the configuration is read from standard input, as one line of JSON, and
     the node ends when standard input ends. On another machine it needs `access.device_key`.
     """
-    from pcmrs.node import serve_devices
-    from pcmrs.settings import read_settings
+    from pcmrs.config import as_table
+    from pcmrs.devices.opening import open_driver
 
     log_to_stderr()
     lifeline = file is None and not overrides
+    opening = None
     if lifeline:
-        settings, key = (given := inherited()).settings, given.device_key
+        line = sys.stdin.buffer.readline()
+        # First of all: the process of a simulated cell gets ready while this one loads what it needs itself.
+        opening = open_driver(driver, devices, inherited_table(line))
+        settings, key = (given := inherited(line)).settings, given.device_key
     else:
+        from pcmrs.settings import read_settings
+
         settings = read_settings(file, overrides)
         key = settings.access.read_device_key() or b""
     if not key:
         text = "A device node needs the key that it shares with its daemon: set access.device_key on both sides to a "
         text += "copy of the file that `pcmrs pki device-key FILE` makes."
         raise ConfigurationError(text)
-    run(serve_devices(settings, driver, devices, key, lifeline=lifeline))
+    if opening is None:
+        opening = open_driver(driver, devices, as_table(settings))
+    from pcmrs.node import serve_devices
+
+    run(serve_devices(settings, driver, devices, opening, key, lifeline=lifeline))
 
 
 async def _serve(settings: Settings, *, as_json: bool) -> None:

@@ -3,36 +3,27 @@
 from __future__ import annotations
 
 import asyncio
-import inspect
 import uuid
 from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping
-from functools import cache, partial
+from functools import partial
 from math import inf
-from typing import Any, get_type_hints
+from typing import Any
 
 import msgspec
 import structlog
 
 from pcmrs.clock import Clock
+from pcmrs.devices.calls import PROTOCOLS, call_method
 from pcmrs.devices.deadman import ALWAYS_SERVED, DEADMAN, Deadman, Scheduling, Silence, beat_period
 from pcmrs.devices.frame_sessions import FrameSessions
 from pcmrs.devices.gate import ACTS, HOLDS, RELEASE, Gate
 from pcmrs.devices.link import Link
-from pcmrs.devices.protocols import (
-    Emg,
-    Pointer,
-    Robot,
-    RobotDriver,
-    Scene,
-    Stimulator,
-    StimulatorDriver,
-    TrackerDriver,
-)
+from pcmrs.devices.protocols import RobotDriver, StimulatorDriver, TrackerDriver
 from pcmrs.devices.remote import HOLD_TIME
 from pcmrs.devices.silences import daemon_silent, node_held_up
 from pcmrs.devices.standstill import Standstill
-from pcmrs.errors import DeviceError, PayloadError, PcmrsError
+from pcmrs.errors import DeviceError, PcmrsError
 from pcmrs.messages import (
     Beat,
     DeviceHealth,
@@ -46,14 +37,6 @@ from pcmrs.messages import (
 )
 
 log = structlog.get_logger(__name__)
-
-PROTOCOLS: dict[str, type] = {
-    "robot": Robot,
-    "pointer": Pointer,
-    "scene": Scene,
-    "stimulator": Stimulator,
-    "emg": Emg,
-}
 
 STREAMING = ("robot", "tracker")
 """Devices that send by themselves, and are not well when they do not."""
@@ -182,15 +165,13 @@ class DeviceNode:
             log.exception(f"{what}_failed", why=why)
 
     def _serve(self, name: str, device: Any) -> None:
-        methods, gate = _methods(PROTOCOLS[name]), self._gates.get(name)
+        gate = self._gates.get(name)
 
         async def answer(_key: str, request: DeviceRequest) -> DeviceReply:
             result = failure = None
+            call = partial(call_method, name, device, request.method, request.arguments)
             try:
-                if gate is None:
-                    result = await _call(device, methods, request)
-                else:
-                    result = await self._ask_acting(name, gate, partial(_call, device, methods, request), request)
+                result = await (call() if gate is None else self._ask_acting(name, gate, call, request))
             except PcmrsError as error:
                 failure = Reason(code=error.code, text=error.text, fields=error.fields)
             state = gate.state if gate is not None else None
@@ -401,24 +382,3 @@ class DeviceNode:
         except Exception:  # nobody knows, and the watch must go on
             return True
         return state.armed
-
-
-@cache
-def _methods(protocol: type) -> Mapping[str, Mapping[str, Any]]:
-    """Method to the types of its arguments and of its result."""
-    found = {name: value for name, value in vars(protocol).items() if inspect.iscoroutinefunction(value)}
-    return {name: get_type_hints(value) for name, value in found.items()}
-
-
-async def _call(device: Any, methods: Mapping[str, Mapping[str, Any]], request: DeviceRequest) -> Any:
-    hints = methods.get(request.method)
-    if hints is None:
-        raise PayloadError(f"There is no method {request.method!r}; there are {', '.join(methods)}.")
-    wanted = {name: kind for name, kind in hints.items() if name != "return"}
-    if set(request.arguments) != set(wanted):
-        raise PayloadError(f"{request.method} takes {list(wanted)}, not {list(request.arguments)}.")
-    try:
-        arguments = {name: msgspec.convert(request.arguments[name], kind) for name, kind in wanted.items()}
-    except msgspec.ValidationError as error:
-        raise PayloadError(f"{request.method}: {error}.") from error
-    return await getattr(device, request.method)(**arguments)

@@ -261,6 +261,9 @@ class OpenDriver(Protocol):
     ) -> AbstractAsyncContextManager[Mapping[str, Any]]:
         """Opens the devices named; closes them on exit.
 
+        A driver that needs a process of its own may start it with the call already. One that has failed for good
+        cancels the task that has entered the context, and raises `DeviceError`: its node ends then, and is restarted.
+
         Args:
             devices: Which of ``robot``, ``tracker``, ``pointer``, ``scene``, ``stimulator``, ``emg`` this node serves
                 with this driver.

@@ -8,13 +8,6 @@ from typing import Literal
 
 from pcmrs.experiment.plan import Plan
 
-MAX_POSE_AGE = 0.25
-"""As configured by default, s of the machine."""
-UNSEEN = 0.5
-"""The same, of `procedure.tracking.unseen`."""
-LONGEST_UNSEEN = 5.0
-"""Which may not be more than this, s of the cell."""
-
 PATIENT_DEADMAN = "robot.deadman=0.5"
 """An experiment is not about the deadman, and shares the machine with whatever else is computed there."""
 
@@ -59,11 +52,5 @@ class Setup:
 
 
 def at_rate(rate: float) -> list[str]:
-    """Settings of a simulated cell that is `rate` times as fast as real time.
-
-    A pose is as long on the bus as ever, which is `rate` times as long for the cell: it may be so much older, and the
-    body may be unseen for so much longer.
-    """
-    ages = [f"procedure.max_pose_age={MAX_POSE_AGE * rate:g}"]
-    ages.append(f"procedure.tracking.unseen={min(UNSEEN * rate, LONGEST_UNSEEN):g}")
-    return [f"cell.rate={rate:g}", *ages, PATIENT_DEADMAN]
+    """Settings of a simulated cell that is `rate` times as fast as real time."""
+    return [f"cell.rate={rate:g}", PATIENT_DEADMAN]

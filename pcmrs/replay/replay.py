@@ -22,9 +22,9 @@ from pcmrs.replay.history import DaemonRun, read_runs
 from pcmrs.replay.world import RecordedCell
 from pcmrs.settings import read_settings
 from pcmrs.simulation.loop import SimulatedLoop
-from pcmrs.workflows import open_workflow
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.settings import ProcedureSettings
 
 ShowProgress = Callable[[int, int], None]

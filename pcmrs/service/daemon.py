@@ -46,7 +46,7 @@ from pcmrs.service.stall import StallWatch
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.settings import Settings
 from pcmrs.threads import NOT_PERMITTED, Priority, RealTime
-from pcmrs.workflows import open_workflow
+from pcmrs.workflows.opening import open_workflow
 
 log = structlog.get_logger(__name__)
 

@@ -49,7 +49,9 @@ class PlanningProcess:
 
     def __init__(self, settings: Settings, clock: Clock) -> None:
         self.report: Callable[[DeviceEvent], None] = lambda _: None
-        self._settings = PlanningSettings(settings.workflow, settings.procedure, settings.robot.model)
+        self._settings = PlanningSettings(
+            settings.workflow, settings.procedure.in_cell_time(settings.cell.rate), settings.robot.model
+        )
         self._clock = clock
         self._number = 0
         self._pending: dict[int, asyncio.Future[PlanAnswer]] = {}

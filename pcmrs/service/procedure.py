@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import structlog
 
 from pcmrs.clock import Clock
+from pcmrs.devices.calls import PROTOCOLS
 from pcmrs.devices.dwell import DwellPointer
 from pcmrs.devices.jumps import PoseLimits
 from pcmrs.devices.link import Link
-from pcmrs.devices.node import DAEMON_BEAT, PROTOCOLS
+from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.remote import ActingDevice, RemoteEmg, RemotePointer, RemoteRobot, RemoteStimulator
 from pcmrs.devices.standstill import Standstill
@@ -246,7 +247,7 @@ def open_cell(settings: Settings, blueprint: Blueprint, link: Link, clocks: Cloc
     Raises:
         ConfigurationError: A calibration cannot be used.
     """
-    procedure, machine = settings.procedure, clocks.machine
+    procedure, machine = settings.procedure.in_cell_time(settings.cell.rate), clocks.machine
     cell = Cell(
         name=f"{settings.cell.site}/{settings.cell.name}",
         # Answers are waited for by the machine's clock: a fast simulation may fall behind its own.

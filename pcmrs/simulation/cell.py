@@ -15,7 +15,7 @@ from pcmrs.devices.node import DeviceNode
 from pcmrs.devices.protocols import OpenDriver
 from pcmrs.dispatcher import Workflow
 from pcmrs.messages import Beat
-from pcmrs.settings import DRIVERS, Settings
+from pcmrs.settings import SIMULATIONS, Settings
 from pcmrs.simulation.clock import SimulatedClock
 from pcmrs.simulation.daemon import Observe, SimulatedDaemon
 from pcmrs.simulation.disk import Disk
@@ -159,6 +159,6 @@ async def simulated_cell(
 
 @cache
 def _open_driver() -> OpenDriver:
-    (point,) = entry_points(group=DRIVERS, name=DRIVER)
+    (point,) = entry_points(group=SIMULATIONS, name=DRIVER)
     opened: OpenDriver = point.load()
     return opened

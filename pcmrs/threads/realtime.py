@@ -45,12 +45,10 @@ class RealTime:
 
     Args:
         priority: Of SCHED_RR.
-        main: Whether the main thread gets it, too: not where it computes.
     """
 
-    def __init__(self, priority: Priority, *, main: bool = True) -> None:
+    def __init__(self, priority: Priority) -> None:
         self._priority = priority
-        self._main = main
         self._given: set[int] = set()
 
     def give(self) -> None:
@@ -82,4 +80,4 @@ class RealTime:
         for each in threading.enumerate():
             if each.native_id is not None and any(part in each.name for part in CALLBACKS):
                 wanted.add(each.native_id)
-        return wanted | {os.getpid()} if self._main else wanted
+        return wanted | {os.getpid()}

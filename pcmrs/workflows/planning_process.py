@@ -17,7 +17,7 @@ import msgspec
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import Reason
-from pcmrs.workflows import open_workflow
+from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.planning import PlanAnswer, PlanningCell, PlanningSettings, PlanRequest
 
 HEAD = struct.Struct("<QI")

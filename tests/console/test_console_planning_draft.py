@@ -22,7 +22,8 @@ from pcmrs.formats.mesh import read_mesh
 from pcmrs.messages import Prospect, Reason
 from pcmrs.registration.triangles import TriangleSurface
 from pcmrs.spatial import Floats, rotation_angle
-from pcmrs.workflows import femoroplasty, grid_mapping, placement_registry, read_workflow
+from pcmrs.workflows import femoroplasty, grid_mapping, read_workflow
+from pcmrs.workflows.opening import placement_registry
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 RADIUS = 0.09

@@ -10,7 +10,8 @@ import numpy.typing as npt
 import pytest
 from clock import ManualClock, settle
 
-from pcmrs.devices.dwell import DwellPointer, DwellSettings
+from pcmrs.devices.dwell import DwellPointer
+from pcmrs.devices.dwelling import DwellSettings
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.messages import BodyPose, LandmarkPrompt
 from pcmrs.spatial import Transform

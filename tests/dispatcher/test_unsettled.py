@@ -6,7 +6,7 @@ import pytest
 
 from pcmrs.dispatcher.unsettled import Unsettled
 from pcmrs.messages import UnknownOutcome
-from pcmrs.workflows import open_workflow
+from pcmrs.workflows.opening import open_workflow
 
 BLUEPRINT = open_workflow("ratms_threshold").blueprint
 SETTLING = {

@@ -36,7 +36,7 @@ from pcmrs.settings import read_settings
 TAG = BlueprintTag(id="ratms_threshold", version="1.0.0", hash="ab" * 32)
 HERE = PoseMessage(position=(0.0, 0.0, 0.0), quat_wxyz=(1.0, 0.0, 0.0, 0.0))
 QUICK = (
-    "procedure.max_pose_age=3",  # a test machine that does much else may leave a process alone for so long
+    "procedure.max_pose_age=0.6",  # a test machine that does much else may leave a process alone for so long
     "procedure.motion.joint_speed_fraction=1.0",
     "procedure.motion.joint_acceleration=5.0",
     "procedure.motion.linear_velocity=0.5",

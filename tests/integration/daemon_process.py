@@ -11,7 +11,7 @@ import sys
 import time
 import uuid
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -22,7 +22,7 @@ from pcmrs.bus import Bus, BusSettings
 from pcmrs.bus.seal import Seal
 from pcmrs.campaign.lab import QUICK
 from pcmrs.client import Client
-from pcmrs.experiment.process import DEVICE_KEY, device_key, free_port
+from pcmrs.experiment.process import DEVICE_KEY, descendants, device_key, free_port
 from pcmrs.planner import Planner
 from pcmrs.service import Ready
 
@@ -112,9 +112,13 @@ class ServeProcess:
         (found,) = self._run_as(b"pcmrs.bus.heart")
         return found
 
+    def world_of(self, node: int) -> int:
+        """Id of the process in which the devices of a node are simulated."""
+        (found,) = _running(node, b"sim.process")
+        return found
+
     def _run_as(self, module: bytes) -> list[int]:
-        found = _children(self.process.pid)
-        return [pid for pid in found if module in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")]
+        return _running(self.process.pid, module)
 
     def end(self, number: int = signal.SIGTERM) -> int:
         """Sends a signal and returns the exit status."""
@@ -179,7 +183,9 @@ def running_daemon(settings: Sequence[str], folder: Path) -> Iterator[ServeProce
         yield ServeProcess(process, msgspec.json.decode(line, type=Ready), settings, folder)
     finally:
         if process.poll() is None:
-            process.send_signal(signal.SIGCONT)
+            for pid in (process.pid, *descendants(process.pid)):
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGCONT)
             process.terminate()
             try:
                 process.wait(PATIENCE)
@@ -224,6 +230,11 @@ def wait_until(condition: Callable[[], bool], within: float = PATIENCE) -> bool:
 async def _opened(address: tuple[str, int]) -> AsyncIterator[Planner]:
     async with await Planner.open(*address) as planner:
         yield planner
+
+
+def _running(pid: int, module: bytes) -> list[int]:
+    """Ids of the children of a process that run a module."""
+    return [each for each in _children(pid) if module in Path(f"/proc/{each}/cmdline").read_bytes().split(b"\0")]
 
 
 def _children(pid: int) -> list[int]:

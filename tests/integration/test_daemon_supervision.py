@@ -12,6 +12,7 @@ import pytest
 from daemon_process import (
     PATIENCE,
     SLOW,
+    START_TIME,
     ServeProcess,
     is_running,
     own_settings,
@@ -98,7 +99,7 @@ async def test_a_node_that_dies_is_begun_anew_and_the_operator_begins_anew_too(t
             assert (lost.decision, lost.state) == ("unknown", "0"), "its node is only being begun anew"
             assert await asyncio.to_thread(wait_until, lambda: told(daemon, "node_restarted"))
             assert (await client.state()).latched
-            async with asyncio.timeout(PATIENCE):
+            async with asyncio.timeout(START_TIME):
                 while (await client.call("robot.connect")).decision != "accepted":  # noqa: ASYNC110
                     await asyncio.sleep(0.2)
             await accept(client, "robot.acknowledge")

@@ -35,7 +35,7 @@ from pcmrs.experiment.tours.run import tour_live
 from pcmrs.experiment.treatment import prepare, treat
 from pcmrs.journal import JournalReader
 from pcmrs.messages import Verdict
-from pcmrs.workflows import open_workflow
+from pcmrs.workflows.opening import open_workflow
 
 START_TIME = 300.0
 """A machine that does much else takes its time, and nobody waits for a recording, s."""

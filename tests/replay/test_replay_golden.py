@@ -22,7 +22,7 @@ from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.replay import Replayed, replay
 from pcmrs.replay.history import read_runs
 from pcmrs.replay.replay import replay_runs
-from pcmrs.workflows import open_workflow
+from pcmrs.workflows.opening import open_workflow
 
 RATMS = GOLDEN / "ratms.jsonl"
 TEXT = BLUEPRINT.read_text()

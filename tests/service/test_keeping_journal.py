@@ -18,7 +18,7 @@ from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Reason
 from pcmrs.service.recorder import JournalRecorder
 from pcmrs.service.recovery import RETRY_AFTER, conclude, keep_journal
-from pcmrs.workflows import open_workflow
+from pcmrs.workflows.opening import open_workflow
 
 FAILED = Reason(code=JournalError.code, text="The journal cannot be written: disk full.")
 

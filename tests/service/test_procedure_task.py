@@ -31,7 +31,7 @@ from pcmrs.service.procedure import Clocks, RunningProcedure
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import read_settings
-from pcmrs.workflows import open_workflow
+from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.tms.data import Data
 
 DISARMED = StimulatorState(armed=False, ready=True, intensity=50.0, coil_temperature=None, pulse=0)

@@ -27,8 +27,8 @@ from pcmrs.service.ledger import Kept, Ledger
 from pcmrs.service.recorder import JournalRecorder
 from pcmrs.service.recovery import keep_journal, recover
 from pcmrs.settings import Settings, read_settings
-from pcmrs.workflows import open_workflow
 from pcmrs.workflows.data import PlacementData, Planned
+from pcmrs.workflows.opening import open_workflow
 
 WORKFLOW = open_workflow("ratms")
 RATMS = WORKFLOW.blueprint

@@ -8,7 +8,7 @@ import pytest
 from workflow_bench import LANDMARKS, POSES, open_bench
 
 from pcmrs.fsm.design import design
-from pcmrs.workflows import open_workflow
+from pcmrs.workflows.opening import open_workflow
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

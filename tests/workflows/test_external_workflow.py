@@ -15,7 +15,8 @@ from pcmrs.cli import main
 from pcmrs.config import as_config
 from pcmrs.errors import BlueprintError, ConfigurationError
 from pcmrs.settings import Settings, read_settings
-from pcmrs.workflows import find_workflow, open_workflow, read_workflow
+from pcmrs.workflows import find_workflow, read_workflow
+from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.settings import RegistrationSettings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

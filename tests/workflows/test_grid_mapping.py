@@ -18,10 +18,11 @@ from pcmrs.fsm import examine
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Verdict
 from pcmrs.service.recorder import JournalRecorder
-from pcmrs.workflows import find_workflow, open_workflow
+from pcmrs.workflows import find_workflow
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message
 from pcmrs.workflows.grid_mapping import Data
+from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.toolplan import ToolPose, pose_of
 
 GRID = POSES[:3]

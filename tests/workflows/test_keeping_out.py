@@ -21,7 +21,7 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.passage import BOUND
 from pcmrs.messages import JointState, Verdict
 from pcmrs.spatial import Floats, Transform
-from pcmrs.workflows import open_workflow
+from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.paths import along_axis
 from pcmrs.workflows.settings import ProcedureSettings
 from pcmrs.workflows.surface import read_surface

@@ -9,7 +9,8 @@ from click.testing import CliRunner
 
 from pcmrs.cli import main
 from pcmrs.errors import BlueprintError
-from pcmrs.workflows import find_workflow, open_workflow
+from pcmrs.workflows import find_workflow
+from pcmrs.workflows.opening import open_workflow
 
 RATMS = find_workflow("ratms").blueprint
 PRESS = 'requires = { registration = ["111"], toolplan = ["1"], robot = ["1"] }\npayload = "press"'

@@ -24,9 +24,9 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
 from pcmrs.simulation.clock import SimulatedClock
 from pcmrs.spatial import Transform
-from pcmrs.workflows import open_workflow
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
+from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.settings import ProcedureSettings
 from sim.cell import open_devices
 

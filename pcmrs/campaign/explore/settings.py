@@ -9,9 +9,9 @@ import msgspec
 from pcmrs.campaign.explore.script import Physics
 from pcmrs.dispatcher import Workflow
 from pcmrs.settings import Settings, read_settings
-from pcmrs.workflows import open_workflow
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.opening import open_workflow
 
 DEADMAN = 1.0
 """The longest that can be configured, s: heartbeats, a quarter of it apart, cost as much as all other messages."""

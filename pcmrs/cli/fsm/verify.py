@@ -61,7 +61,7 @@ def _known(raw: bytes) -> Known | None:
     """What PCMRS's own steps do; not loaded for a file that names none."""
     if b"steps" not in raw and b"extends" not in raw and b"activities" not in raw:
         return None
-    from pcmrs.workflows import placement_registry
+    from pcmrs.workflows.opening import placement_registry
 
     return placement_registry().known
 

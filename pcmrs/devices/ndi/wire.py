@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import struct
 from typing import BinaryIO
 
 import msgspec
 
+from pcmrs.devices.framing import LENGTH_SIZE, Cutter, framed, length_of
 from pcmrs.errors import PayloadError
 
 LARGEST = 1 << 20
 """Bytes of one message; a longer one is no message of ours."""
-_LENGTH = struct.Struct(">I")
 
 
 class Job(msgspec.Struct, frozen=True):
@@ -84,21 +83,19 @@ _decoder = msgspec.msgpack.Decoder(Report)
 
 def pack(message: Job | Report) -> bytes:
     """The message with its length."""
-    body = _encoder.encode(message)
-    return _LENGTH.pack(len(body)) + body
+    return framed(_encoder.encode(message))
 
 
 def read_job(stream: BinaryIO) -> Job:
     """The job at the beginning of `stream`, and nothing behind it."""
-    (length,) = _LENGTH.unpack(stream.read(_LENGTH.size))
-    return msgspec.msgpack.decode(stream.read(length), type=Job)
+    return msgspec.msgpack.decode(stream.read(length_of(stream.read(LENGTH_SIZE))), type=Job)
 
 
 class Unpacker:
     """Cuts a stream of bytes into reports; survives any split of them."""
 
     def __init__(self) -> None:
-        self._begun = b""
+        self._cutter = Cutter(LARGEST)
 
     def feed(self, data: bytes) -> list[Report]:
         """The reports that `data` completes.
@@ -106,18 +103,7 @@ class Unpacker:
         Raises:
             PayloadError: This is no report, or a longer one than there can be.
         """
-        self._begun += data
-        reports: list[Report] = []
-        while len(self._begun) >= _LENGTH.size:
-            (length,) = _LENGTH.unpack_from(self._begun)
-            if length > LARGEST:
-                raise PayloadError(f"A report of {length} bytes; there are {LARGEST} at most.", length=length)
-            end = _LENGTH.size + length
-            if len(self._begun) < end:
-                break
-            reports.append(_report(self._begun[_LENGTH.size : end]))
-            self._begun = self._begun[end:]
-        return reports
+        return [_report(body) for body in self._cutter.feed(data)]
 
 
 def _report(body: bytes) -> Report:

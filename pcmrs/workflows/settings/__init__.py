@@ -5,7 +5,12 @@ from __future__ import annotations
 import msgspec
 
 from pcmrs.calibration import ToolType
-from pcmrs.workflows.settings.measuring import CalibrationSettings, RegistrationSettings, TrackingSettings
+from pcmrs.workflows.settings.measuring import (
+    LONGEST_UNSEEN,
+    CalibrationSettings,
+    RegistrationSettings,
+    TrackingSettings,
+)
 from pcmrs.workflows.settings.moving import (
     AlignmentSettings,
     ContactSettings,
@@ -45,7 +50,7 @@ class ProcedureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     """The table ``procedure`` of the configuration.
 
     Attributes:
-        max_pose_age: A tracked pose older than this is stale, s of the cell's clock.
+        max_pose_age: A tracked pose older than this is stale, s of the machine.
         home: Posture for `placement.home`, rad, base to flange; empty for the arm's own.
         patient: Whose registration it is; a previous registration or plan of another patient is refused.
         operator: Who is responsible, for the records; nothing is decided by it.
@@ -84,3 +89,12 @@ class ProcedureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
             raise ValueError(
                 f"teleoperation.range is {reach:g} m, but an approach ends at {standoff:g} m from the plan"
             )
+
+    def in_cell_time(self, rate: float) -> ProcedureSettings:
+        """The same with the ages of poses in the time of a cell that is `rate` times as fast as the machine.
+
+        A pose is as long on the bus as ever, which is `rate` times as long for such a cell.
+        """
+        unseen = min(self.tracking.unseen * rate, LONGEST_UNSEEN)
+        tracking = msgspec.structs.replace(self.tracking, unseen=unseen)
+        return msgspec.structs.replace(self, max_pose_age=self.max_pose_age * rate, tracking=tracking)

@@ -83,6 +83,10 @@ class VolumeSlice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     height: Positive
 
 
+LONGEST_UNSEEN = 5.0
+"""A motion goes on for so long at most while the tracker does not show the body, s of the cell."""
+
+
 class TrackingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """When a tracked pose is not believed, and where the tracker measures.
 
@@ -91,7 +95,8 @@ class TrackingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         speed: The body went faster since the frame before, m/s: more than hand, head or arm do.
         turn: It turned faster, rad/s.
         steady: After that it is believed again when so many frames have shown no jump.
-        unseen: A motion towards the body is held when the tracker has not shown the body for so long, s.
+        unseen: A motion towards the body is held when the tracker has not shown the body for so long, s of the
+            machine; at most 5 s of the cell, however fast that is.
         volume: Where the tracker measures, near to far, as its maker says; only shown. Empty where nobody has said.
     """
 
@@ -99,5 +104,5 @@ class TrackingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     speed: Positive = 2.0
     turn: Positive = 20.0
     steady: Annotated[int, msgspec.Meta(ge=1)] = 10
-    unseen: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.5
+    unseen: Annotated[float, msgspec.Meta(ge=0.1, le=LONGEST_UNSEEN)] = 0.5
     volume: tuple[VolumeSlice, ...] = ()

@@ -1,0 +1,89 @@
+"""Workflows ready to run: a blueprint with the checks and steps that it names."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+from pcmrs.dispatcher import Registry, Workflow
+from pcmrs.errors import BlueprintError, ConfigurationError
+from pcmrs.fsm import load_blueprint
+from pcmrs.workflows.alignment import register_alignment
+from pcmrs.workflows.calibration import register_calibration_checks
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.code import Code, load_code, told_with_line
+from pcmrs.workflows.connection import register_connection_operations
+from pcmrs.workflows.contact import register_contact_operations
+from pcmrs.workflows.correction import register_correction_steps
+from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.find import Place, find_workflow
+from pcmrs.workflows.following import register_following
+from pcmrs.workflows.landmarks import register_landmark_operations
+from pcmrs.workflows.motion import register_motion_steps
+from pcmrs.workflows.placement import register_placement_checks
+from pcmrs.workflows.reference import register_reference_operations
+from pcmrs.workflows.refinement import register_refinement_operations
+from pcmrs.workflows.registering import register_registration_operations
+from pcmrs.workflows.teleoperation import register_teleoperation
+from pcmrs.workflows.toolplan import register_plan_operations
+
+_log = logging.getLogger(__name__)
+
+
+def open_workflow(name: str) -> Workflow[Cell, PlacementData]:
+    """The workflow of that name or path, ready to run: its blueprint verified, its Python file run.
+
+    Raises:
+        ConfigurationError: There is no such workflow, or its Python file is faulty.
+        BlueprintError: Its blueprint is unsound, or uses a name that nobody registers.
+    """
+    place = find_workflow(name)
+    blueprint = load_blueprint(place.blueprint, warn=lambda warning: _log.warning("%s", warning.heading))
+    code = load_code(place)
+    registry = _registry_with(place, code)
+    initial = told_with_line(place.code, code.data.begin, blueprint)
+    try:
+        return Workflow(blueprint, registry, initial, code.settle)
+    except BlueprintError as error:
+        if "findings" in error.fields:
+            raise BlueprintError(f"{place.blueprint}: {error.text}", **error.fields) from None
+        text = f"{place.blueprint}: {error.text}; PCMRS has none of that name, nor does {place.code} register one."
+        raise BlueprintError(text, **error.fields) from None
+
+
+def _registry_with(place: Place, code: Code) -> Registry[Cell, PlacementData]:
+    """The shared registry and what the workflow adds; a name of the one never means something of the other."""
+    shared, registry = placement_registry(), placement_registry()
+    told_with_line(place.code, code.register, registry)
+    kinds: list[tuple[dict[str, Any], dict[str, Any]]] = [
+        (shared.payloads, registry.payloads),
+        (shared.checks, registry.checks),
+        (shared.steps, registry.steps),
+        (shared.activities, registry.activities),
+    ]
+    for before, after in kinds:
+        for name in before:
+            if after[name] is not before[name]:
+                text = f"{place.code}: registers {name!r}, which PCMRS has already: give it another name."
+                raise ConfigurationError(text, file=str(place.code), name=name)
+    return registry
+
+
+def placement_registry() -> Registry[Cell, PlacementData]:
+    """Checks and steps of the procedures that place a tool on a registered body."""
+    registry: Registry[Cell, PlacementData] = Registry()
+    register_calibration_checks(registry)
+    register_landmark_operations(registry)
+    register_registration_operations(registry)
+    register_refinement_operations(registry)
+    register_reference_operations(registry)
+    register_plan_operations(registry)
+    register_connection_operations(registry)
+    register_placement_checks(registry)
+    register_motion_steps(registry)
+    register_correction_steps(registry)
+    register_alignment(registry)
+    register_following(registry)
+    register_teleoperation(registry)
+    register_contact_operations(registry)
+    return registry
