@@ -41,6 +41,7 @@ NOT_FOLLOWED = (
     *(f"placement.operations.{name}" for name in ("guide", "stop_guiding", "guiding_lost")),
     *(f"placement.operations.{name}" for name in ("alignment_changed", "teleoperation_changed")),
     "placement.operations.force_limit.from",
+    "placement.operations.moved_unasked.from",
     *(
         f"placement.operations.{name}.{field}"
         for name in ("back_off", "home", "to_initial")
