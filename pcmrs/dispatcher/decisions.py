@@ -14,6 +14,7 @@ from pcmrs.dispatcher.attempt import Attempt
 from pcmrs.dispatcher.memory import Memory
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import Recorder
+from pcmrs.dispatcher.rejections import Rejections
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.errors import JournalError, PcmrsError
 from pcmrs.failpoints import failpoint
@@ -67,6 +68,7 @@ class Decisions(Generic[C, D]):
         memory: Where those who asked wait.
         settled: Called with the conclusion and its verdict once the verdict is given.
         broken: Called when a conclusion cannot be journalled or committed; the verdict is already given.
+        rejections: Says which rejections get no row; None where all get one.
 
     Attributes:
         doubtful: Those that could not be brought to their end; only the disk knows whether they are journalled.
@@ -79,17 +81,23 @@ class Decisions(Generic[C, D]):
         memory: Memory,
         settled: Callable[[Conclusion[C, D], Verdict], None],
         broken: Callable[[BaseException], Reason],
+        rejections: Rejections | None = None,
     ) -> None:
         self._procedure = procedure
         self._recorder = recorder
         self._memory = memory
         self._settled = settled
         self._broken = broken
+        self._rejections = rejections
         self.doubtful: list[Conclusion[C, D]] = []
 
     def conclude(self, conclusion: Conclusion[C, D]) -> None:
         """Journals a decision; as soon as that is durable, it is committed and answered."""
         procedure, rejected = self._procedure, conclusion.decision == "rejected"
+        limited = self._limit(conclusion) if rejected else None
+        if limited is not None:
+            self._only_answer(conclusion, limited)
+            return
         try:
             sequence = procedure.sequence if rejected else procedure.reserve(conclusion.change)
             states = procedure.joint() | (dict(conclusion.change.states) if conclusion.change is not None else {})
@@ -135,6 +143,16 @@ class Decisions(Generic[C, D]):
         """
         self._procedure.commit(recorded.sequence, conclusion.change, conclusion.changes, unlatch=False)
         self._procedure.forget_promises()
+
+    def _only_answer(self, conclusion: Conclusion[C, D], reason: Reason) -> None:
+        """Rejects a command without a row; it is decided anew when it is repeated."""
+        self._answer(conclusion, self._verdict(conclusion, "rejected", reason, self._procedure.joint()))
+        self._memory.forget(conclusion.command)
+
+    def _limit(self, conclusion: Conclusion[C, D]) -> Reason | None:
+        if self._rejections is None or conclusion.reason is None:
+            return None
+        return self._rejections.limit(conclusion.command, conclusion.reason)
 
     def _commit(self, conclusion: Conclusion[C, D], verdict: Verdict, durable: asyncio.Future[Any]) -> None:
         try:
