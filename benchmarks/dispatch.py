@@ -84,7 +84,7 @@ async def serve(endpoint: str, folder: Path, durable: bool) -> None:
     cell = Cell(robot, pointer, PoseFeed(clock, 0.2), ArmModel(ARMS["iiwa14"]), clock, settings)
     recorder = JournalRecorder(journal, clock, "benchmark", tag)
     dispatcher = Dispatcher(workflow, cell, clock, recorder, nothing_to_hold, Publishing(bus).publish)
-    edge = await CommandEdge.open(bus, dispatcher.submit, lambda *_: None, lambda _source: None)
+    edge = await CommandEdge.open(bus, dispatcher.submit, lambda *_: None, lambda _source, _presses: None)
 
     async def echo_query(_key: str, request: Envelope) -> Envelope:
         return request

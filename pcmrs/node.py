@@ -56,7 +56,7 @@ async def serve_devices(
         stack.push_async_callback(bus.close)
         opened = await stack.enter_async_context(opening)
         node = DeviceNode(bus, opened, SystemClock(), settings.robot.deadman, Threads())
-        lane = await StopLane.open(settings.bus("client"), node.stop)
+        lane = await StopLane.open(settings.bus("client"), lambda source, _: node.stop(source))
         stack.push_async_callback(lane.close)
         bus.alive(f"node-{driver}")
         if ACTING.intersection(devices):

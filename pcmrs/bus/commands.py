@@ -11,7 +11,7 @@ from pcmrs.bus.envelope import Envelope, command_from, refusal
 from pcmrs.bus.reasons import busy
 from pcmrs.bus.serving import ANSWERS
 from pcmrs.bus.session import Bus
-from pcmrs.bus.stop import StopLane
+from pcmrs.bus.stop import Stop, StopLane
 from pcmrs.errors import PayloadError, PcmrsError
 from pcmrs.messages import Command, Verdict
 
@@ -52,15 +52,15 @@ class CommandEdge:
         )
 
     @classmethod
-    async def open(cls, bus: Bus, submit: Submit, refused: Refused, stop: Callable[[str], int | None]) -> CommandEdge:
+    async def open(cls, bus: Bus, submit: Submit, refused: Refused, stop: Stop) -> CommandEdge:
         """Starts taking commands.
 
         Args:
             bus: The daemon's bus.
             submit: `Dispatcher.submit`.
             refused: Called in the event loop with source, code and text of what is no command.
-            stop: Called in the event loop with the source, such as ``bus:local``; begins to stop before
-                it returns.
+            stop: Called in the event loop with the source, such as ``bus:local``, and how often it has pressed; begins
+                to stop before it returns.
 
         Raises:
             BusError: The second session, for Stop, cannot be opened.
@@ -92,7 +92,7 @@ class CommandEdge:
             if len(self._submitted) < ANSWERS:
                 self._spawn(command)
             else:
-                self._refuse(key, busy())
+                self._refuse(key, busy(ANSWERS))
 
     def _spawn(self, command: Command) -> None:
         task = asyncio.ensure_future(self._submit(command, arrived=ARRIVED.get()))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pcmrs.bus.bridge import CAPACITY
 from pcmrs.bus.codec import unpack
 from pcmrs.errors import DeviceError, PayloadError, PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.messages import Reason
@@ -14,9 +13,9 @@ def reason_from(error: PcmrsError) -> Reason:
     return Reason(code=code, text=error.text, fields=error.fields)
 
 
-def busy() -> RefusalError:
-    """What is said of a message for which the queue into the event loop has no place."""
-    return RefusalError("busy", f"More than {CAPACITY} messages wait; send it again later.", limit=CAPACITY)
+def busy(limit: int) -> RefusalError:
+    """Refusal of a message for which a queue with so many places has none."""
+    return RefusalError("busy", f"More than {limit} messages wait; send it again later.", limit=limit)
 
 
 def error_from(payload: bytes) -> PcmrsError:

@@ -13,10 +13,11 @@ from typing import Final, Generic, TypeVar
 import msgspec
 import zenoh
 
-from pcmrs.bus.bridge import Call
+from pcmrs.bus.bridge import CAPACITY, Call
 from pcmrs.bus.codec import is_text, pack, pack_text, unpack
 from pcmrs.bus.reasons import busy, reason_from
 from pcmrs.bus.seal import Kind, Seal, Taken, is_sealed
+from pcmrs.bus.turns import WAITING, Turns
 from pcmrs.errors import PayloadError, PcmrsError, SealError
 
 T = TypeVar("T")
@@ -41,6 +42,7 @@ class Service(Generic[T]):
         handler: Makes the reply from relative key and request.
         refuse: Makes the reply to a malformed or excess request; None for an error reply.
         post: Runs a call in the event loop, or returns False when too many wait.
+        turns: Starts requests that only read, in turn; None for those that are started as they come.
         tasks: Where running answers are kept.
         pool: Sends replies, since a link whose queue is full blocks its sender.
         seal: Of daemon and device nodes; None elsewhere.
@@ -52,6 +54,7 @@ class Service(Generic[T]):
     handler: Callable[[str, T], Awaitable[msgspec.Struct]]
     refuse: Refuse | None
     post: Callable[[Call], bool]
+    turns: Turns | None
     tasks: set[asyncio.Task[None]]
     pool: Executor
     seal: Seal | None = None
@@ -64,8 +67,11 @@ class Service(Generic[T]):
             self._send(query, key, PayloadError(f"{key} holds a wildcard; ask on one key.", key=key))
         elif (forged := self._objection(query, key)) is not None:
             self._send(query, key, forged)
+        elif self.turns is not None:
+            if not self.turns.post(str(query.key_expr), partial(self._serve, query, key)):
+                self._send(query, key, self._refusal(key, busy(WAITING)))
         elif not self.post(partial(self._start, query, key)):
-            self._send(query, key, self._refusal(key, busy()))
+            self._send(query, key, self._refusal(key, busy(CAPACITY)))
 
     def _objection(self, query: zenoh.Query, key: str) -> SealError | None:
         """Why a query that must be sealed is not answered: device nodes serve their daemon and nobody else."""
@@ -83,11 +89,15 @@ class Service(Generic[T]):
 
     def _start(self, query: zenoh.Query, key: str) -> None:
         if len(self.tasks) >= ANSWERS:
-            self.pool.submit(self._send, query, key, self._refusal(key, busy()))
+            self.pool.submit(self._send, query, key, self._refusal(key, busy(ANSWERS)))
             return
+        self._serve(query, key)
+
+    def _serve(self, query: zenoh.Query, key: str) -> asyncio.Task[None]:
         task = asyncio.create_task(self._answer(query, key))
         self.tasks.add(task)
         task.add_done_callback(self.tasks.discard)
+        return task
 
     async def _answer(self, query: zenoh.Query, key: str) -> None:
         try:

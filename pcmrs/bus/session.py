@@ -14,7 +14,7 @@ import zenoh
 from zenoh import Locality, ext
 
 from pcmrs.bus.asking import Sealing, ask
-from pcmrs.bus.bridge import Bridge
+from pcmrs.bus.bridge import CAPACITY, Bridge
 from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
 from pcmrs.bus.ignored import Ignored
@@ -24,6 +24,7 @@ from pcmrs.bus.reasons import busy
 from pcmrs.bus.seal import Seal, Taken, is_sealed
 from pcmrs.bus.serving import Refuse, Service, payload_of, seal_of
 from pcmrs.bus.settings import BusSettings, open_session
+from pcmrs.bus.turns import AT_ONCE, Turns
 from pcmrs.errors import PayloadError, PcmrsError, SealError
 
 T = TypeVar("T")
@@ -44,9 +45,12 @@ class Bus:
         self._session = session
         self._loop = asyncio.get_running_loop()
         self._bridge = Bridge(self._loop)
+        self._turns = Turns(self._loop)
         self._ignored = Ignored()
         self._not_sealed = 0
         self._pool = ThreadPoolExecutor(4, thread_name_prefix="pcmrs-bus")
+        # A long reply to somebody who does not read it blocks its thread: commands are not answered by the same ones.
+        self._reading_pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="pcmrs-bus-read")
         self._senders: dict[str, ThreadPoolExecutor] = {}
         self._publishers: dict[str, zenoh.Publisher | ext.AdvancedPublisher] = {}
         self._declaring = threading.Lock()
@@ -135,7 +139,7 @@ class Bus:
                 self._bridge.post_newest((deliver, str(sample.key_expr)), call, data.newest)
             elif not self._bridge.post(call, urgent=data.urgent):
                 # Here, not in the loop: nobody may keep that busy with what it has no time for.
-                refuse(self._relative(sample), busy())
+                refuse(self._relative(sample), busy(CAPACITY))
 
         subscriber = declare_subscriber(self._session, self._absolute(key), data, receive)
         self._receivers.append(subscriber)
@@ -167,6 +171,8 @@ class Bus:
         kind: type[T],
         handler: Callable[[str, T], Awaitable[msgspec.Struct]],
         refuse: Refuse | None = None,
+        *,
+        reading: bool = False,
     ) -> Any:
         """Answers requests on the key expression `key`, each in a task of its own.
 
@@ -179,6 +185,8 @@ class Bus:
             handler: Makes the reply from relative key and request.
             refuse: Makes the reply to a request that is malformed or one too many; without it, that is an
                 error reply. It may run in any thread.
+            reading: The requests only read: all such requests of this process are answered a few at a time, those of
+                all keys in turn, so that they leave the loop to what acts.
 
         Returns:
             A coroutine function without parameters that takes no more requests; closing the bus does it too.
@@ -190,8 +198,9 @@ class Bus:
             handler=handler,
             refuse=refuse,
             post=self._bridge.post,
+            turns=self._turns if reading else None,
             tasks=self._tasks,
-            pool=self._pool,
+            pool=self._reading_pool if reading else self._pool,
             seal=self._seal,
         )
         queryable = self._session.declare_queryable(
@@ -237,17 +246,18 @@ class Bus:
         """Messages refused, ignored and replaced since the start, and what waits and is answered now."""
         bridge = self._bridge
         return {
-            "bus.refused": bridge.refused,
+            "bus.refused": bridge.refused + self._turns.refused,
             "bus.ignored": self._ignored.count,
             "bus.not_sealed": self._not_sealed,
             "bus.replaced": bridge.replaced,
-            "bus.waiting": bridge.waiting,
+            "bus.waiting": bridge.waiting + self._turns.waiting,
             "bus.answering": len(self._tasks),
         }
 
     async def close(self) -> None:
         """Ends running answers (their askers learn: unknown), then undeclares everything and closes."""
         self._bridge.close()
+        self._turns.close()
         receivers, self._receivers = self._receivers, []
         await self._in_pool(_undeclare, receivers)
         for task in self._tasks:
@@ -257,6 +267,7 @@ class Bus:
         await self._in_pool(self._session.close)
         for sender in self._senders.values():
             sender.shutdown(cancel_futures=True)
+        self._reading_pool.shutdown()
         self._pool.shutdown()
 
     def _sender(self, name: str) -> ThreadPoolExecutor:

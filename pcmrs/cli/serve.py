@@ -17,6 +17,7 @@ from pcmrs.cli.log import log_to_stderr
 from pcmrs.cli.options import config_options
 from pcmrs.cli.printing import say_json
 from pcmrs.cli.running import readable_errors, run
+from pcmrs.descriptors import reserve
 from pcmrs.errors import ConfigurationError
 from pcmrs.files import read_secret
 
@@ -43,6 +44,7 @@ def serve(file: Path | None, overrides: tuple[str, ...], as_json: bool, verbose:
     """
     from pcmrs.settings import read_settings
 
+    reserve()
     os.umask(0o077)  # journal and recordings name the patient; the daemon's children inherit this
     log_to_stderr(verbose=verbose)
     run(_serve(read_settings(file, overrides), as_json=as_json))

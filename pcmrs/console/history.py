@@ -96,7 +96,7 @@ class History:
         self.entries.extendleft(reversed(list(_entries(rows))))
         sequences = [row["sequence"] for row in rows]
         self._first, self._last = min([self._first, *sequences]), max([self._last, *sequences])
-        self.whole = len(rows) < PAGE
+        self.whole = not rows or self._first == 1  # a page ends early where its rows are long
 
     def _within_a_session(self) -> bool:
         return not self.entries or self.entries[0].session == self.entries[-1].session

@@ -15,6 +15,7 @@ from pcmrs.dispatcher.attempt import Attempt
 from pcmrs.dispatcher.memory import Memory
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import Recorder
+from pcmrs.dispatcher.rejections import Rejections
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.errors import JournalError, PcmrsError
 from pcmrs.failpoints import failpoint
@@ -68,6 +69,7 @@ class Decisions(Generic[C, D]):
         memory: Where those who asked wait.
         settled: Called with the conclusion and its verdict once the verdict is given.
         broken: Called when a conclusion cannot be journalled or committed; the verdict is already given.
+        rejections: Says which rejections get no row; None where all get one.
 
     Attributes:
         doubtful: Those that could not be brought to their end; only the disk knows whether they are journalled.
@@ -80,12 +82,14 @@ class Decisions(Generic[C, D]):
         memory: Memory,
         settled: Callable[[Conclusion[C, D], Verdict], None],
         broken: Callable[[BaseException], Reason],
+        rejections: Rejections | None = None,
     ) -> None:
         self._procedure = procedure
         self._recorder = recorder
         self._memory = memory
         self._settled = settled
         self._broken = broken
+        self._rejections = rejections
         self.doubtful: list[Conclusion[C, D]] = []
 
     def conclude(self, conclusion: Conclusion[C, D]) -> None:
@@ -97,6 +101,10 @@ class Decisions(Generic[C, D]):
         if rejected and is_event(procedure.blueprint, conclusion.command):
             self._memory.forget(conclusion.command)
             self._answer(conclusion, self._verdict(conclusion, "rejected", conclusion.reason, procedure.joint()))
+            return
+        limited = self._limit(conclusion) if rejected else None
+        if limited is not None:
+            self._only_answer(conclusion, limited)
             return
         try:
             sequence = procedure.sequence if rejected else procedure.reserve(conclusion.change)
@@ -143,6 +151,16 @@ class Decisions(Generic[C, D]):
         """
         self._procedure.commit(recorded.sequence, conclusion.change, conclusion.changes, unlatch=False)
         self._procedure.forget_promises()
+
+    def _only_answer(self, conclusion: Conclusion[C, D], reason: Reason) -> None:
+        """Rejects a command without a row; it is decided anew when it is repeated."""
+        self._answer(conclusion, self._verdict(conclusion, "rejected", reason, self._procedure.joint()))
+        self._memory.forget(conclusion.command)
+
+    def _limit(self, conclusion: Conclusion[C, D]) -> Reason | None:
+        if self._rejections is None or conclusion.reason is None:
+            return None
+        return self._rejections.limit(conclusion.command, conclusion.reason)
 
     def _commit(self, conclusion: Conclusion[C, D], verdict: Verdict, durable: asyncio.Future[Any]) -> None:
         try:

@@ -24,7 +24,7 @@ from pcmrs.dispatcher.admission import (
 from pcmrs.dispatcher.attempt import Attempt, locks_for
 from pcmrs.dispatcher.checks import Checks
 from pcmrs.dispatcher.decisions import Conclusion, Decisions, reason_for
-from pcmrs.dispatcher.events import DAEMON, REOPENED, SHUTDOWN, failed, not_confirmed, stopped
+from pcmrs.dispatcher.events import DAEMON, REOPENED, SHUTDOWN, failed, not_confirmed, pressed_again, stopped
 from pcmrs.dispatcher.hold import Hold
 from pcmrs.dispatcher.lanes import Lanes
 from pcmrs.dispatcher.lease import LEASE, RENEW, TAKEN, Lease
@@ -32,10 +32,12 @@ from pcmrs.dispatcher.memory import Memory
 from pcmrs.dispatcher.perform import reason_of
 from pcmrs.dispatcher.performer import Performer
 from pcmrs.dispatcher.planner import Planner
+from pcmrs.dispatcher.presses import Presses, StopUnderWay
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.queued import QueuedRow
 from pcmrs.dispatcher.reconcile import Reconciliation
 from pcmrs.dispatcher.recorder import Recorder
+from pcmrs.dispatcher.rejections import Rejections
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.dispatcher.stage import Stage, performing
 from pcmrs.dispatcher.stops import STANDSTILL, Stops
@@ -70,6 +72,7 @@ class Dispatcher(Generic[C, D]):
             that Stop does not latch.
         lease_required: Somebody has to hold the cell before commands are taken.
         planner: Asks the checks that plan motions; without one they are asked in the loop.
+        rejections: Says which rejections get no row; without it all get one.
 
     Attributes:
         lease: Who holds the cell.
@@ -88,6 +91,7 @@ class Dispatcher(Generic[C, D]):
         release: Callable[[bool], Awaitable[Sequence[str]]] | None = None,
         lease_required: bool = False,
         planner: Planner[C, D] | None = None,
+        rejections: Rejections | None = None,
     ) -> None:
         self.lease = Lease(clock, required=lease_required)
         self.procedure = Procedure(workflow)
@@ -98,10 +102,14 @@ class Dispatcher(Generic[C, D]):
         self._tasks = Tasks(self._break)
         self._hold = Hold(hold, self._tasks)
         self._stops = Stops(clock)
+        self._presses = Presses(self._tell_presses)
         stage = Stage(workflow, self.procedure, cell, clock, self._hold, self._tasks, self._show_snapshot, release)
         self._lanes = Lanes(workflow.blueprint.revokers)
         self._memory = Memory(recorder)
-        self._decisions = Decisions(self.procedure, recorder, self._memory, self._settle, self._break)
+        self._decisions = Decisions(self.procedure, recorder, self._memory, self._settle, self._break, rejections)
+        self._rejections = rejections
+        if rejections is not None:
+            rejections.on_dropped(lambda event: self._tasks.spawn(self._tell(event).durable()))
         self._activities = Activities(stage, self._verdict_of, self.stop, self._tell, self._break)
         checks = Checks(stage, planner, self._objection)
         self._performer = Performer(stage, self._lanes, self._decisions, recorder, self._activities, checks)
@@ -115,6 +123,7 @@ class Dispatcher(Generic[C, D]):
         self._suspended: Reason | None = None
         self._break_listeners: list[Callable[[], None]] = []
         self._stop_listeners: list[Callable[[], None]] = []
+        self._accept_listeners: list[Callable[[Command], None]] = []
         self.in_doubt = False
 
     # -- what the edges of the system call -----------------------------------------------------------
@@ -205,6 +214,10 @@ class Dispatcher(Generic[C, D]):
         """Has `callback` called when the dispatcher accepts nothing any more; see `broken`."""
         self._break_listeners.append(callback)
 
+    def on_accepted(self, callback: Callable[[Command], None]) -> None:
+        """Has `callback` called with every command that was accepted, as soon as it is committed."""
+        self._accept_listeners.append(callback)
+
     def on_publish(self, callback: Callable[[Snapshot | Verdict | DeviceEvent], None]) -> None:
         """Has `callback` called, too, with every new snapshot, verdict and device event."""
         self._publishers.append(callback)
@@ -257,6 +270,36 @@ class Dispatcher(Generic[C, D]):
         following = self._follow_danger(then)
         self._show_snapshot()
         return self._tasks.spawn(self._end_stop(number, source, recorded, [holding, *ending, *moving, *following]))
+
+    def press_stop(self, source: str, presses: int = 1) -> StopUnderWay:
+        """Stops for somebody who asks for it; see `begin_stop`.
+
+        A press that meets a Stop of the same source under way is that Stop, unless something has begun since: it is
+        counted, and its answer is that Stop's.
+
+        Args:
+            source: Who stops.
+            presses: How often this source has pressed since the last call.
+        """
+        stop = self._presses.find(source)
+        if stop is None or self._begun_since_stop():
+            standing = self.begin_stop(source)
+            stop, presses = StopUnderWay(source, self.stop_number, standing), presses - 1
+            self._presses.add(stop, self._hold.stop())
+        else:
+            for callback in self._stop_listeners:
+                _guarded(callback)  # what has come to the edges since ends, too
+        if presses:
+            stop.join(source, presses)
+        return stop
+
+    def _begun_since_stop(self) -> bool:
+        """Whether anything runs or waits that the last Stop has not ended."""
+        running = any(attempt.stopped is None for attempt in self._lanes.running)
+        return running or any(not attempt.spec.event for attempt in self._lanes.waiting)
+
+    def _tell_presses(self, stop: StopUnderWay) -> None:
+        self._tasks.spawn(self._tell(pressed_again(stop.source, stop.number, stop.joined)).durable())
 
     async def _end_stop(self, number: int, source: str, recorded: QueuedRow, ending: list[asyncio.Future[Any]]) -> bool:
         await recorded
@@ -327,6 +370,8 @@ class Dispatcher(Generic[C, D]):
         """Ends the procedure: the robot is held, whatever runs is stopped, and nothing more is accepted."""
         self._broken = Reason(code=ENDING, text="The daemon is ending.")
         self._activities.close()
+        if self._rejections is not None:
+            self._rejections.tell()
         await self.stop(SHUTDOWN)
         await self._tasks.wait()
 
@@ -537,6 +582,9 @@ class Dispatcher(Generic[C, D]):
 
     def _settle(self, conclusion: Conclusion[C, D], verdict: Verdict) -> None:
         """The verdict is given: shows it, and lets others have the locks, whatever fails of what follows from it."""
+        if verdict.decision == "accepted":
+            for callback in self._accept_listeners:
+                _guarded(callback, conclusion.command)
         loop = asyncio.get_running_loop()
         loop.call_soon(self._show, verdict)  # those who asked hear of it before those who watch
         if conclusion.attempt is not None:

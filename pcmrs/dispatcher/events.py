@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from pcmrs.messages import DeviceEvent, Reason
 
 DAEMON = "daemon"
@@ -12,6 +14,8 @@ FAIL_STOP = "fail_stop"
 """Code of the event that nothing is accepted any more; its field ``reason`` is the code of why."""
 NOT_CONFIRMED = "hold_not_confirmed"
 """Code of the event that nobody knows whether the robot stands."""
+PRESSED_AGAIN = "stop_pressed_again"
+"""Code of the event that counts the presses of Stop which have met a Stop under way."""
 ACTIVITY_STARTED, ACTIVITY_ENDED = "activity_started", "activity_ended"
 """Codes of the events that an activity is about to begin, and that it does nothing any more; the journal has the first
 before it moves anything, and the second after the robot stands or a motion has taken over."""
@@ -27,6 +31,14 @@ def stopped(source: str, reason: Reason, number: int) -> DeviceEvent:
     """Everything was stopped by `source`; `number` is the Stop's."""
     fields = {**reason.fields, "stop": number}
     return DeviceEvent(device=source, code=reason.code, text=reason.text, danger=True, fields=fields)
+
+
+def pressed_again(source: str, number: int, joined: Mapping[str, int]) -> DeviceEvent:
+    """Stop `number` by `source` was pressed again while it was under way, by each source so often."""
+    presses = sum(joined.values())
+    text = f"Stop {number} was pressed {presses} more times before the robot stood, by {len(joined)} sources."
+    fields = {"stop": number, "presses": presses, "by": dict(joined)}
+    return DeviceEvent(device=source, code=PRESSED_AGAIN, text=text, fields=fields)
 
 
 def failed(reason: Reason) -> DeviceEvent:

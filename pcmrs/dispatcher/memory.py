@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from pcmrs.dispatcher.clipping import clipped
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.errors import RefusalError
 from pcmrs.messages import Command, Verdict
@@ -44,7 +45,8 @@ class Memory:
         verdict = asyncio.get_running_loop().create_future()
         if recorded is not None:
             answer = recorded.verdict
-            _check_same(command, asked, _digest(answer.branch, answer.operation, recorded.arguments))
+            kept = _digest(command.branch, command.operation, clipped(command.arguments))
+            _check_same(command, kept, _digest(answer.branch, answer.operation, clipped(recorded.arguments)))
             verdict.set_result(answer)
         self._known[key] = asked, verdict
         self._forget_oldest()

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from pcmrs.clock import Clock
+from pcmrs.dispatcher.bucket import TokenBucket
 from pcmrs.errors import RefusalError
-from pcmrs.gateway.bucket import TokenBucket
 from pcmrs.gateway.commands import Action, Spec
 from pcmrs.gateway.keys import read_key
 from pcmrs.gateway.permissions import allowed

@@ -13,7 +13,7 @@ class JournalQuery(Message, frozen=True, kw_only=True):
     Attributes:
         after: Only those with a larger sequence.
         before: Only those with a smaller one, and of these the last ones; None for the first ones of all.
-        limit: At most so many.
+        limit: At most so many. A page may have fewer, since it has a largest size; where it has none there are no more.
     """
 
     after: int = 0

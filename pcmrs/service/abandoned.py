@@ -7,15 +7,17 @@ from typing import Any
 from pcmrs.clock import Clock
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.fsm.exposure import Exposure
-from pcmrs.messages import DeviceEvent, Snapshot, Verdict
+from pcmrs.messages import Command, DeviceEvent
+from pcmrs.messages.roles import HOLDING
 
 
 class AbandonedWatch:
-    """Reports a danger when no person has asked for anything for too long while the patient is exposed.
+    """Reports a danger when nobody has attended for too long while the patient is exposed.
 
     What exposes the patient, such as a tool at the body or an armed stimulator, goes by what the running blueprint
     declares: see `Exposure`.
 
+    Who attends has a command accepted, in a role that may hold the lease: whoever asks in vain, or only plans, is none.
     Hands that guide the tool are a sign of a person, too. What devices report and activities post is none; an
     operation that still runs is one of whoever asked for it. The danger goes the way of Stop.
 
@@ -31,7 +33,7 @@ class AbandonedWatch:
         self._clock = clock
         self._exposure = Exposure(dispatcher.procedure.blueprint)
         self._asked = clock.monotonic()
-        dispatcher.on_publish(self._hear)
+        dispatcher.on_accepted(self._hear)
 
     async def run(self) -> None:
         """Watches until it is cancelled."""
@@ -57,14 +59,11 @@ class AbandonedWatch:
             fields={"after": self._after},
         )
 
-    def _hear(self, message: Snapshot | Verdict | DeviceEvent) -> None:
-        if isinstance(message, Verdict) and not self._is_event(message):
+    def _hear(self, command: Command) -> None:
+        """Takes an accepted command; who may not hold the lease does not attend, however often it asks."""
+        if command.role in HOLDING:
             self.see()
 
     def see(self) -> None:
         """Somebody is there."""
         self._asked = self._clock.monotonic()
-
-    def _is_event(self, verdict: Verdict) -> bool:
-        operation = self._dispatcher.procedure.blueprint.find(verdict.branch, verdict.operation)
-        return operation is not None and operation.event

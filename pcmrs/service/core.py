@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 
 from pcmrs.dispatcher import Dispatcher
@@ -36,7 +37,7 @@ class GatewayCore:
         return await self._submit(command, arrived=arrived)
 
     async def stop(self, source: str) -> bool:
-        return await self._dispatcher.stop(source)
+        return await asyncio.shield(self._dispatcher.press_stop(source).standing)
 
     def report(self, event: DeviceEvent) -> None:
         self._dispatcher.report_later(event)

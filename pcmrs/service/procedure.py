@@ -18,6 +18,7 @@ from pcmrs.devices.remote import ActingDevice, RemoteEmg, RemotePointer, RemoteR
 from pcmrs.devices.standstill import Standstill
 from pcmrs.dispatcher import Dispatcher, Recorder, Workflow
 from pcmrs.dispatcher.planner import Planner
+from pcmrs.dispatcher.rejections import Rejections
 from pcmrs.errors import DeviceError
 from pcmrs.fsm import Blueprint
 from pcmrs.kinematics.model import ArmModel
@@ -117,6 +118,7 @@ class RunningProcedure:
             release=self.cell.release,
             lease_required=settings.access.is_open,
             planner=planner,
+            rejections=Rejections(clocks.machine),
         )
         self.tally = Tally(self.dispatcher.submit, clocks.machine)
         self.core = GatewayCore(self.dispatcher, self.cell, self.tally.submit)
@@ -172,11 +174,13 @@ class RunningProcedure:
         """Whether the robot was moving when it was last heard."""
         return self.cell.joints is not None and self.cell.joints.moving
 
-    def stop(self, source: str) -> int:
-        """Begins to stop everything, and returns the number of the Stop; see `Dispatcher.begin_stop`."""
-        stopping = self.dispatcher.begin_stop(source)
-        self._supervisor.spawn(f"stop by {source}", _wait_for(stopping))
-        return self.dispatcher.stop_number
+    def stop(self, source: str, presses: int = 1) -> int:
+        """Begins to stop everything, and returns the number of the Stop; see `Dispatcher.press_stop`."""
+        before = self.dispatcher.stop_number
+        stop = self.dispatcher.press_stop(source, presses)
+        if stop.number > before:
+            self._supervisor.spawn(f"stop by {source}", _wait_for(stop.standing))
+        return stop.number
 
     def lose(self, devices: list[str]) -> bool:
         """The node of these devices has ended by itself; whether it is worth another start."""

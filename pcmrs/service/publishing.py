@@ -6,6 +6,7 @@ import asyncio
 import uuid
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -15,6 +16,7 @@ from pcmrs.devices.link import Link
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.failpoints import failpoint
 from pcmrs.journal import JournalReader
+from pcmrs.journal.rows import encode_row
 from pcmrs.messages import (
     Command,
     DeviceEvent,
@@ -36,6 +38,8 @@ from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.tms.data import Data
 
 LARGEST_PAGE = 500
+PAGE_BYTES = 1024 * 1024
+"""A page of the journal has rows of so many bytes together, as they are kept; more are on the next page."""
 HEALTH_PERIOD = 5.0
 """Between two words on the daemon's health, s of the machine."""
 
@@ -82,7 +86,13 @@ def answer_queries(
     setup: Callable[[], Setup],
     gathered: Callable[[], Gathered],
 ) -> None:
-    """Serves the read-only queries below ``svc/``; `setup` reads a file."""
+    """Serves the read-only queries below ``svc/``.
+
+    `setup` reads a file, and what it returns counts until the daemon ends. What reads files does so one at a time in
+    another thread: several of them would keep the interpreter from the loop.
+    """
+    shown: list[Setup] = []
+    files = asyncio.Lock()
 
     async def snapshot(_key: str, _request: Empty) -> Snapshot:
         return dispatcher.snapshot()
@@ -98,8 +108,10 @@ def answer_queries(
 
     async def laid_out(key: str, _request: Empty) -> Setup:
         user = key.rpartition("/")[2]
-        shown = await asyncio.to_thread(setup)
-        return msgspec.structs.replace(shown, user=user, role=bus.settings.role_of(user))
+        async with files:
+            if not shown:
+                shown.append(await asyncio.to_thread(setup))
+        return msgspec.structs.replace(shown[0], user=user, role=bus.settings.role_of(user))
 
     async def checked(key: str, question: Question) -> Prospect:
         user = key.rpartition("/")[2]
@@ -115,15 +127,16 @@ def answer_queries(
         return await dispatcher.prospect(command)
 
     async def page(_key: str, query: JournalQuery) -> JournalPage:
-        return await asyncio.to_thread(journal_page, journal.path, query)
+        async with files:
+            return await asyncio.to_thread(journal_page, journal.path, query)
 
-    bus.serve("svc/snapshot", Empty, snapshot)
-    bus.serve("svc/setup/*", Empty, laid_out)
-    bus.serve("svc/data", Empty, data)
-    bus.serve("svc/check/*", Question, checked)
-    bus.serve("svc/keys", Empty, keys)
-    bus.serve("svc/health", Empty, well)
-    bus.serve("svc/journal", JournalQuery, page)
+    bus.serve("svc/snapshot", Empty, snapshot, reading=True)
+    bus.serve("svc/setup/*", Empty, laid_out, reading=True)
+    bus.serve("svc/data", Empty, data, reading=True)
+    bus.serve("svc/check/*", Question, checked, reading=True)
+    bus.serve("svc/keys", Empty, keys, reading=True)
+    bus.serve("svc/health", Empty, well, reading=True)
+    bus.serve("svc/journal", JournalQuery, page, reading=True)
 
 
 async def tell_health(bus: Link, health: Callable[[], Health], clock: Clock) -> None:
@@ -134,9 +147,19 @@ async def tell_health(bus: Link, health: Callable[[], Health], clock: Clock) -> 
 
 
 def journal_page(path: Path, query: JournalQuery) -> JournalPage:
-    """Reads by a connection of its own, since it runs beside the event loop."""
-    rows = max(1, min(query.limit, LARGEST_PAGE))
-    last = None if query.before is None else rows
+    """Reads by a connection of its own, since it runs beside the event loop.
+
+    A page has as many rows as fit into `PAGE_BYTES`, but one at least.
+    """
+    most = max(1, min(query.limit, LARGEST_PAGE))
+    backwards = query.before is not None
+    rows: list[dict[str, Any]] = []
+    size = 0
     with JournalReader(path) as journal:
-        found = journal.read(after=query.after, before=query.before, first=rows, last=last)
-        return JournalPage(rows=[msgspec.to_builtins(row) for row in found])
+        found = journal.read(after=query.after, before=query.before, first=most, last=most if backwards else None)
+        for row in reversed(list(found)) if backwards else found:
+            size += len(encode_row(row.row))
+            if rows and size > PAGE_BYTES:
+                break
+            rows.append(msgspec.to_builtins(row))
+    return JournalPage(rows=rows[::-1] if backwards else rows)

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from pcmrs.clock import Clock
+from pcmrs.dispatcher.clipping import clipped
 from pcmrs.dispatcher.events import DAEMON
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import Recorded
@@ -67,8 +68,10 @@ class JournalRecorder:
     ) -> Awaitable[Any]:
         """See `Recorder.decision`."""
         result = msgspec.to_builtins(dict(changes)) if changes else None
-        outcome = self._of_command("outcome", command, states, verdict=verdict, result=result)
         intent = [self._of_command("intent", command, states)] if with_intent else []
+        if verdict.decision == "rejected":
+            command = msgspec.structs.replace(command, arguments=dict(clipped(command.arguments)))
+        outcome = self._of_command("outcome", command, states, verdict=verdict, result=result)
         return self._append([*intent, outcome])
 
     def event(self, event: DeviceEvent, states: Mapping[str, str]) -> Awaitable[Any]:

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import time
+from collections import Counter
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -16,7 +17,7 @@ from pcmrs.bus import Bus, CommandEdge
 from pcmrs.bus.bridge import CAPACITY
 from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.envelope import Envelope
-from pcmrs.bus.stop import Stopping
+from pcmrs.bus.stop import ANSWERED, OTHERS, Stopping
 from pcmrs.messages import Command, Verdict
 from pcmrs.messages.identity import Identity
 from pcmrs.messages.roles import Role
@@ -24,6 +25,8 @@ from pcmrs.messages.roles import Role
 REGISTER: dict[str, Role] = {"anna": "teleoperator", "eve": "viewer"}
 HELD_UP = 1.0
 """The loop does something else for so long, s."""
+FLOOD = 2_000
+"""Presses of one who never stops pressing."""
 PLAN = "cmd/local/registration/plan_landmarks"
 
 
@@ -35,15 +38,17 @@ class Daemon:
         self.submitted: asyncio.Queue[Command] = asyncio.Queue()
         self.stopped: asyncio.Queue[str] = asyncio.Queue()
         self.stops = 0
+        self.presses: Counter[str] = Counter()
         self.ages: list[float] = []
         self.refused: list[tuple[str, str]] = []
 
     def refuse(self, source: str, code: str, text: str) -> None:
         self.refused.append((source, code))
 
-    def stop(self, source: str) -> int:
+    def stop(self, source: str, presses: int) -> int:
         """Numbers each Stop, from 1."""
         self.stopped.put_nowait(source)
+        self.presses[source] += presses
         self.stops += 1
         return self.stops
 
@@ -292,3 +297,43 @@ async def test_stop_by_put_and_by_query() -> None:
         assert daemon.stopped.get_nowait() == "bus:bert"
         reply = await get(daemon, session, "stop/carl", pack(Envelope()))
         assert unpack(reply, Stopping).source == "bus:carl"
+
+
+async def test_the_loop_is_told_once_of_all_presses_of_a_source_and_others_do_not_wait_behind_them() -> None:
+    async with running_daemon() as (daemon, session):
+        await get(daemon, session, "stop/anna")
+        for _ in range(FLOOD):
+            session.put(f"{daemon.bus.prefix}/stop/eve", b"", congestion_control=zenoh.CongestionControl.BLOCK)
+        asked = asyncio.ensure_future(get(daemon, session, "stop/anna"))
+        await asyncio.sleep(0)
+        time.sleep(HELD_UP)  # noqa: ASYNC251 - the loop does something else meanwhile
+        assert json.loads(await asked)["source"] == "bus:anna"
+        async with asyncio.timeout(TIMEOUT):
+            while daemon.presses["bus:eve"] < FLOOD:
+                await daemon.stopped.get()
+        assert daemon.presses == {"bus:anna": 2, "bus:eve": FLOOD}
+        assert daemon.stops < FLOOD / 10
+
+
+async def test_stops_under_very_many_names_are_told_as_those_of_a_few() -> None:
+    async with running_daemon() as (daemon, session):
+        await get(daemon, session, "stop/anna")
+        for number in range(FLOOD):
+            session.put(f"{daemon.bus.prefix}/stop/eve{number}", b"", congestion_control=zenoh.CongestionControl.BLOCK)
+        time.sleep(HELD_UP)  # noqa: ASYNC251 - the loop does something else meanwhile
+        async with asyncio.timeout(TIMEOUT):
+            while daemon.presses.total() < FLOOD + 1:
+                await daemon.stopped.get()
+        assert daemon.presses[OTHERS] > FLOOD / 2
+
+
+async def test_of_one_source_so_many_answers_wait_and_others_are_answered() -> None:
+    async with running_daemon() as (daemon, session):
+        await get(daemon, session, "stop/anna")
+        flood = [session.get(f"{daemon.bus.prefix}/stop/eve") for _ in range(4 * ANSWERED)]
+        asked = session.get(f"{daemon.bus.prefix}/stop/anna")
+        time.sleep(HELD_UP)  # noqa: ASYNC251 - the loop does something else meanwhile
+        assert len(await asyncio.to_thread(list, asked)) == 1
+        answered = [len(await asyncio.to_thread(list, each)) for each in flood]
+        assert ANSWERED <= sum(answered) < 4 * ANSWERED
+        assert daemon.presses["bus:eve"] == 4 * ANSWERED, "all are Stops"

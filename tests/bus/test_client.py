@@ -30,7 +30,7 @@ class Daemon:
         self.bus.publish("state/event", verdict)
         return verdict
 
-    def stop(self, source: str) -> int:
+    def stop(self, source: str, _presses: int) -> int:
         """Numbers each Stop, from 1."""
         self.stops.append(source)
         return len(self.stops)

@@ -17,7 +17,8 @@ import pcmrs
 from pcmrs.devices.link import Link
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.fsm import load_blueprint
-from pcmrs.messages import BlueprintTag, DeviceEvent, Running, Snapshot, TeleopStatus, Verdict
+from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Running, Snapshot, TeleopStatus
+from pcmrs.messages.roles import HOLDING, ROLES, Role
 from pcmrs.service.abandoned import AbandonedWatch
 from pcmrs.service.teleoperation import connect_teleoperators
 from pcmrs.workflows.teleop_port import TeleopPort
@@ -46,13 +47,13 @@ class Session:
         self.running: list[Running] = []
         self.reported: list[DeviceEvent] = []
         self.procedure = SimpleNamespace(blueprint=BLUEPRINT)
-        self._listeners: list[Callable[[Any], None]] = []
+        self._listeners: list[Callable[[Command], None]] = []
         watch = AbandonedWatch(cast(Dispatcher[Any, Any], self), AFTER, self.clock)
         self.watch = asyncio.create_task(watch.run())
         self.teleoperators = TeleopPort()
         connect_teleoperators(cast(Link, Unheard()), self.teleoperators, watch.see)
 
-    def on_publish(self, callback: Callable[[Any], None]) -> None:
+    def on_accepted(self, callback: Callable[[Command], None]) -> None:
         self._listeners.append(callback)
 
     def snapshot(self) -> Snapshot:
@@ -70,10 +71,10 @@ class Session:
         await self.clock.advance(seconds)
         await settle()
 
-    def ask(self, branch: str, operation: str) -> None:
-        verdict = Verdict(id="1", branch=branch, operation=operation, decision="rejected", state="", sequence=1)
+    def accept(self, branch: str, operation: str, role: Role = "operator") -> None:
+        command = Command(id="1", branch=branch, operation=operation, source="bus:somebody", role=role)
         for listener in self._listeners:
-            listener(verdict)
+            listener(command)
 
     async def close(self) -> None:
         self.watch.cancel()
@@ -105,13 +106,25 @@ async def test_a_tool_that_is_away_or_held_may_be_left(state: str) -> None:
     await session.close()
 
 
-async def test_whoever_asks_for_anything_is_there_even_in_vain() -> None:
+@pytest.mark.parametrize("role", HOLDING)
+async def test_who_may_hold_the_lease_and_has_a_command_accepted_attends(role: Role) -> None:
     session = Session(placement="placed")
     for _ in range(5):
         await session.let(AFTER - 1.0)
-        session.ask("registration", "no_such_operation")
+        session.accept("registration", "plan_landmarks", role)
     assert session.reported == []
     await session.let(AFTER + 0.5)
+    assert session.reported
+    await session.close()
+
+
+@pytest.mark.parametrize("role", sorted(set(ROLES) - set(HOLDING)))
+async def test_a_program_that_may_not_hold_the_lease_attends_to_nothing(role: Role) -> None:
+    session = Session(placement="placed")
+    for _ in range(3):
+        await session.let(AFTER / 3.0)
+        session.accept("toolplan", "plan", role)
+    await session.let(0.5)
     assert session.reported
     await session.close()
 
@@ -122,7 +135,7 @@ async def test_an_operation_that_takes_long_is_not_abandoned() -> None:
     await session.let(3.0 * AFTER)
     assert session.reported == []
     session.running = []
-    session.ask("placement", "confirm")
+    session.accept("placement", "confirm")
     await session.let(AFTER + 0.5)
     assert session.reported
     await session.close()
@@ -132,7 +145,7 @@ async def test_devices_are_nobody() -> None:
     session = Session(placement="following")
     for _ in range(3):
         await session.let(AFTER / 3.0)
-        session.ask("alignment", "within")
+        session.accept("alignment", "within", "daemon")
     await session.let(0.5)
     assert session.reported
     await session.close()
@@ -142,7 +155,7 @@ async def test_it_watches_on_after_an_operator_has_confirmed() -> None:
     session = Session(placement="placed")
     await session.let(AFTER + 0.5)
     session.latched = False
-    session.ask("robot", "acknowledge")
+    session.accept("robot", "acknowledge")
     await session.let(2.5 * AFTER)
     assert len(session.reported) == 2
     await session.close()

@@ -21,7 +21,7 @@ from pcmrs.messages import BlueprintTag, JournalPage, JournalQuery
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import Gathered, Setup
 from pcmrs.service.health_report import report
-from pcmrs.service.publishing import HEALTH_PERIOD, LARGEST_PAGE, answer_queries, tell_health
+from pcmrs.service.publishing import HEALTH_PERIOD, LARGEST_PAGE, PAGE_BYTES, answer_queries, tell_health
 
 ROW = JournalRow(
     kind="event",
@@ -43,7 +43,8 @@ class Served:
     def publish(self, key: str, message: Any) -> None:
         self.published.append((key, message))
 
-    def serve(self, key: str, _kind: type, handler: Callable[[str, Any], Awaitable[Any]]) -> None:
+    def serve(self, key: str, _kind: type, handler: Callable[[str, Any], Awaitable[Any]], *, reading: bool) -> None:
+        assert reading, "what only reads takes turns"
         self.handlers[key] = handler
 
     async def page(self, **query: int) -> list[int]:
@@ -85,6 +86,21 @@ async def test_the_journal_is_paged_from_its_beginning(tmp_path: Path, monkeypat
     assert await served.page(before=10 * LARGEST_PAGE, limit=2) == [LARGEST_PAGE + 1, LARGEST_PAGE + 2]
     assert await served.page(before=4, after=1, limit=5) == [2, 3]
     assert threading.get_ident() not in readers
+    await journal.close()
+
+
+async def test_a_page_ends_where_its_rows_are_too_long_together(tmp_path: Path) -> None:
+    journal = Journal.open(tmp_path / "journal.sqlite", durable=False)
+    long = msgspec.structs.replace(ROW, arguments={"text": "x" * (PAGE_BYTES // 3)})
+    await journal.append([ROW, long, long, long, ROW])
+    served = Served()
+    answer_queries(cast(Bus, served), cast("Dispatcher[Any, Any]", None), journal.reader, no_health, no_setup, no_data)
+    assert await served.page() == [1, 2, 3]
+    assert await served.page(after=3) == [4, 5]
+    assert await served.page(before=6) == [3, 4, 5]
+    assert await served.page(before=3) == [1, 2]
+    await journal.append([msgspec.structs.replace(ROW, arguments={"text": "x" * PAGE_BYTES})])
+    assert await served.page(after=5) == [6], "one row at least"
     await journal.close()
 
 

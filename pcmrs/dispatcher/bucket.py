@@ -21,6 +21,11 @@ class TokenBucket:
         self._tokens = float(burst)
         self._filled = clock.monotonic()
 
+    @property
+    def wait(self) -> float:
+        """Until the next token there is, s; 0 where there is one."""
+        return max(0.0, 1.0 - self._tokens) / self._rate_hz
+
     def take(self) -> bool:
         """Takes one token; False when there is none."""
         now = self._clock.monotonic()
