@@ -213,7 +213,7 @@ WORKFLOW = make_workflow()
 def make_cell() -> Cell:
     """A cell whose robot each daemon replaces by its own."""
     settings = msgspec.convert({"stimulator": {"driver": "none"}, "emg": {"driver": "none"}}, Settings)
-    return open_cell(settings, MemoryLink(), Clocks(ManualClock(), ManualClock()), "")
+    return open_cell(settings, BLUEPRINT, MemoryLink(), Clocks(ManualClock(), ManualClock()), "")
 
 
 class Spawner:

@@ -10,9 +10,9 @@ import pytest
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.settings import Settings
-from pcmrs.workflows import open_workflow
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.floors import PART, Floors
+from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.planning import PlanningCell
 
 SAMPLES = 10 * PART + 7
