@@ -223,7 +223,7 @@ async def silent_connections(lab: Lab) -> Evidence:
     return Evidence("bounded, and Stop works", {"connections": SILENT, "control": control.decode()})
 
 
-@fault("A30", how="a signed command that is kept back; at a peer with the time in its counters, and at one without")
+@fault("A25", how="a signed command that is kept back; at a peer with the time in its counters, and at one without")
 async def held_back(lab: Lab) -> Evidence:
     """Somebody on the way keeps a datagram, and lets it through when nobody thinks of it any more."""
     command, peers, settings = b"rob_conn_onxxxxx_#1;", {}, []
@@ -248,7 +248,7 @@ async def held_back(lab: Lab) -> Evidence:
     return Evidence("refused as too old", {"answer": answer.decode(), "control": control.decode()})
 
 
-@fault("A31", how="a program in place of the one that reads uploaded files, with its limits and without")
+@fault("A26", how="a program in place of the one that reads uploaded files, with its limits and without")
 async def a_reader_is_taken_over(lab: Lab) -> Evidence:
     """A file makes its reader open a connection, start a program, take memory and write; each is tried."""
     tries = {}

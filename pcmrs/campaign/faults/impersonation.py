@@ -41,7 +41,7 @@ async def stranger(cell: LabCell) -> AsyncIterator[Bus]:
         await bus.close()
 
 
-@fault("A40", how="requests to device nodes from a bus client without the key of daemon and nodes")
+@fault("A27", how="requests to device nodes from a bus client without the key of daemon and nodes")
 async def requests_past_the_daemon(lab: Lab) -> Evidence:
     """Every method is refused before the device sees it; the same request with the key is served."""
     async with lab.cell(*REAL_TIME, anew=False) as cell:
@@ -75,7 +75,7 @@ async def _answer(bus: Bus, device: str, request: DeviceRequest) -> str:
     return "served" if reply.failure is None else reply.failure.code
 
 
-@fault("A40", how="beats, poses, joints and events put by a bus client without the key, during a motion")
+@fault("A27", how="beats, poses, joints and events put by a bus client without the key, during a motion")
 async def messages_in_a_devices_name(lab: Lab) -> Evidence:
     """None of them is taken: the motion ends as it would, nothing is latched, and each is counted."""
     async with lab.cell(*REAL_TIME, anew=False) as cell:
@@ -119,7 +119,7 @@ async def _counted(cell: LabCell) -> int:
     return (await cell.client.health()).dropped["bus.not_sealed"]
 
 
-@fault("A41", how="an event on a device's key, sealed as a device's node does, that speaks for the lease or the daemon")
+@fault("A28", how="an event on a device's key, sealed as a device's node does, that speaks for the lease or the daemon")
 async def event_of_another_device(lab: Lab) -> Evidence:
     """It is dropped and counted; the same event in the device's own name is taken."""
     async with lab.cell() as cell:
