@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 
 from pcmrs.dispatcher import Dispatcher, ProcedureData
+from pcmrs.dispatcher.admission import is_event
 from pcmrs.experiment.tours.rehearsal import LeapingClock, Script, scripted
 from pcmrs.fsm.behaviour import joint_of
 from pcmrs.fsm.blueprint import Blueprint
@@ -26,7 +27,7 @@ class Found:
     Attributes:
         joint_states: How many there are.
         forbidden: Commands that had to be rejected.
-        wrong: Of them, those that were not, or changed something, or are not in the journal.
+        wrong: Of them, those that were not, or changed something, or are not in the journal (or are, being events).
     """
 
     joint_states: int = 0
@@ -66,10 +67,12 @@ async def _walk_stretch(
     for move in filter(_needed, moves):
         script.move = move
         before = _shape(dispatcher)
-        verdict = await dispatcher.submit(_command(move))
+        command = _command(move)
+        verdict = await dispatcher.submit(command)
         if move.decision == "rejected" and not move.at:
             found.forbidden += 1
-            wrong = _wrong(move, verdict, before == _shape(dispatcher), journal)
+            has_row = not is_event(runs, command)  # an event that changes nothing leaves none
+            wrong = _wrong(move, verdict, before == _shape(dispatcher), journal, has_row=has_row)
             found.wrong += [f"{move} in {'-'.join(move.before)}: {wrong}"] if wrong else []
         reached = joint_of(blueprint, dispatcher.snapshot().branches)
         if reached != move.after:
@@ -88,7 +91,7 @@ def _shape(dispatcher: Dispatcher[None, ProcedureData]) -> bytes:
     return msgspec.msgpack.encode((dispatcher.snapshot(), dispatcher.procedure.data))
 
 
-def _wrong(move: Move, verdict: Verdict, unchanged: bool, journal: Journal) -> str:
+def _wrong(move: Move, verdict: Verdict, unchanged: bool, journal: Journal, *, has_row: bool) -> str:
     if verdict.decision != "rejected":
         return f"it was {verdict.decision}"
     if verdict.reason is None or verdict.reason.code != move.code:
@@ -96,7 +99,9 @@ def _wrong(move: Move, verdict: Verdict, unchanged: bool, journal: Journal) -> s
     if not unchanged:
         return "states or data have changed"
     stored = [row.row.verdict for row in journal.reader.read(last=1, kind="outcome")]
-    return "" if stored == [verdict] else "the journal has no row of it"
+    if (stored == [verdict]) == has_row:
+        return ""
+    return "the journal has no row of it" if has_row else "the journal has a row of it"
 
 
 def _command(move: Move) -> Command:

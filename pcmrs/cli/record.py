@@ -88,7 +88,8 @@ def record(
         pool = partial(all_files, recording.parent)
         os.nice(NICENESS)
     else:
-        settings, key = read_settings(file, overrides), b""
+        settings = read_settings(file, overrides)
+        key = settings.access.read_device_key() or b""
         limits, chosen = Limits(max_size, max_duration, max_total, keep_free), topics or TOPICS
         pool = partial(files_of, recording)
     check_topics(chosen)

@@ -73,7 +73,7 @@ class Tap:
             settings: Of the bus.
             topics: Key expressions, relative to the cell, that do not overlap.
             clock: Of the machine.
-            seal: Of a recorder that the daemon has started: it may report to the daemon.
+            seal: Of a recorder that has the key of daemon and nodes: it may report to the daemon.
 
         Raises:
             BusError: No daemon answers at the endpoint.
@@ -92,7 +92,7 @@ class Tap:
         return [self._waiting.popleft() for _ in range(len(self._waiting))]
 
     async def report(self, event: DeviceEvent) -> None:
-        """Report to the daemon, which journals it; a recorder that somebody else has started cannot."""
+        """Report to the daemon, which journals it; a recorder without the key cannot."""
         if self._seal is None:
             return
         key, payload = f"{self.prefix}/{EVENTS}", pack(event)

@@ -100,4 +100,4 @@ def test_what_a_cell_keeps_is_its_owners_alone(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
-    _starts_not(own_settings(file / "cell"), 4, "file")
+    _starts_not([*own_settings(tmp_path), f"cell.folder={file / 'cell'}"], 4, "file")

@@ -79,11 +79,17 @@ async def test_after_a_kill_in_a_motion_nothing_moves_until_the_operator_has_loo
 async def test_after_a_kill_while_somebody_guided_the_tool_nothing_moves_until_somebody_has_confirmed(
     tmp_path: Path,
 ) -> None:
+    def begun() -> bool:
+        """Nothing moves before this row is on the disk, some time after the verdict."""
+        with JournalReader(tmp_path / "ratms.sqlite") as journal:
+            return any(stored.row.operation == "activity_started" for stored in journal.read(kind="device"))
+
     settings = own_settings(tmp_path)
     with running_daemon(settings, tmp_path) as daemon:
         async with daemon.client() as client:
             await to_standoff(client)
             await accept(client, "placement.guide")
+            assert await asyncio.to_thread(wait_until, begun)
             daemon.end(signal.SIGKILL)
     with running_daemon(settings, tmp_path) as successor:
         async with successor.client() as client:
