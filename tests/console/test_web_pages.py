@@ -143,7 +143,8 @@ def test_a_page_of_somebody_else_commands_nothing(daemon: ServeProcess) -> None:
             page.evaluate(ATTACK, [port, COMMAND])
         browser.close()
     sent = b"".join(received)
-    assert sent.count(b"POST / ") == 3  # the browser has sent what it was asked to
+    # The browser has sent what it was asked to; what ended without an answer it may have sent again.
+    assert sent.count(b"POST / ") >= 3
     assert sent.count(COMMAND.encode()) >= 3
     assert b"Upgrade: websocket" in sent
     assert robot_of(daemon) == "0"
