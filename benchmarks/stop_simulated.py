@@ -10,23 +10,21 @@ up to 0.5 s: there only what the arm does counts, and that Stop is confirmed.
 from __future__ import annotations
 
 import asyncio
-import logging
 import multiprocessing
 import random
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
-import structlog
 from stop_found import BREATHING, LATCHED, STANDSTILL, Braking, Found, farthest
 
 from pcmrs.campaign.driving import landmarks, tool_pose
 from pcmrs.campaign.explore.operators import Operators
+from pcmrs.campaign.explore.session import quiet
 from pcmrs.campaign.explore.settings import settings_of, workflow_of
 from pcmrs.campaign.explore.witness import Witness
 from pcmrs.journal import JournalReader
@@ -275,7 +273,7 @@ def run_cell(seed: int, stops: int) -> tuple[Found, int]:
         What was found, and how many Stops were left when the cell could not be brought to another motion.
     """
     found = Found()
-    with tempfile.TemporaryDirectory(prefix="pcmrs-stop-") as folder, seeded_entropy(seed), _quiet():
+    with tempfile.TemporaryDirectory(prefix="pcmrs-stop-") as folder, seeded_entropy(seed), quiet():
         loop = SimulatedLoop()
         try:
             loop.run_until_complete(_run(found, seed, stops, Path(folder) / "journal.sqlite"))
@@ -335,17 +333,3 @@ def run_all(stops: int, seed: int, jobs: int, progress: Progress = lambda _: Non
                 found.add(part)
                 asked -= left
             progress(found)
-
-
-def _drop(_logger: object, _method: str, _event: object) -> NoReturn:
-    raise structlog.DropEvent
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    before = structlog.get_config()
-    structlog.configure(processors=[_drop], wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
-    try:
-        yield
-    finally:
-        structlog.configure(**before)

@@ -16,7 +16,7 @@ import zenoh
 from pcmrs.bus.bridge import CAPACITY, Call
 from pcmrs.bus.codec import is_text, pack, pack_text, unpack
 from pcmrs.bus.reasons import busy, reason_from
-from pcmrs.bus.seal import Kind, Seal, Taken, is_sealed
+from pcmrs.bus.seal import Kind, Seal, Taken
 from pcmrs.bus.turns import WAITING, Turns
 from pcmrs.errors import PayloadError, PcmrsError, SealError
 
@@ -45,7 +45,7 @@ class Service(Generic[T]):
         turns: Starts requests that only read, in turn; None for those that are started as they come.
         tasks: Where running answers are kept.
         pool: Sends replies, since a link whose queue is full blocks its sender.
-        seal: Of daemon and device nodes; None elsewhere.
+        seal: Of requests and replies on this key; None where they are not sealed.
     """
 
     key: str
@@ -65,7 +65,7 @@ class Service(Generic[T]):
         key = self._relative(query)
         if "*" in key:
             self._send(query, key, PayloadError(f"{key} holds a wildcard; ask on one key.", key=key))
-        elif (forged := self._objection(query, key)) is not None:
+        elif (forged := self._objection(query)) is not None:
             self._send(query, key, forged)
         elif self.turns is not None:
             if not self.turns.post(str(query.key_expr), partial(self._serve, query, key)):
@@ -73,9 +73,9 @@ class Service(Generic[T]):
         elif not self.post(partial(self._start, query, key)):
             self._send(query, key, self._refusal(key, busy(CAPACITY)))
 
-    def _objection(self, query: zenoh.Query, key: str) -> SealError | None:
+    def _objection(self, query: zenoh.Query) -> SealError | None:
         """Why a query that must be sealed is not answered: device nodes serve their daemon and nobody else."""
-        if self.seal is None or not is_sealed(key):
+        if self.seal is None:
             return None
         try:
             self.seal.check(seal_of(query), ("query",), str(query.key_expr), payload_of(query), self._taken)
@@ -134,14 +134,14 @@ class Service(Generic[T]):
             except PayloadError as error:
                 _log.exception("The reply of %s cannot be sent", key)
                 reply = error
-            if self.seal is not None and is_sealed(key) and not isinstance(reply, SealError):
+            if self.seal is not None and not isinstance(reply, SealError):
                 self._put(query, key, "error", encode(reason_from(reply)))  # an error reply can carry no seal
             else:
                 query.reply_err(encode(reason_from(reply)))
 
     def _put(self, query: zenoh.Query, key: str, kind: Kind, payload: bytes) -> None:
         absolute, sealed = f"{self.prefix}/{key}", None
-        if self.seal is not None and is_sealed(key):
+        if self.seal is not None:
             sealed = self.seal.put(kind, absolute, payload, seal_of(query))
         query.reply(absolute, payload, attachment=sealed)
 

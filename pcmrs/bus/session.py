@@ -201,7 +201,7 @@ class Bus:
             turns=self._turns if reading else None,
             tasks=self._tasks,
             pool=self._reading_pool if reading else self._pool,
-            seal=self._seal,
+            seal=self._seal if is_sealed(key) else None,
         )
         queryable = self._session.declare_queryable(
             self._absolute(key), service.receive, allowed_origin=Locality.REMOTE

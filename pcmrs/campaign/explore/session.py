@@ -83,7 +83,7 @@ def run_session(script: Script, *, seconds: float = 0.0) -> Found:
     with (
         tempfile.TemporaryDirectory(prefix=_prefix(os.getpid()), dir=_memory()) as folder,
         seeded_entropy(script.seed),
-        _quiet(),
+        quiet(),
     ):
         path = Path(folder) / "journal.sqlite"
         loop = SimulatedLoop()
@@ -269,7 +269,7 @@ def _drop(_logger: object, _method: str, _event: object) -> NoReturn:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Nobody reads the logs of thousands of sessions, and writing them costs more than all the rest."""
     before = structlog.get_config()
     structlog.configure(processors=[_drop], wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
@@ -279,4 +279,4 @@ def _quiet() -> Iterator[None]:
         structlog.configure(**before)
 
 
-__all__ = ["Found", "Violation", "run_session"]
+__all__ = ["Found", "Violation", "quiet", "run_session"]
