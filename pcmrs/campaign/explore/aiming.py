@@ -33,8 +33,10 @@ SLOWED = 0.5
 """Part of the meetings that take place while something is slow."""
 INTERRUPTED = 0.8
 """Part of the meetings in which what has begun is interrupted."""
-ANSWERED = 0.7
-"""Part of the interruptions that somebody acknowledges at once, and goes on."""
+ANSWERED = 0.8
+"""Part of the interruptions that somebody acknowledges, and goes on: half at once, half when the arm stands."""
+STANDS = (0.6, 1.5)
+"""An operator who looks has seen after this that the arm stands, s."""
 CHANGED = 0.6
 """Part of the steps that lead on inside which something changes."""
 INSIDE = 0.5
@@ -109,10 +111,21 @@ def _meeting(draw: random.Random) -> list[Act]:
         interrupts = draw.choice((_stop, _event, _end))(draw)
         acts += _inside(draw, interrupts, OF_OPERATIONS) if draw.random() < INSIDE else _during(draw, interrupts)
         if draw.random() < ANSWERED:
-            acts += _inside(draw, [Act(0.0, "robot.acknowledge", "ben")], OF_STOPS) + _go_on(draw)
+            acts += draw.choice((_answer_at_once, _answer_and_leave))(draw)
     for _ in range(draw.randint(*AFTERWARDS)):
         acts += _afterwards(draw)
     return acts
+
+
+def _answer_at_once(draw: random.Random) -> list[Act]:
+    """Somebody acknowledges while the Stop is under way, and people go on."""
+    return _inside(draw, [Act(0.0, "robot.acknowledge", "ben")], OF_STOPS) + _go_on(draw)
+
+
+def _answer_and_leave(draw: random.Random) -> list[Act]:
+    """Somebody acknowledges what is shown, and the tool goes back; meanwhile something changes."""
+    acts = [Act(round(draw.uniform(*STANDS), 3), "go_on", "ben", {"turn": 1}), *_go_on(draw)]
+    return acts + (_inside(draw, _change(draw), OF_OPERATIONS) if draw.random() < CHANGED else [])
 
 
 def _afterwards(draw: random.Random) -> list[Act]:
