@@ -24,6 +24,11 @@ FAR: Final = 4000
 """The same where links go over a network: TCP stalls for more than a second when a fifth of the packets is lost."""
 _LARGEST: Final = MAX_BYTES + 64 * 1024
 """Bytes of the largest message that is taken from a link, its envelope with it."""
+STOPS: Final[dict[str, float]] = {"put": 1000.0, "query": 4000.0}
+"""Messages on ``stop/*`` that a router takes from one link, by kind, 1/s. Zenoh drops the others before Python sees
+them, so that a flood cannot keep the daemon busy. Nothing can be released within the millisecond in which another press
+is dropped: the hold of the first one takes longer. A query that is dropped ends at once, without a reply; one that
+follows the answer to another is not dropped."""
 
 
 class Credentials(msgspec.Struct, frozen=True, kw_only=True):
@@ -103,6 +108,7 @@ class BusSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             "transport/link/tx/lease": NEAR if self.credentials is None else FAR,
             "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
             "transport/shared_memory/enabled": False,
+            "downsampling": [] if self.mode == "client" else [_limited(*each) for each in STOPS.items()],
         } | self._secrets()
 
     def _secrets(self) -> dict[str, Any]:
@@ -141,6 +147,12 @@ class BusSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             text = f"{endpoint} asks for a certificate: give the folder that `pcmrs pki issue` has made, --identity."
             raise ConfigurationError(text, endpoint=endpoint)
         return endpoint
+
+
+def _limited(message: str, most: float) -> dict[str, Any]:
+    """Zenoh's limit of Stops from one link by messages of a kind; each link has its own."""
+    rules = [{"key_expr": "pcmrs/*/*/stop/*", "freq": most}]
+    return {"id": f"stop-{message}", "flows": ["ingress"], "messages": [message], "rules": rules}
 
 
 def _on_site(endpoint: str) -> str:

@@ -242,7 +242,7 @@ class Client:
         key = f"stop/{self._user}"
         press = Press(id=uuid.uuid4().hex)
         self._bus.publish(key, press)
-        return await self._bus.request(key, press, Stopping, timeout or self._patience)
+        return await self._bus.request(key, press, Stopping, timeout or self._patience, urgent=True)
 
     async def standstill(self, number: int, timeout: float = 2.0) -> bool:
         """Waits for the robot's standstill after Stop `number`, or a newer one.

@@ -27,6 +27,8 @@ HELD_UP = 1.0
 """The loop does something else for so long, s."""
 FLOOD = 2_000
 """Presses of one who never stops pressing."""
+UNLIMITED = dict.fromkeys(("put", "query"), 1e9)
+"""Stops a second of a link, where many links are meant."""
 PLAN = "cmd/local/registration/plan_landmarks"
 
 
@@ -299,7 +301,8 @@ async def test_stop_by_put_and_by_query() -> None:
         assert unpack(reply, Stopping).source == "bus:carl"
 
 
-async def test_the_loop_is_told_once_of_all_presses_of_a_source_and_others_do_not_wait_behind_them() -> None:
+async def test_the_loop_is_told_once_of_all_presses_of_a_source_and_others_do_not_wait_behind_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pcmrs.bus.settings.STOPS", UNLIMITED)
     async with running_daemon() as (daemon, session):
         await get(daemon, session, "stop/anna")
         for _ in range(FLOOD):
@@ -315,7 +318,29 @@ async def test_the_loop_is_told_once_of_all_presses_of_a_source_and_others_do_no
         assert daemon.stops < FLOOD / 10
 
 
-async def test_stops_under_very_many_names_are_told_as_those_of_a_few() -> None:
+@pytest.mark.parametrize("names", [1, FLOOD])
+async def test_a_link_that_floods_gets_few_stops_through_and_another_one_all(names: int) -> None:
+    async with running_daemon() as (daemon, session):
+        prefix, pressed = daemon.bus.prefix, 0
+
+        def flood() -> None:
+            for number in range(10 * FLOOD):
+                key = f"{prefix}/stop/eve{number % names}"
+                session.put(key, b"", congestion_control=zenoh.CongestionControl.BLOCK)
+
+        with plain_session(daemon.bus.settings) as other:
+            flooding = asyncio.get_running_loop().run_in_executor(None, flood)
+            while not flooding.done():
+                assert len(await asyncio.to_thread(list, other.get(f"{prefix}/stop/anna"))) == 1
+                pressed += 1
+            await flooding
+            await get(daemon, other, "stop/ben")
+        assert daemon.presses["bus:anna"] == pressed
+        assert daemon.presses.total() < FLOOD
+
+
+async def test_stops_under_very_many_names_are_told_as_those_of_a_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pcmrs.bus.settings.STOPS", UNLIMITED)
     async with running_daemon() as (daemon, session):
         await get(daemon, session, "stop/anna")
         for number in range(FLOOD):
@@ -327,7 +352,8 @@ async def test_stops_under_very_many_names_are_told_as_those_of_a_few() -> None:
         assert daemon.presses[OTHERS] > FLOOD / 2
 
 
-async def test_of_one_source_so_many_answers_wait_and_others_are_answered() -> None:
+async def test_of_one_source_so_many_answers_wait_and_others_are_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pcmrs.bus.settings.STOPS", UNLIMITED)
     async with running_daemon() as (daemon, session):
         await get(daemon, session, "stop/anna")
         flood = [session.get(f"{daemon.bus.prefix}/stop/eve") for _ in range(4 * ANSWERED)]
