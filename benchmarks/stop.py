@@ -19,10 +19,13 @@ above the limit and the timer's lateness (p99 or max, as the limit has it).
 `moved after confirmed` is the largest displacement of a joint from the first joint state after the confirmation until
 half a second later; `beyond the braking distance` how far a joint went further than its speed and its brakes explain.
 
+- `asked to begun, flood of ...`: daemons whose bus somebody floods (`stop_floods.py`); from a press by UDP or the bus
+  to the event that tells of it, received here. Limit 50 ms (p99), and 100 ms at most.
+
 In simulated time (`stop_simulated.py`) the same motions are stopped as often as asked for, on both processors.
 
-    .venv/bin/python benchmarks/stop.py [real] [silence] [simulated] [--minutes 20] [--stops 10000] [--silences 50]
-        [--seed 1] [--jobs 2] [--untimed] [--json]
+    .venv/bin/python benchmarks/stop.py [real] [silence] [floods] [simulated] [--minutes 20] [--stops 10000]
+        [--silences 50] [--pressed 100] [--seed 1] [--jobs 2] [--untimed] [--json]
 
 Exit status 1: a joint moved after a confirmed Stop or went beyond its braking distance, a Stop was not confirmed, the
 explorer's witness saw an invariant broken, or, unless `--untimed`, a time was above its limit.
@@ -38,6 +41,7 @@ import sys
 import time
 from typing import Any
 
+import stop_floods
 import stop_real
 import stop_simulated
 import uvloop
@@ -45,7 +49,7 @@ from stop_found import Found, stats
 
 from pcmrs.campaign.lateness import timer_lateness
 
-PARTS = ("real", "silence", "simulated")
+PARTS = ("real", "silence", "floods", "simulated")
 
 
 async def measure(options: argparse.Namespace) -> tuple[Found, list[float]]:
@@ -56,6 +60,8 @@ async def measure(options: argparse.Namespace) -> tuple[Found, list[float]]:
             found.add(await stop_real.stopped(options.minutes, options.stops, options.seed))
         if "silence" in options.parts and options.silences:
             found.add(await stop_real.silenced(options.silences))
+        if "floods" in options.parts and options.pressed:
+            found.add(await stop_floods.flooded(options.pressed))
     return found, timer.late
 
 
@@ -74,6 +80,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=20.0, help="of the real daemon")
     parser.add_argument("--stops", type=int, default=10_000)
     parser.add_argument("--silences", type=int, default=50)
+    parser.add_argument("--pressed", type=int, default=100, help="Stops by each route during each flood")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2, help="processes of the simulated part")
     parser.add_argument("--untimed", action="store_true", help="show the times, and hold them against no limit")

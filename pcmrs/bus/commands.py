@@ -6,16 +6,20 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Protocol
 
+from pcmrs.bucket import TokenBucket
 from pcmrs.bus.bridge import ARRIVED
 from pcmrs.bus.envelope import Envelope, command_from, refusal
 from pcmrs.bus.reasons import busy
 from pcmrs.bus.serving import ANSWERS
 from pcmrs.bus.session import Bus
 from pcmrs.bus.stop import Stop, StopLane
+from pcmrs.clock import SystemClock
 from pcmrs.errors import PayloadError, PcmrsError
 from pcmrs.messages import Command, Verdict
 
 _COMMANDS = "cmd/*/*/*"
+TOLD_HZ, TOLD_AT_ONCE = 10.0, 256
+"""Refused puts that are told on ``state/event``: so many per second in the long run, and so many at once."""
 
 
 class Submit(Protocol):
@@ -37,7 +41,8 @@ class CommandEdge:
     """Answers queries on ``cmd/*/*/*`` with their verdicts and submits what is put there.
 
     The verdict on a put is for whoever publishes decisions; only a put that is no command at all, or one
-    too many, is refused on ``state/event`` from here. Use `CommandEdge.open`.
+    too many, is refused on ``state/event`` from here. Of very many such puts most are only counted and logged: telling
+    everybody of each would keep the daemon from its work. Use `CommandEdge.open`.
     """
 
     def __init__(self, bus: Bus, submit: Submit, refused: Refused, lane: StopLane) -> None:
@@ -46,6 +51,7 @@ class CommandEdge:
         self._refused = refused
         self._lane = lane
         self._submitted: set[asyncio.Task[Verdict]] = set()
+        self._told = TokenBucket(TOLD_HZ, TOLD_AT_ONCE, SystemClock())
         self._ends = (
             bus.serve(_COMMANDS, Envelope, self._answer, refuse=self._refusal),
             bus.subscribe(_COMMANDS, Envelope, self._take, refuse=self._refuse),
@@ -100,7 +106,11 @@ class CommandEdge:
         task.add_done_callback(self._submitted.discard)
 
     def _refuse(self, key: str, error: PcmrsError) -> None:
-        self._bus.publish("state/event", self._refusal(key, error))
+        """May run in any thread."""
+        if self._told.take():
+            self._bus.publish("state/event", self._refusal(key, error))
+        else:
+            self._bus.ignore(key, error)
 
     def _refusal(self, key: str, error: PcmrsError) -> Verdict:
         """May run in any thread for one message too many, of which the bus keeps count."""

@@ -145,6 +145,10 @@ class Bus:
         self._receivers.append(subscriber)
         return partial(self._end, subscriber)
 
+    def ignore(self, key: str, error: PcmrsError) -> None:
+        """Counts a message that is of no use, and logs it unless another was logged just now. From any thread."""
+        self._ignored.take(key, error)
+
     def listen(self, key: str, kind: type[T], handler: Callable[[str, T], None]) -> Any:
         """Calls `handler(relative key, message)` in Zenoh's thread, where the message is received.
 

@@ -28,7 +28,7 @@ from pcmrs.bus.stop import Stopping
 from pcmrs.errors import DeviceError, PcmrsError
 from pcmrs.messages import Verdict
 
-Kind = Literal["setup", "journal", "stop-puts", "stop-names", "stop-queries", "rejected"]
+Kind = Literal["setup", "journal", "stop-puts", "stop-names", "stop-queries", "puts", "rejected"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 AT_ONCE: Final = 100
 """Requests that wait for their reply at the same time."""
@@ -119,8 +119,9 @@ class _Flood:
         self._run: Callable[[], Awaitable[object]] = {
             "setup": lambda: self._ask(f"svc/setup/{user}", b""),
             "journal": lambda: self._ask("svc/journal", b'{"limit": 500}'),
-            "stop-puts": lambda: self._put(1),
-            "stop-names": lambda: self._put(NAMES),
+            "stop-puts": lambda: self._put([f"stop/{user}"]),
+            "stop-names": lambda: self._put([f"stop/{user}{number}" for number in range(NAMES)]),
+            "puts": lambda: self._put([f"cmd/{user}/toolplan/plan"]),
             "stop-queries": lambda: self._ask(f"stop/{user}", b""),
             "rejected": lambda: self._ask(f"cmd/{user}/toolplan/plan", pack(Envelope(arguments={"text": "x" * LONG}))),
         }[kind]
@@ -139,9 +140,8 @@ class _Flood:
         await asyncio.to_thread(self._session.close)  # what is still on its way is sent before it ends
         return Told(self._sent, taken, self._answered, self._codes)
 
-    async def _put(self, names: int) -> None:
-        users = [self._user] if names == 1 else [f"{self._user}{number}" for number in range(names)]
-        keys = [f"{self._prefix}/stop/{user}" for user in users]
+    async def _put(self, names: list[str]) -> None:
+        keys = [f"{self._prefix}/{name}" for name in names]
         while self._on:
             await asyncio.to_thread(self._burst, keys)
 

@@ -37,7 +37,7 @@ from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.queued import QueuedRow
 from pcmrs.dispatcher.reconcile import Reconciliation
 from pcmrs.dispatcher.recorder import Recorder
-from pcmrs.dispatcher.rejections import Rejections
+from pcmrs.dispatcher.rejections import TOO_MANY, Rejections
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.dispatcher.stage import Stage, performing
 from pcmrs.dispatcher.stops import STANDSTILL, Stops
@@ -619,7 +619,8 @@ class Dispatcher(Generic[C, D]):
     def _show(self, verdict: Verdict) -> None:
         if verdict.decision != "rejected":
             self._show_snapshot()
-        self._publish(verdict)
+        if verdict.reason is None or verdict.reason.code != TOO_MANY:  # what is only counted is not told either
+            self._publish(verdict)
 
     def _show_snapshot(self) -> None:
         self._publish(self.snapshot())

@@ -10,8 +10,8 @@ import asyncio
 from collections.abc import Callable
 from typing import Final
 
+from pcmrs.bucket import TokenBucket
 from pcmrs.clock import Clock
-from pcmrs.dispatcher.bucket import TokenBucket
 from pcmrs.messages import Command, DeviceEvent, Reason
 from pcmrs.messages.roles import PEOPLE
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from pcmrs.bucket import TokenBucket
 from pcmrs.clock import Clock
-from pcmrs.dispatcher.bucket import TokenBucket
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.commands import Action, Spec
 from pcmrs.gateway.keys import read_key

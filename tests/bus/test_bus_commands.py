@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from pcmrs.bus import Bus, CommandEdge
 from pcmrs.bus.bridge import CAPACITY
 from pcmrs.bus.codec import pack, unpack
+from pcmrs.bus.commands import TOLD_AT_ONCE
 from pcmrs.bus.envelope import Envelope
 from pcmrs.bus.stop import ANSWERED, OTHERS, Stopping
 from pcmrs.messages import Command, Verdict
@@ -27,8 +28,6 @@ HELD_UP = 1.0
 """The loop does something else for so long, s."""
 FLOOD = 2_000
 """Presses of one who never stops pressing."""
-UNLIMITED = dict.fromkeys(("put", "query"), 1e9)
-"""Stops a second of a link, where many links are meant."""
 PLAN = "cmd/local/registration/plan_landmarks"
 
 
@@ -58,6 +57,12 @@ class Daemon:
         self.submitted.put_nowait(command)
         self.ages.append(asyncio.get_running_loop().time() - arrived)
         return accepted(command)
+
+
+@pytest.fixture
+def many_links(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One link of a test is as many links together: it has no limit of Stops."""
+    monkeypatch.setattr("pcmrs.bus.settings.STOPS", {})
 
 
 @asynccontextmanager
@@ -207,6 +212,23 @@ async def test_too_many_puts_are_each_refused_busy_on_the_event_key() -> None:
         assert submitted == [str(number) for number in range(CAPACITY)]
 
 
+async def test_of_very_many_refused_puts_most_are_only_counted() -> None:
+    async with running_daemon() as (daemon, session):
+        events: asyncio.Queue[Verdict] = asyncio.Queue()
+        with plain_session(daemon.bus.settings) as watching:
+            async with open_bus(replace(daemon.bus.settings, mode="client")) as other:
+                other.subscribe("state/event", Verdict, lambda _, verdict: events.put_nowait(verdict))
+                await get(daemon, watching, PLAN)
+                for _ in range(FLOOD):
+                    session.put(f"{daemon.bus.prefix}/{PLAN}", b"[", congestion_control=zenoh.CongestionControl.BLOCK)
+                async with asyncio.timeout(TIMEOUT):
+                    for _ in range(TOLD_AT_ONCE):
+                        await events.get()
+                await get(daemon, session, PLAN)
+                assert events.qsize() < TOLD_AT_ONCE
+        assert daemon.bus.counters()["bus.ignored"] > FLOOD - 2 * TOLD_AT_ONCE
+
+
 async def test_an_envelope_nested_too_deeply_is_refused_as_query_and_as_put() -> None:
     deep = b'{"id": "d", "arguments": {"a": ' + b"[" * 500 + b"]" * 500 + b"}}"
     async with running_daemon() as (daemon, session):
@@ -301,8 +323,8 @@ async def test_stop_by_put_and_by_query() -> None:
         assert unpack(reply, Stopping).source == "bus:carl"
 
 
-async def test_the_loop_is_told_once_of_all_presses_of_a_source_and_others_do_not_wait_behind_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcmrs.bus.settings.STOPS", UNLIMITED)
+@pytest.mark.usefixtures("many_links")
+async def test_the_loop_is_told_once_of_all_presses_of_a_source_and_others_do_not_wait_behind_them() -> None:
     async with running_daemon() as (daemon, session):
         await get(daemon, session, "stop/anna")
         for _ in range(FLOOD):
@@ -339,8 +361,8 @@ async def test_a_link_that_floods_gets_few_stops_through_and_another_one_all(nam
         assert daemon.presses.total() < FLOOD
 
 
-async def test_stops_under_very_many_names_are_told_as_those_of_a_few(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcmrs.bus.settings.STOPS", UNLIMITED)
+@pytest.mark.usefixtures("many_links")
+async def test_stops_under_very_many_names_are_told_as_those_of_a_few() -> None:
     async with running_daemon() as (daemon, session):
         await get(daemon, session, "stop/anna")
         for number in range(FLOOD):
@@ -352,8 +374,8 @@ async def test_stops_under_very_many_names_are_told_as_those_of_a_few(monkeypatc
         assert daemon.presses[OTHERS] > FLOOD / 2
 
 
-async def test_of_one_source_so_many_answers_wait_and_others_are_answered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcmrs.bus.settings.STOPS", UNLIMITED)
+@pytest.mark.usefixtures("many_links")
+async def test_of_one_source_so_many_answers_wait_and_others_are_answered() -> None:
     async with running_daemon() as (daemon, session):
         await get(daemon, session, "stop/anna")
         flood = [session.get(f"{daemon.bus.prefix}/stop/eve") for _ in range(4 * ANSWERED)]

@@ -11,7 +11,7 @@ from dispatcher_fakes import Bench, make_workflow
 from pcmrs.dispatcher import Dispatcher, rejections
 from pcmrs.dispatcher.clipping import CLIPPED, LONGEST, clipped
 from pcmrs.dispatcher.rejections import DROPPED, RATE_HZ, TOO_MANY, Rejections
-from pcmrs.messages import DeviceEvent
+from pcmrs.messages import DeviceEvent, Verdict
 
 BURST = 5
 
@@ -55,6 +55,14 @@ async def test_a_rejection_beyond_the_limit_says_so_and_leaves_no_row(bench: Lim
         "limit_hz": RATE_HZ,
         "retry_after": pytest.approx(1.0 / RATE_HZ),
     }
+
+
+async def test_a_rejection_without_a_row_is_not_published(bench: Limited) -> None:
+    """Everybody would be told of it, as often as somebody asks in vain."""
+    await bench.codes(BURST + 3, user="eve")
+    await settle()
+    shown = [each.reason.code for each in bench.published if isinstance(each, Verdict) and each.reason is not None]
+    assert shown == ["unknown_operation"] * BURST
 
 
 async def test_accepted_commands_and_those_of_others_are_not_limited(bench: Limited) -> None:

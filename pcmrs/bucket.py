@@ -1,12 +1,14 @@
-"""A token bucket: so many commands at once, and then so many per second."""
+"""A token bucket: so many at once, and then so many per second."""
 
 from __future__ import annotations
+
+import threading
 
 from pcmrs.clock import Clock
 
 
 class TokenBucket:
-    """Full at first.
+    """Full at first. From any thread.
 
     Args:
         rate_hz: Tokens that come per second.
@@ -20,6 +22,7 @@ class TokenBucket:
         self._clock = clock
         self._tokens = float(burst)
         self._filled = clock.monotonic()
+        self._lock = threading.Lock()
 
     @property
     def wait(self) -> float:
@@ -28,10 +31,11 @@ class TokenBucket:
 
     def take(self) -> bool:
         """Takes one token; False when there is none."""
-        now = self._clock.monotonic()
-        self._tokens = min(self._burst, self._tokens + (now - self._filled) * self._rate_hz)
-        self._filled = now
-        if self._tokens < 1.0:
-            return False
-        self._tokens -= 1.0
-        return True
+        with self._lock:
+            now = self._clock.monotonic()
+            self._tokens = min(self._burst, self._tokens + (now - self._filled) * self._rate_hz)
+            self._filled = now
+            if self._tokens < 1.0:
+                return False
+            self._tokens -= 1.0
+            return True

@@ -1,0 +1,84 @@
+"""Stop while somebody floods the bus: when it has begun, for a press by UDP and one over the bus.
+
+Each kind of flood has a daemon of its own, on the simulated cell at real time, and one process that floods as one user
+who holds no lease. A press counts from the call to the event that names its source, as this process receives it, or to
+its answer, whichever comes first: the latch is set and the holds are sent before that. Where many press, several are
+told of as one, and only the answer is left.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import tempfile
+import time
+from collections.abc import Awaitable, Callable
+from contextlib import AsyncExitStack
+from pathlib import Path
+
+from stop_found import DURING, TIMER, Found
+
+from pcmrs.campaign.bus_flood import FLOODER, KINDS, Kind, bus_flood
+from pcmrs.campaign.driving import register
+from pcmrs.campaign.lab import REAL_TIME, LabCell, open_cell
+from pcmrs.campaign.lateness import timer_lateness
+from pcmrs.errors import PcmrsError
+from pcmrs.messages import DeviceEvent
+
+NO_FLOOD = "no flood"
+APART = 0.05
+"""Between a Stop that has begun and the next press, s."""
+PATIENCE = 5.0
+
+
+async def flooded(stops: int) -> Found:
+    """Presses Stop so often by each route during each kind of flood, and during none."""
+    found = Found()
+    for kind in (None, *KINDS):
+        with tempfile.TemporaryDirectory(prefix="pcmrs-", ignore_cleanup_errors=True) as folder:
+            async with open_cell(Path(folder) / "flooded", REAL_TIME) as cell:
+                await register(cell.client)
+                await _flooded_by(cell, kind, stops, found)
+    return found
+
+
+async def _flooded_by(cell: LabCell, kind: Kind | None, stops: int, found: Found) -> None:
+    name = kind or NO_FLOOD
+    presses: dict[str, Callable[[], Awaitable[object]]] = {"udp:": cell.planner.stop, "bus:": cell.client.stop}
+    begun = {route: asyncio.Event() for route in presses}
+
+    def see(event: DeviceEvent) -> None:
+        route = event.device[:4]
+        if event.code == "stopped" and route in begun and FLOODER not in event.device:
+            begun[route].set()
+
+    cell.client.listen("state/event", DeviceEvent, see)
+    async with AsyncExitStack() as stack:
+        flood = await stack.enter_async_context(bus_flood(kind, cell.ready.endpoint, cell.name)) if kind else None
+        timer = await stack.enter_async_context(timer_lateness())
+        for _ in range(stops):
+            for route, press in presses.items():
+                begun[route] = asyncio.Event()
+                await _press(press, begun[route], f"{DURING}{name}", route, found)
+        found.times[f"{TIMER}{name}"] += timer.late
+    if flood is not None:
+        found.notes[f"messages per second of {name}"] = round(flood.told.rate)
+
+
+async def _press(
+    press: Callable[[], Awaitable[object]], begun: asyncio.Event, what: str, route: str, found: Found
+) -> None:
+    asked = time.monotonic()
+    pressing = asyncio.ensure_future(press())
+    seen = asyncio.create_task(begun.wait())
+    done, _ = await asyncio.wait([seen, pressing], timeout=PATIENCE, return_when=asyncio.FIRST_COMPLETED)
+    if seen in done or (pressing in done and pressing.exception() is None):
+        found.times[what].append(time.monotonic() - asked)
+    else:
+        found.wrong.append(f"{what}: a Stop by {route} has not begun within {PATIENCE:g} s.")
+    seen.cancel()
+    try:
+        await pressing
+    except PcmrsError as error:
+        found.notes[f"{what}, {route} {error.code}"] += 1
+    found.pressed[f"{what} {route}"] += 1
+    await asyncio.sleep(APART)
