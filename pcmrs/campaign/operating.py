@@ -40,6 +40,7 @@ class Operator:
         self._client = client
         self._generator = generator
         self._name = f"operator{generator.randrange(1 << 40):x}"
+        self._asked = 0
 
     async def step(self) -> Verdict | None:
         """Asks for one thing and waits for its verdict; None after Stop.
@@ -52,7 +53,7 @@ class Operator:
             self.stops += 1
             return None
         name, arguments = self._wish(await self._client.state())
-        command = f"{self._name}-{len(self.verdicts)}"
+        command, self._asked = f"{self._name}-{self._asked}", self._asked + 1
         verdict = await self._client.call(name, arguments, id=command, timeout=60.0)
         self.verdicts[command] = verdict
         if verdict.decision != "accepted":

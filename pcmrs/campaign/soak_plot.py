@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pcmrs.analysis.plots import BLUE, ORANGE, new_figure, save_png
+from pcmrs.analysis.plots import BLUE, GREEN, ORANGE, new_figure, save_png
 from pcmrs.campaign.soaking import ALLOWED, SoakReport
 
-COLOURS = {"daemon": BLUE, "node": ORANGE}
+COLOURS = {"daemon": BLUE, "node": ORANGE, "world": GREEN, "heart": "black"}
 
 
 def draw_soak(report: SoakReport, path: Path) -> None:
@@ -22,5 +22,6 @@ def draw_soak(report: SoakReport, path: Path) -> None:
         axes.set_title("memory, MB" if measure == "memory" else measure)
         axes.set_xlabel("minutes")
         axes.set_ylim(bottom=0)
-    figure.suptitle(f"Simulated cell under random operation: daemon blue, node orange; {report.steps} commands")
+    colours = "daemon blue, node orange, simulated world green, heart black"
+    figure.suptitle(f"Simulated cell under random operation: {colours}; {report.steps} commands")
     save_png(figure, path)

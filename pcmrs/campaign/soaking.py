@@ -16,13 +16,16 @@ from pcmrs.campaign.saboteur import order, sabotaged
 from pcmrs.campaign.samples import sample, slope
 from pcmrs.clock import Clock
 from pcmrs.errors import PcmrsError
-from pcmrs.experiment.process import nodes_of
+from pcmrs.experiment.process import processes_of
 
 WARM_UP = 0.2
 """Share of the time before anything is compared: caches fill, modules are loaded."""
 
 SAMPLES = 400
 """Of the whole run; at most one per second."""
+
+LEAST_ACCEPTED = 0.5
+"""Share of the commands that must be accepted: a cell that refuses everything is not operated."""
 
 ALLOWED = {"memory": 8e6, "descriptors": 2.0, "threads": 2.0, "tasks": 4.0}
 """A measure is flat when its line rises by less than this over the run, or not surely (3 standard errors)."""
@@ -36,7 +39,7 @@ class Course(msgspec.Struct, frozen=True):
     """One measure of one process over time.
 
     Attributes:
-        process: ``daemon`` or ``node``.
+        process: ``daemon``, ``node``, ``world`` or ``heart``.
         measure: A key of `ALLOWED`.
         times: Since the start, s of the machine.
         rise: Of the line through the values after the warm-up, over that time.
@@ -77,8 +80,9 @@ class SoakReport(msgspec.Struct, frozen=True):
 
     @property
     def violated(self) -> bool:
-        """Whether it ended early, or something grows."""
-        return bool(self.ended) or not all(course.flat for course in self.courses)
+        """Whether it ended early, something grows, or too little was accepted to show anything."""
+        idle = self.decisions.get("accepted", 0) < LEAST_ACCEPTED * self.steps
+        return bool(self.ended) or idle or not all(course.flat for course in self.courses)
 
 
 async def soak(
@@ -133,9 +137,9 @@ async def _look(
 ) -> Seen:
     begun, period = clock.monotonic(), max(1.0, length / SAMPLES)
     seen: Seen = []
-    nodes = nodes_of(cell.process.pid)
+    processes = processes_of(cell.process.pid)
     while (now := clock.monotonic() - begun) < length and not operating.done():
-        for process, pid in (("daemon", cell.process.pid), *(("node", node) for node in nodes)):
+        for process, pid in processes:
             taken = msgspec.structs.asdict(sample(pid))
             seen += [(now, process, measure, float(value)) for measure, value in taken.items()]
         seen.append((now, "daemon", "tasks", float(await order(orders, "tasks"))))

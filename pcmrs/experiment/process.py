@@ -108,9 +108,17 @@ def descendants(pid: int) -> list[int]:
     return found + [below for child in found for below in descendants(child)]
 
 
-def nodes_of(pid: int) -> list[int]:
-    """Ids of the device nodes of a daemon."""
-    return [found for found in descendants(pid) if b"\0node\0" in Path(f"/proc/{found}/cmdline").read_bytes()]
+CHILDREN = {"node": b"\0node\0", "world": b"\0sim.process\0", "heart": b"\0pcmrs.bus.heart\0"}
+"""Processes of a daemon that work for as long as it does, each with a word of its command line."""
+
+
+def processes_of(pid: int) -> list[tuple[str, int]]:
+    """Names and ids of a daemon's process and of its `CHILDREN`."""
+    found = [("daemon", pid)]
+    for child in descendants(pid):
+        line = Path(f"/proc/{child}/cmdline").read_bytes()
+        found += [(name, child) for name, word in CHILDREN.items() if word in line]
+    return found
 
 
 def free_port() -> int:

@@ -5,15 +5,21 @@ from __future__ import annotations
 import os
 import random
 import threading
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
+from pcmrs.campaign.operating import Operator
 from pcmrs.campaign.samples import sample, slope
-from pcmrs.campaign.soaking import ALLOWED, course
+from pcmrs.campaign.soaking import ALLOWED, SoakReport, course
+from pcmrs.client import Client
+from pcmrs.messages import BlueprintTag, Snapshot, Verdict
 
+TAG = BlueprintTag(id="ratms", version="1", hash="")
 VALUES = st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=50)
 
 
@@ -56,3 +62,33 @@ def test_what_grows_only_while_it_warms_up_is_flat() -> None:
     times = [float(number) for number in range(100)]
     values = [1e8 + min(time, 15.0) * 4e6 for time in times]
     assert course("daemon", "memory", times, values).flat
+
+
+async def test_every_command_of_a_soak_has_its_own_id() -> None:
+    """A repeated id gets the verdict of the first command, or is refused: nothing would be operated any more."""
+    ids: list[str] = []
+
+    class Cell:
+        async def state(self) -> Snapshot:
+            return Snapshot(sequence=1, branches={"robot": "0"}, flags={}, running=[], latched=False, blueprint=TAG)
+
+        async def stop(self) -> None:
+            pass
+
+        async def call(self, name: str, arguments: dict[str, Any], *, id: str, timeout: float) -> Verdict:
+            ids.append(id)
+            branch, operation = name.split(".")
+            return Verdict(id=id, branch=branch, operation=operation, decision="accepted", state="1", sequence=1)
+
+    operator = Operator(cast(Client, Cell()), random.Random(1))
+    for _ in range(20):
+        await operator.step()
+        operator.verdicts.clear()
+    assert len(ids) > 10
+    assert len(set(ids)) == len(ids)
+
+
+def test_a_soak_in_which_hardly_anything_is_accepted_shows_nothing() -> None:
+    report = SoakReport(1.0, 1, 100, 0, {"accepted": 49, "rejected": 51}, 1, "", [])
+    assert report.violated
+    assert not replace(report, decisions={"accepted": 50, "rejected": 50}).violated
