@@ -72,8 +72,13 @@ class JumpGuard:
         self._believed[body] = tracker_from_body.translation
         return ""
 
+    def forget_all(self) -> None:
+        """Forgets all bodies, as when the tracker was restarted: also those that were never believed."""
+        for known in (self._seen, self._believed, self._steady, self._taken):
+            known.clear()
+
     def forget(self, body: str) -> None:
-        """The tracker was restarted: nothing is known of the body any more."""
+        """Forgets a body."""
         for known in (self._seen, self._believed, self._steady):
             known.pop(body, None)
         self._taken.discard(body)

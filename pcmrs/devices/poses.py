@@ -255,8 +255,8 @@ class PoseFeed:
         self._lateness.forget()
         self._behind.clear()
         self._offset = self._number + 1
-        for body, sightings in self._sightings.items():
-            self._jumps.forget(body)
+        self._jumps.forget_all()
+        for sightings in self._sightings.values():
             sightings.clear()
 
     def _newest(self, body: str) -> Sighting:

@@ -149,6 +149,7 @@ class SimulatedDaemon:
 
         self.link.serve(COMMANDS, Command, submit)
         self.link.subscribe(STOPS, Beat, lambda key, _: stop(key.split("/")[1]))
+        stack.callback(self.link.end, COMMANDS, STOPS)
         folder = self._path.parent / "records"
         self._gateway = SimulatedGateway(procedure.core, self._settings.gateway, self._clock, folder)
         stack.push_async_callback(self._gateway.close)

@@ -221,6 +221,13 @@ class Endpoint:
     def serve(self, key: str, kind: type[M], handler: Callable[[str, M], Awaitable[msgspec.Struct]]) -> None:
         self._services[key] = (kind, handler)
 
+    def end(self, *keys: str) -> None:
+        """Takes no more messages and requests on keys."""
+        for key in keys:
+            self._listeners.pop(key, None)
+            self._services.pop(key, None)
+        self._network.forget_routes()
+
     async def request(
         self,
         key: str,

@@ -13,10 +13,12 @@ from clock import ManualClock, settle
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pcmrs.devices.jumps import PoseLimits
 from pcmrs.devices.lateness import AGREED
 from pcmrs.devices.poses import HISTORY, PoseFeed
 from pcmrs.errors import RefusalError
 from pcmrs.messages import BodyPose
+from pcmrs.spatial.transform import UNIT_QUATERNION_TOLERANCE
 
 MAX_AGE = 0.25
 LATENCY = 0.03
@@ -125,7 +127,7 @@ def test_what_is_believed_advances_whatever_arrives(arrivals: list[tuple[int, fl
         if feed.dropped.total() == before:
             believed.append((number, captured))
             assert valid
-            assert abs(w) <= 1.0 + 1e-6
+            assert abs(w) <= 1.0 + UNIT_QUATERNION_TOLERANCE
             assert captured <= sent < math.inf
     assert believed == sorted(set(believed))
     assert [captured for _, captured in believed] == sorted({captured for _, captured in believed})
@@ -217,6 +219,21 @@ async def test_frames_of_before_a_restart_are_never_paired_with_those_after_it()
     assert feed.frames_after(0, ("coil", "body_ref")) == []
     assert _reason(feed, "body_ref") == "pose_missing"
     feed.update(_pose(7, "body_ref", session="second"))
+    assert feed.seen("body_ref")
+
+
+async def test_a_body_that_was_never_believed_is_believed_after_a_restart_of_the_tracker() -> None:
+    """The daemon has started while pointer and reference were taken for each other, and the pointer is hidden now."""
+    clock = ManualClock()
+    feed = PoseFeed(clock, MAX_AGE, PoseLimits(speed=2.0, turn=20.0))
+    feed.update(_pose(1, "pointer", session="first"))
+    for number in range(2, 30):
+        await clock.advance(PERIOD)
+        feed.update(_pose(number, "body_ref", session="first"))
+    assert feed.dropped["swapped"] == 28
+    for number in range(1, 30):
+        await clock.advance(PERIOD)
+        feed.update(_pose(number, "body_ref", session="second"))
     assert feed.seen("body_ref")
 
 
