@@ -1,7 +1,8 @@
-"""Stop from every edge while the arm moves."""
+"""Stop from every edge of the daemon while the arm moves; by a page, see `tests/console/test_console_browser.py`."""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
@@ -17,6 +18,13 @@ Stop = Callable[[ServeProcess, Client], Awaitable[None]]
 async def stop_by_udp(daemon: ServeProcess, client: Client) -> None:
     async with daemon.planner() as planner:
         await planner.stop()
+
+
+async def stop_by_tcp(daemon: ServeProcess, client: Client) -> None:
+    reader, writer = await asyncio.open_connection(*daemon.ready.links["tcp"])
+    writer.write(b"stop_now_xxxxxxx;")
+    assert await reader.readuntil(b";"), "it was acknowledged"
+    writer.close()
 
 
 async def stop_by_query(daemon: ServeProcess, client: Client) -> None:
@@ -39,7 +47,7 @@ async def test_stop_from_every_edge_holds_a_moving_arm_and_latches(
 ) -> None:
     with running_daemon([*own_settings(tmp_path), *SLOW, *drivers()], tmp_path) as daemon:
         async with daemon.client() as client:
-            for stop in (stop_by_udp, stop_by_query, stop_by_put, stop_by_command_line):
+            for stop in (stop_by_udp, stop_by_tcp, stop_by_query, stop_by_put, stop_by_command_line):
                 await _stop_and_recover(daemon, client, stop)
         assert "Traceback" not in daemon.log
 
