@@ -44,7 +44,8 @@ async def stop_by_a_viewer(lab: Lab) -> Evidence:
         await confirmed(cell)
         counted = await _presses(cell, row)
         details = {"sent": flooding.told.sent, "rate_hz": round(flooding.told.rate), **counted}
-        expect(counted["presses"] == PRESSES, f"Of {PRESSES} presses {counted['presses']} are on record.")
+        expect(flooding.told.sent == PRESSES, f"Only {flooding.told.sent} presses were sent.")
+        expect(0 < counted["presses"] < PRESSES, f"Of {PRESSES} presses of one link {counted['presses']} came through.")
         expect(counted["rows"] < PRESSES / 10, f"{PRESSES} presses have {counted['rows']} rows.")
         details |= await _stops_in_time(cell, "stop-puts")
         expect(not any(entry.operation == FAIL_STOP for entry in cell.rows(row)), "The dispatcher has failed.")
@@ -135,7 +136,7 @@ async def _stops_in_time(cell: LabCell, kind: Kind) -> dict[str, Any]:
     expect(told.sent > STOPS, f"Of {kind} only {told.sent} were sent.")
     details: dict[str, Any] = {f"{kind}_hz": round(told.rate), f"{kind}_answers": told.codes or {}}
     details |= in_ms(f"stop_{kind}", taken) | in_ms(f"timer_{kind}", timer.late)
-    late = percentile(taken, 0.5) - percentile(timer.late, 0.99)
+    late = percentile(taken, 0.99) - percentile(timer.late, 0.99)
     expect(late < BEGUN_WITHIN, f"Stop took {late * 1e3:.1f} ms longer than a bare timer is late: {details}.")
     return details
 
