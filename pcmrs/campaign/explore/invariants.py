@@ -72,7 +72,7 @@ def nothing_moves_unasked(view: View, event: Event) -> str | None:
     if not isinstance(event, Moved) or event.speed < MOVING_SPEED or event.state.captured < view.by_hand:
         return None
     silent = view.motion.gone_for(event.state.captured)
-    if silent > _braked(view):
+    if silent > braked(view):
         return f"The arm moves at {event.speed:.3f} rad/s, {silent:.2f} s after anything allowed it."
     return None
 
@@ -82,7 +82,7 @@ def stop_holds(view: View, event: Event) -> str | None:
     if not isinstance(event, Moved) or event.speed < MOVING_SPEED or event.state.captured < view.by_hand:
         return None
     since = event.state.captured - view.latch.changed
-    if view.latch.holds and since > _braked(view):
+    if view.latch.holds and since > braked(view):
         return f"The arm moves at {event.speed:.3f} rad/s, {since:.2f} s after Stop, and nobody has acknowledged it."
     return None
 
@@ -232,7 +232,7 @@ def _holds(condition: Condition, snapshot: Snapshot) -> bool:
     return all(snapshot.branches.get(branch) in states for branch, states in condition.states.items())
 
 
-def _braked(view: View) -> float:
+def braked(view: View) -> float:
     """How soon the arm must stand when it may not move any more, s."""
     calm = view.calm.holds and view.calm.changed < view.now - BRAKED_ANYHOW
     return BRAKED if calm else BRAKED_ANYHOW

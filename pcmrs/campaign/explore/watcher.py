@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 
+from pcmrs.campaign.explore.invariants import braked
 from pcmrs.campaign.explore.view import REGISTERING, View, refuses_the_id
 from pcmrs.fsm.blueprint import OperationSpec
 from pcmrs.messages import Command, DeviceEvent, Ongoing, Snapshot, Verdict
@@ -52,7 +53,7 @@ class Watcher:
         self._ending: set[str] = set()
         self._gone: float | None = None
         self._node_excused = float("-inf")
-        self._reference_moved = False
+        self._reference_moved: float | None = None
         self._undecided: dict[str, float] = {}
         self._dangers: set[str] = set()
         self._tool_at: tuple[str | None, str | None] | None = None
@@ -90,7 +91,10 @@ class Watcher:
             text = f"robot.{method} came {now - self._last_hold:.3f} s after a hold, and {name} began before that."
             self._break("nothing_begins_after_its_hold", text)
         spec = self._spec(name)
-        if spec is not None and _approaches(spec) and self._reference_moved:
+        if spec is None or not _approaches(spec) or self._reference_moved is None:
+            return
+        hold_on_its_way = self._last_hold < self._reference_moved and now - self._reference_moved < braked(self._view)
+        if not hold_on_its_way:
             self._break("approaches_only_when_ready", f"{name} moves, and the reference has moved since registration.")
 
     def held(self, now: float) -> None:
@@ -128,7 +132,7 @@ class Watcher:
         self._ending.clear()
         self._allowed.clear()
         self._arrived.clear()
-        self._reference_moved = False
+        self._reference_moved = None
         self._tool_at = None
 
     def lose_daemon(self, now: float, *, crash: bool) -> None:
@@ -159,7 +163,7 @@ class Watcher:
         if event.code == "activity_ended":
             self._ending.discard(event.device.removeprefix("activity:"))
         if event.code == "reference_moved" and self._states("registration") in ("110", "111"):
-            self._reference_moved = True
+            self._reference_moved = now
         branches = self._view.blueprint.branches.values()
         if any((spec := branch.operations.get(event.code)) is not None and spec.event for branch in branches):
             self._undecided[event.code] = now
@@ -181,7 +185,7 @@ class Watcher:
             if spec.moves and self._newest is not None and self._newest[0] == name:
                 self._in_doubt = False
             if verdict.branch == "registration" and verdict.operation in REGISTERING:
-                self._reference_moved = False
+                self._reference_moved = None
 
     def _note_motions(self, snapshot: Snapshot, now: float) -> None:
         running = {
