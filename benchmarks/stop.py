@@ -25,7 +25,7 @@ half a second later; `beyond the braking distance` how far a joint went further 
 In simulated time (`stop_simulated.py`) the same motions are stopped as often as asked for, on both processors.
 
     .venv/bin/python benchmarks/stop.py [real] [silence] [floods] [simulated] [--minutes 20] [--stops 10000]
-        [--silences 50] [--pressed 100] [--seed 1] [--jobs 2] [--untimed] [--json]
+        [--silences 50] [--pressed 100] [--flood KIND ...] [--seed 1] [--jobs 2] [--untimed] [--json]
 
 Exit status 1: a joint moved after a confirmed Stop or went beyond its braking distance, a Stop was not confirmed, the
 explorer's witness saw an invariant broken, or, unless `--untimed`, a time was above its limit.
@@ -47,6 +47,7 @@ import stop_simulated
 import uvloop
 from stop_found import Found, stats
 
+from pcmrs.campaign.bus_flood import KINDS
 from pcmrs.campaign.lateness import timer_lateness
 
 PARTS = ("real", "silence", "floods", "simulated")
@@ -61,7 +62,7 @@ async def measure(options: argparse.Namespace) -> tuple[Found, list[float]]:
         if "silence" in options.parts and options.silences:
             found.add(await stop_real.silenced(options.silences))
         if "floods" in options.parts and options.pressed:
-            found.add(await stop_floods.flooded(options.pressed))
+            found.add(await stop_floods.flooded(options.pressed, options.flood or KINDS))
     return found, timer.late
 
 
@@ -81,6 +82,7 @@ def main() -> None:
     parser.add_argument("--stops", type=int, default=10_000)
     parser.add_argument("--silences", type=int, default=50)
     parser.add_argument("--pressed", type=int, default=100, help="Stops by each route during each flood")
+    parser.add_argument("--flood", action="append", choices=KINDS, help="of the floods, only this; may be repeated")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2, help="processes of the simulated part")
     parser.add_argument("--untimed", action="store_true", help="show the times, and hold them against no limit")

@@ -11,13 +11,13 @@ from __future__ import annotations
 import asyncio
 import tempfile
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import AsyncExitStack
 from pathlib import Path
 
 from stop_found import DURING, TIMER, Found
 
-from pcmrs.campaign.bus_flood import FLOODER, KINDS, Kind, bus_flood
+from pcmrs.campaign.bus_flood import FLOODER, Kind, bus_flood
 from pcmrs.campaign.driving import register
 from pcmrs.campaign.lab import REAL_TIME, LabCell, open_cell
 from pcmrs.campaign.lateness import timer_lateness
@@ -30,10 +30,10 @@ APART = 0.05
 PATIENCE = 5.0
 
 
-async def flooded(stops: int) -> Found:
-    """Presses Stop so often by each route during each kind of flood, and during none."""
+async def flooded(stops: int, kinds: Sequence[Kind]) -> Found:
+    """Presses Stop so often by each route during each of these kinds of flood, and during none."""
     found = Found()
-    for kind in (None, *KINDS):
+    for kind in (None, *kinds):
         with tempfile.TemporaryDirectory(prefix="pcmrs-", ignore_cleanup_errors=True) as folder:
             async with open_cell(Path(folder) / "flooded", REAL_TIME) as cell:
                 await register(cell.client)

@@ -25,7 +25,8 @@ def test_the_time_to_a_decision_is_measured() -> None:
 def test_nothing_moves_after_a_confirmed_stop_at_a_random_moment() -> None:
     pytest.importorskip("mujoco")
     pytest.importorskip("nicegui")
-    words = ("real", "simulated", "--stops", "2", "--jobs", "1", "--untimed", "--json")
+    words = ["real", "floods", "simulated", "--stops", "2", "--flood", "stop-puts", "--pressed", "2"]
+    words += ["--jobs", "1", "--untimed", "--json"]
 
     measured = subprocess.run(
         [sys.executable, str(BENCHMARKS / "stop.py"), *words], capture_output=True, text=True, check=False
@@ -36,6 +37,8 @@ def test_nothing_moves_after_a_confirmed_stop_at_a_random_moment() -> None:
     assert found["wrong"] == []
     assert [found[part]["moved after confirmed, deg"]["n"] for part in ("real", "simulated")] == [2, 2]
     assert found["real"]["ms"]["stop received to hold sent"]["n"] == 2
+    assert found["real"]["ms"]["asked to begun, flood of stop-puts"]["n"] == 4
+    assert found["real"]["notes"]["messages per second of stop-puts"] > 1000
 
 
 UNGUARDED = """
