@@ -139,22 +139,27 @@ def require_named(path: Path, unnamed: int, damaged: int) -> None:
 
 
 def _require_macs(path: Path, without_mac: int | None, version: int) -> None:
-    """Every row after the head must have its MAC: it would be signed with the next head, whoever wrote it."""
+    """Every row after the head must have its MAC: it would be signed with the next head, no matter who wrote it.
+
+    Raises:
+        JournalError: One does not; the field ``sequence`` names the first.
+    """
     if without_mac is None:
         return
-    text = (
-        f"{path}: row {without_mac} follows the last one that its signed head names, and does not have the MAC of "
-        f"journal.key: "
-    )
+    why = "Somebody without the key has written it."
     if version <= WITHOUT_MAC:
-        text += (
-            f"rows of a journal of version {version} have none, so nobody can say whether a crash left it there or "
-            "somebody added it. If the daemon has crashed, start the version of PCMRS before this one once, which "
-            "takes the row up, and end it in order. "
+        why = (
+            f"Rows of version {version} have none, so nobody can say whether a crash left it there or somebody added "
+            "it. If the daemon has crashed, start the version of PCMRS before this one once, which takes the row up, "
+            "and end it in order."
         )
-    else:
-        text += "somebody without the key has written it. "
-    raise JournalError(text + REMEDY, path=str(path), sequence=without_mac)
+    raise JournalError(
+        f"{path}: row {without_mac} follows the last one that its signed head names, and does not have the MAC of "
+        f"journal.key. {why} Do not trust the rows from {without_mac} on: `pcmrs journal show` prints them. Keep the "
+        "files as they are and go on in another cell.folder.",
+        path=str(path),
+        sequence=without_mac,
+    )
 
 
 def _version(path: Path) -> int:
@@ -174,7 +179,7 @@ def _read_end(
         path, newest = opened[-1]
         check_schema(newest, path)
         snapshot = last_sequence(newest, path, kind="snapshot")
-        if version == HEADLESS and snapshot:
+        if version == HEADLESS and (snapshot or last_sequence(newest, path, kind="config")):
             text = f"{path} says that it is of version {version}, and holds rows of a later one. {REMEDY}"
             raise JournalError(text, path=str(path))
         starts = starts_of(opened)

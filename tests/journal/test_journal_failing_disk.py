@@ -167,7 +167,7 @@ async def test_a_lock_of_another_process_ends_it_until_it_is_gone(
     ("chained", "with_key", "word"),
     [
         (False, False, "row 2"),
-        (True, False, "somebody without the key has written it"),
+        (True, False, "Somebody without the key has written it"),
         (True, True, "another program has written rows"),
     ],
 )
