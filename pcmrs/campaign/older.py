@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pcmrs.journal import JournalReader
 from pcmrs.journal.rows import GENESIS, chain_hash, encode_row
-from pcmrs.journal.schema import HEADLESS
+from pcmrs.journal.schema import HEADLESS, statements
 
 INSERT = "INSERT INTO journal VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
 KINDS = ("intent", "outcome", "device")
@@ -19,12 +19,10 @@ def as_version_1(path: Path) -> int:
     """Replaces a closed journal by one of version 1 with the same decisions: no head, no key; returns its rows."""
     with JournalReader(path) as reader:
         rows = [stored.row for stored in reader.read() if stored.row.kind in KINDS]
-    with closing(sqlite3.connect(path)) as present:
-        statements = [sql for (sql,) in present.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")]
     for file in (*path.parent.glob(f"{path.name}*"), *path.parent.glob("journal.*")):
         file.unlink()
     with closing(sqlite3.connect(path)) as old, old:
-        for statement in statements:
+        for statement in statements(HEADLESS).values():
             old.execute(statement)
         previous = GENESIS
         for sequence, row in enumerate(rows, 1):

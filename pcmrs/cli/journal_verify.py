@@ -65,7 +65,9 @@ def _table(found: Verification) -> Table:
     if found.missing:
         table.add_row("missing", f"{found.missing} rows that the head names")
     if found.unnamed:
-        table.add_row("not in the head", f"{found.unnamed} rows after the last that it names, as after a crash")
+        table.add_row(
+            "not in the head", f"{found.unnamed} rows after the last that it names: left by a crash, or added"
+        )
     if found.damaged_slots:
         table.add_row("slots of the head", f"{found.damaged_slots} of 2 damaged")
     for problem in found.problems:

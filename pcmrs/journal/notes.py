@@ -5,7 +5,7 @@ from __future__ import annotations
 from pcmrs.clock import SystemClock
 from pcmrs.errors import JournalError
 from pcmrs.journal.rows import JournalRow, Place
-from pcmrs.journal.schema import HEADLESS
+from pcmrs.journal.schema import HEADLESS, WITHOUT_MAC
 from pcmrs.journal.soundness import Found
 
 SOURCE = "journal"
@@ -23,6 +23,9 @@ def note_rows(found: Found) -> list[JournalRow]:
     if found.last is not None and found.version == HEADLESS:
         text = f"A signed head was begun for a journal of version {HEADLESS}, after all its rows were found whole."
         rows.append(_note(found.last.row, "head_begun", {"text": text, "rows": found.place.sequence}))
+    if found.last is not None and HEADLESS < found.version <= WITHOUT_MAC:
+        text = f"The journal was of version {found.version}: rows up to here have no MAC; the head proves them."
+        rows.append(_note(found.last.row, "mac_begun", {"text": text, "rows": found.place.sequence}))
     if found.last is not None and found.unnamed:
         text = f"The writer died before its head named the last rows, {found.unnamed} of them: they are taken up."
         rows.append(_note(found.last.row, "head_behind", {"text": text, "rows": found.unnamed}))

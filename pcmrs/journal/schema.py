@@ -13,13 +13,16 @@ from pcmrs.journal.rows import Kind
 
 HEADLESS: Final = 1
 """The version that had no signed head."""
-VERSION: Final = 2
+WITHOUT_MAC: Final = 2
+"""The last version whose rows had no MAC."""
+VERSION: Final = 3
 _HEADER: Final = 100
 """Bytes with which every SQLite file begins."""
 LOCK_TIMEOUT: Final = 5.0
 """How long a write waits while another process has the file locked, s."""
 
-# `body` is the row; the columns beside it only find it again.
+# `body` is the row; the columns before it only find it again. `mac` is written as SQLite adds a
+# column to an older table: an upgraded file has the same schema as a new one.
 _STATEMENTS: Final = {
     "journal": """CREATE TABLE journal (
     sequence INTEGER PRIMARY KEY,
@@ -31,7 +34,7 @@ _STATEMENTS: Final = {
     body BLOB NOT NULL,
     previous_hash BLOB NOT NULL,
     hash BLOB NOT NULL
-) STRICT""",
+, mac BLOB) STRICT""",
     "one_intent": "CREATE UNIQUE INDEX one_intent ON journal (source, command_id) WHERE kind = 'intent'",
     "one_outcome": "CREATE UNIQUE INDEX one_outcome ON journal (source, command_id) WHERE kind = 'outcome'",
     "no_update": "CREATE TRIGGER no_update BEFORE UPDATE ON journal "
@@ -42,7 +45,8 @@ _STATEMENTS: Final = {
 WHEN NEW.sequence IS NOT (SELECT coalesce(max(sequence), 0) + 1 FROM journal)
 BEGIN SELECT RAISE(ABORT, 'the sequence has no gaps'); END""",
 }
-INSERT: Final = "INSERT INTO journal VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
+_ADD_MAC: Final = ", mac BLOB"
+INSERT: Final = "INSERT INTO journal VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 
 Record = tuple[object, ...]
 """A row as the table has it."""
@@ -128,6 +132,19 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
     return connection
 
 
+def statements(version: int) -> dict[str, str]:
+    """The statements that make the tables, indexes and triggers of a version, by their names."""
+    if version > WITHOUT_MAC:
+        return dict(_STATEMENTS)
+    return {**_STATEMENTS, "journal": _STATEMENTS["journal"].replace(_ADD_MAC, "")}
+
+
+def upgrade(connection: sqlite3.Connection) -> None:
+    """Makes a file of an older version one of this version, in the transaction that is open; its rows get no MAC."""
+    connection.execute("ALTER TABLE journal ADD COLUMN mac BLOB")
+    connection.execute(f"PRAGMA user_version = {VERSION}")
+
+
 def version_of(connection: sqlite3.Connection) -> int:
     """The version of an open journal."""
     version: int = connection.execute("PRAGMA user_version").fetchone()[0]
@@ -153,9 +170,10 @@ def check_schema(connection: sqlite3.Connection, path: Path) -> None:
     """
     try:
         found = dict(connection.execute("SELECT name, sql FROM sqlite_schema"))
+        wanted = statements(version_of(connection))
     except DATABASE_ERRORS as error:
         raise _unusable(path, error) from error
-    wrong = sorted(name for name in _STATEMENTS.keys() | found.keys() if found.get(name) != _STATEMENTS.get(name))
+    wrong = sorted(name for name in wanted.keys() | found.keys() if found.get(name) != wanted.get(name))
     if wrong:
         raise JournalError(
             f"{path} was changed: {', '.join(wrong)} is not as this program makes it. Keep the files as they are and "
@@ -167,10 +185,10 @@ def check_schema(connection: sqlite3.Connection, path: Path) -> None:
 
 def _check_version(connection: sqlite3.Connection, path: Path) -> None:
     version = version_of(connection)
-    if version not in (HEADLESS, VERSION):
+    if not HEADLESS <= version <= VERSION:
         connection.close()
         raise JournalError(
-            f"{path} has journal version {version}, this program knows {HEADLESS} and {VERSION}: give another file.",
+            f"{path} has journal version {version}, this program knows {HEADLESS} to {VERSION}: give another file.",
             path=str(path),
             version=version,
         )

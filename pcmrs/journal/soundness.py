@@ -15,8 +15,9 @@ from pcmrs.journal.chain import REMEDY, follow_files, starts_of
 from pcmrs.journal.files import journal_files
 from pcmrs.journal.head import Head, HeadState, head_path, read_head
 from pcmrs.journal.keys import signing_key
+from pcmrs.journal.mac import first_without_mac, mac_key
 from pcmrs.journal.rows import START, Place, StoredRow
-from pcmrs.journal.schema import HEADLESS, check_schema, last_sequence, open_for_reading, version_of
+from pcmrs.journal.schema import HEADLESS, WITHOUT_MAC, check_schema, last_sequence, open_for_reading, version_of
 
 LARGEST_GROUP: Final = 512
 """Rows of one commit at most, so that a crash can leave so many, and no more, that the head does not name yet."""
@@ -60,7 +61,7 @@ def examine(path: Path) -> Found:
     on, or from its beginning; so it is for a journal of version 1, which has no head.
 
     Raises:
-        JournalError: Rows are missing, changed, or not written by who has the key; the head or its key is missing
+        JournalError: Rows are missing, changed, or were added without the key; the head or its key is missing
             or damaged; the file is no journal.
     """
     files = journal_files(path)
@@ -70,13 +71,14 @@ def examine(path: Path) -> Found:
     key = signing_key(path.parent, make=not headed and version in (0, HEADLESS))
     state = read_head(head_path(path), key.public_key())
     head = require_head(path, state, version)
-    last = None
+    last, without_mac = None, None
     if version:
-        last = _read_end(files, version, head)
+        last, without_mac = _read_end(files, version, head, mac_key(key))
     found = Found(newest, key, version, head, last, 0 if state is None else state.damaged)
     if head is not None:
         require_rows(path, head.place, found.place)
         require_named(path, found.unnamed, found.damaged)
+        _require_macs(path, without_mac, version)
     return found
 
 
@@ -136,19 +138,48 @@ def require_named(path: Path, unnamed: int, damaged: int) -> None:
         )
 
 
+def _require_macs(path: Path, without_mac: int | None, version: int) -> None:
+    """Every row after the head must have its MAC: it would be signed with the next head, no matter who wrote it.
+
+    Raises:
+        JournalError: One does not; the field ``sequence`` names the first.
+    """
+    if without_mac is None:
+        return
+    why = "Somebody without the key has written it."
+    if version <= WITHOUT_MAC:
+        why = (
+            f"Rows of version {version} have none, so nobody can say whether a crash left it there or somebody added "
+            "it. If the daemon has crashed, start the version of PCMRS before this one once, which takes the row up, "
+            "and end it in order."
+        )
+    raise JournalError(
+        f"{path}: row {without_mac} follows the last one that its signed head names, and does not have the MAC of "
+        f"journal.key. {why} Do not trust the rows from {without_mac} on: `pcmrs journal show` prints them. Keep the "
+        "files as they are and go on in another cell.folder.",
+        path=str(path),
+        sequence=without_mac,
+    )
+
+
 def _version(path: Path) -> int:
     with closing(open_for_reading(path)) as connection:
         return version_of(connection)
 
 
-def _read_end(files: Sequence[Path], version: int, head: Head | None) -> StoredRow | None:
-    last = None
+def _read_end(
+    files: Sequence[Path], version: int, head: Head | None, key: bytes
+) -> tuple[StoredRow | None, int | None]:
+    """The last row, and the sequence of the first one after the head that does not have its MAC."""
+    last = without_mac = None
     with ExitStack() as stack:
         opened = [(path, stack.enter_context(closing(open_for_reading(path)))) for path in files]
+        for _, connection in opened:
+            connection.execute("BEGIN")  # one view of rows and MACs
         path, newest = opened[-1]
         check_schema(newest, path)
         snapshot = last_sequence(newest, path, kind="snapshot")
-        if version == HEADLESS and snapshot:
+        if version == HEADLESS and (snapshot or last_sequence(newest, path, kind="config")):
             text = f"{path} says that it is of version {version}, and holds rows of a later one. {REMEDY}"
             raise JournalError(text, path=str(path))
         starts = starts_of(opened)
@@ -158,4 +189,6 @@ def _read_end(files: Sequence[Path], version: int, head: Head | None) -> StoredR
         for last in follow_files(opened[number:], after):
             if head is not None and last.sequence == head.place.sequence and last.hash != head.place.hash:
                 raise another_row(path, head.place)
-    return last
+        if head is not None:
+            without_mac = first_without_mac(opened, head.place.sequence, key)
+    return last, without_mac

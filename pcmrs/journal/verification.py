@@ -34,7 +34,8 @@ class Verification(Message, frozen=True, kw_only=True, omit_defaults=False):
         first_bad: Sequence of the first row that is missing, changed or unreadable; None when all are good.
         signed: So many rows from the first on are proven by the signature of the head.
         missing: Rows that the head names, and that are not there.
-        unnamed: Rows after the last one that the head names.
+        unnamed: Rows after the last one that the head names: it does not prove them. The next start of a
+            daemon, which has the key of their MACs, takes them up or refuses them.
         signature: Of the head; ``none``: it has no head, since the version of the journal knows none.
         head: The last row that the head names, its hash in hexadecimal, and how often the head was written.
         damaged_slots: Of the two slots of the head.

@@ -13,9 +13,10 @@ from pcmrs.failpoints import failpoint
 from pcmrs.files import settle_on_disk
 from pcmrs.journal.files import LARGEST, journal_files, numbered
 from pcmrs.journal.head import Head, HeadFile, begin_head, head_path
+from pcmrs.journal.mac import mac_key, row_mac
 from pcmrs.journal.notes import continued_row, note_rows, reopened_rows
 from pcmrs.journal.rows import START, JournalRow, Place, chain_hash, encode_row
-from pcmrs.journal.schema import DATABASE_ERRORS, HEADLESS, INSERT, VERSION, Record, make_database, open_for_writing
+from pcmrs.journal.schema import DATABASE_ERRORS, INSERT, VERSION, Record, make_database, open_for_writing, upgrade
 from pcmrs.journal.soundness import Found, examine
 
 _CHECKPOINT_AFTER: Final = 200
@@ -68,7 +69,7 @@ class JournalWriter:
         """
         if self.error is not None:
             raise JournalError(self.error.text, sequence=None)
-        return self._append(rows, upgrade=False)
+        return self._append(rows)
 
     def maintain(self) -> None:
         """Carries a long log over into the database, and goes on in a new file when that has grown.
@@ -111,7 +112,7 @@ class JournalWriter:
         self._last = None if found.last is None else found.last.row
         try:
             # A commit, which also writes over what a reader elsewhere may keep of the failed one in the log.
-            self._append([(row, encode_row(row)) for row in reopened_rows(found, why)], upgrade=False)
+            self._append([(row, encode_row(row)) for row in reopened_rows(found, why)])
         except JournalError:
             self.place = acknowledged
             raise
@@ -182,6 +183,7 @@ class JournalWriter:
             text = f"{self._path} cannot be opened: {error}. See to the disk, or give another cell.folder."
             raise JournalError(text, path=str(self._path)) from error
         head = found.head or Head(1, found.place)
+        self._mac_key = mac_key(found.key)
         self._head = HeadFile(head_path(self._path), found.key, head, durable=self._durable)
         try:
             self._file = found.file
@@ -197,23 +199,24 @@ class JournalWriter:
         self._last = None if found.last is None else found.last.row
         rows = [(row, encode_row(row)) for row in note_rows(found)]
         try:
-            if rows or found.version == HEADLESS:
-                self._append(rows, upgrade=found.version == HEADLESS)
+            older = 0 < found.version < VERSION
+            if rows or older:
+                self._append(rows, older=older)
             self._grow()  # runs that are too short for `maintain` would never do it
         except JournalError:
             self.close()
             raise
 
-    def _append(self, rows: Sequence[Encoded], *, upgrade: bool) -> int:
+    def _append(self, rows: Sequence[Encoded], *, older: bool = False) -> int:
         attempted = self.place
         try:
             records, attempted = self._chain(rows)
             self._attempts.add(attempted)
             failpoint("journal.before_begin")
             self._connection.execute("BEGIN IMMEDIATE")
+            if older:
+                upgrade(self._connection)
             self._connection.executemany(INSERT, records)
-            if upgrade:
-                self._connection.execute(f"PRAGMA user_version = {VERSION}")
             failpoint("journal.before_commit")
             self._connection.execute("COMMIT")
             failpoint("journal.after_commit")
@@ -234,7 +237,7 @@ class JournalWriter:
             sequence += 1
             own = chain_hash(previous, sequence, body)
             keys = (row.kind, row.source, row.command_id, row.branch, row.wall)
-            records.append((sequence, *keys, body, previous, own))
+            records.append((sequence, *keys, body, previous, own, row_mac(self._mac_key, own)))
             previous = own
         return records, Place(sequence, previous)
 

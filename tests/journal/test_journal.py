@@ -116,8 +116,8 @@ def test_rows_survive_their_encoding(arguments: dict[str, object]) -> None:
         "UPDATE journal SET sequence = 9 WHERE sequence = 2",
         "DELETE FROM journal WHERE sequence = 2",
         "DELETE FROM journal",
-        "INSERT INTO journal SELECT sequence + 5, kind, 's', 'i', branch, wall, body, hash, hash FROM journal LIMIT 1",
-        "INSERT OR REPLACE INTO journal SELECT sequence, 'event', 's', 'i', branch, 0, body, hash, hash FROM journal",
+        "INSERT INTO journal SELECT sequence + 5, kind, 's', 'i', '', 0, body, hash, hash, mac FROM journal LIMIT 1",
+        "INSERT OR REPLACE INTO journal SELECT sequence, 'event', 's', 'i', '', 0, body, hash, hash, mac FROM journal",
     ],
 )
 async def test_rows_can_be_neither_changed_nor_removed(journal: Journal, path: Path, statement: str) -> None:

@@ -12,7 +12,7 @@ from whole_journal import sample
 
 from pcmrs.campaign.taking_up import HEAD, place
 from pcmrs.errors import JournalError
-from pcmrs.journal import Journal, JournalReader, verify
+from pcmrs.journal import Journal, JournalReader, Kind, verify
 from pcmrs.journal.chain import stored_row
 from pcmrs.journal.rows import chain_hash, encode_row
 from pcmrs.journal.writer import JournalWriter
@@ -91,10 +91,12 @@ def test_a_snapshot_after_the_row_that_the_head_names_hides_nothing(
         Journal.open(path)
 
 
-def test_a_journal_that_calls_itself_older_still_needs_its_head(path: Path) -> None:
+@pytest.mark.parametrize("kind", ["snapshot", "config"])
+def test_a_journal_that_calls_itself_older_still_needs_its_head(path: Path, kind: Kind) -> None:
     writer = JournalWriter(path, durable=False)
-    writer.write([(row("snapshot"), encode_row(row("snapshot")))])
+    writer.write([(row(kind), encode_row(row(kind)))])
     writer.close()
+    edit(path, "ALTER TABLE journal DROP COLUMN mac")
     edit(path, "PRAGMA user_version = 1")
     path.with_name(HEAD).unlink()
     with pytest.raises(JournalError, match="holds rows of a later one"):

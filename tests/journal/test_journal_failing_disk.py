@@ -17,6 +17,8 @@ from journal_rows import row
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalReader, schema, verify
 from pcmrs.journal.group import MOST_WAITING
+from pcmrs.journal.keys import signing_key
+from pcmrs.journal.mac import mac_key, row_mac
 from pcmrs.journal.rows import chain_hash, encode_row
 from pcmrs.journal.soundness import LARGEST_GROUP
 
@@ -161,9 +163,16 @@ async def test_a_lock_of_another_process_ends_it_until_it_is_gone(
 
 
 @pytest.mark.parametrize("durable", [True, False])
-@pytest.mark.parametrize(("chained", "word"), [(False, "row 2"), (True, "another program has written rows")])
+@pytest.mark.parametrize(
+    ("chained", "with_key", "word"),
+    [
+        (False, False, "row 2"),
+        (True, False, "Somebody without the key has written it"),
+        (True, True, "another program has written rows"),
+    ],
+)
 async def test_rows_of_another_program_are_not_taken_for_own_ones(
-    tmp_path: Path, durable: bool, chained: bool, word: str
+    tmp_path: Path, durable: bool, chained: bool, with_key: bool, word: str
 ) -> None:
     path = tmp_path / "journal.sqlite"
     journal = Journal.open(path, durable=durable)
@@ -171,10 +180,11 @@ async def test_rows_of_another_program_are_not_taken_for_own_ones(
     (own,) = journal.reader.read()
     body = encode_row(own.row)
     forged = chain_hash(own.hash, 2, body) if chained else own.hash
+    mac = row_mac(mac_key(signing_key(tmp_path, make=False)), forged) if with_key else None
     foreign = sqlite3.connect(path)
     with foreign:
-        record = (2, "event", None, None, None, own.row.wall, body, own.hash, forged)
-        foreign.execute("INSERT INTO journal VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", record)
+        record = (2, "event", None, None, None, own.row.wall, body, own.hash, forged, mac)
+        foreign.execute("INSERT INTO journal VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", record)
     foreign.close()
     with pytest.raises(JournalError, match="no gaps"):
         await journal.append([row(result={"mine": True})])

@@ -11,10 +11,11 @@ import pytest
 from journal_rows import row
 from whole_journal import LOG, Sample, sample
 
+from pcmrs.campaign.appended import append_without_key
 from pcmrs.campaign.taking_up import HEAD, NAME, place
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalReader, copy_journal, verify
-from pcmrs.journal.rows import Place, chain_hash, encode_row
+from pcmrs.journal.rows import encode_row
 from pcmrs.journal.writer import JournalWriter
 
 OLD = Path(__file__).with_name("version_1.sqlite.gz")
@@ -109,19 +110,8 @@ def test_an_edited_journal_is_told_with_the_first_bad_row(path: Path, statement:
     assert found.rows == (found.first_bad or 0) - 1
 
 
-async def test_rows_appended_without_the_key_are_told(path: Path) -> None:
-    journal = Journal.open(path)
-    end = journal._writer.place
-    await journal.close()
-    records = []
-    for _ in range(600):
-        body = encode_row(row())
-        own = chain_hash(end.hash, end.sequence + 1, body)
-        records.append((end.sequence + 1, "event", None, None, None, row().wall, body, end.hash, own))
-        end = Place(end.sequence + 1, own)
-    with sqlite3.connect(path) as connection:
-        connection.executemany("INSERT INTO journal VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", records)
-    connection.close()
+def test_more_rows_than_a_crash_leaves_are_told(path: Path) -> None:
+    append_without_key(path, [row()] * 600)
     with pytest.raises(JournalError, match="600 rows after the last one"):
         Journal.open(path)
     assert not verify(path).sound
@@ -200,7 +190,7 @@ async def test_a_journal_of_version_1_is_taken_up_and_that_is_journalled(old: Pa
     assert operations(old) == ["head_begun"]
     found = verify(old)
     assert found.sound
-    assert (found.version, found.rows, found.signed) == (2, 9, 9)
+    assert (found.version, found.rows, found.signed) == (3, 9, 9)
 
 
 def test_a_damaged_journal_of_version_1_is_left_as_it_is(old: Path) -> None:

@@ -11,6 +11,9 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
+from pcmrs.campaign.appended import append_without_key, leave_unnamed
 from pcmrs.campaign.checks import confirmed, expect, held, refused, refused_at_edge, reported, shape, unmoved
 from pcmrs.campaign.datagrams import Raw, raw_socket, refused_all
 from pcmrs.campaign.driving import PATIENCE, accept, digitized, moving, register, start_anew, until
@@ -23,7 +26,7 @@ from pcmrs.gateway.authentication import FRESH_FOR
 from pcmrs.gateway.keys import new_key, read_key
 from pcmrs.gateway.signing import Signer
 from pcmrs.gateway.tcp import MOST_OF_A_HOST
-from pcmrs.journal.verification import verify
+from pcmrs.journal import JournalReader, verify
 
 FLOOD = 40_000.0
 """Datagrams per second."""
@@ -311,6 +314,38 @@ async def the_journal_is_rolled_back(lab: Lab) -> Evidence:
         beside.unlink()
     shutil.copyfile(copy, journal)
     return await _detected(lab, cell, "rolled back")
+
+
+@fault("A29", how="an accepted verdict added to the database after the daemon has ended", deadline=300.0)
+async def rows_are_added_without_the_key(lab: Lab) -> Evidence:
+    """A start refuses the row, and names it; the same row is taken up where a crash has left it, with its MAC."""
+    whole = lab.folder / "whole.sqlite"
+    async with lab.daemon() as cell:
+        await accept(cell.client, "registration.reinit")
+        journal = Path(cell.ready.journal)
+    with JournalReader(journal) as reader:
+        end, verdict = reader.last_sequence(), next(reader.read(kind="outcome", last=1)).row
+    added = msgspec.structs.replace(verdict, command_id="added")
+    shutil.copyfile(journal, whole)
+    append_without_key(journal, [added])
+    with JournalReader(journal) as reader:
+        chained = [stored.sequence for stored in reader.read_whole()]
+        found = reader.outcome_of(added.source or "", "added")
+    expect(chained[-1:] == [end + 1] and found == added, "The added row is not chained, or not found by its command.")
+    refusal = await _detected(lab, cell, "added to")
+    text = str(refusal.details["text"])
+    expect(f"row {end + 1} follows the last one" in text, f"The first row that was added is not named: {text}")
+
+    shutil.copyfile(whole, journal)
+    leave_unnamed(journal, [added])
+    async with lab.daemon(folder=cell.folder) as successor:
+        with JournalReader(Path(successor.ready.journal)) as reader:
+            found, noted = (
+                reader.outcome_of(added.source or "", "added"),
+                next(reader.read(after=end + 1)).row.operation,
+            )
+    expect((found, noted) == (added, "head_behind"), f"The row of a crash was not taken up: {noted}.")
+    return Evidence(refusal.response, {**refusal.details, "control": "the row is taken up where a crash has left it"})
 
 
 async def _detected(lab: Lab, cell: LabCell, how: str) -> Evidence:

@@ -1,0 +1,59 @@
+"""What an account on the cell's machine finds in its files, or is configured as."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+from pcmrs.campaign.checks import expect
+from pcmrs.campaign.driving import accept
+from pcmrs.campaign.fault import Evidence, fault
+from pcmrs.campaign.lab import Lab
+from pcmrs.gateway.keys import new_key
+
+OTHERS = 0o077
+"""Bits of a mode by which others than the owner may do something."""
+
+
+@fault("A30", how="a daemon that is started by hand in an open folder, by a shell that lets everybody read new files")
+async def open_folder(lab: Lab) -> Evidence:
+    """Nobody else may read what the daemon writes; what the same shell writes itself, everybody may."""
+    folder, probe = lab.folder / "open", lab.folder / "probe"
+    await asyncio.to_thread(_make_open, folder)
+    shell = ("sh", "-c", f'umask 022; : > "{probe}"; exec "$@"', "sh")
+    async with lab.daemon(folder=folder, prefix=shell) as cell:
+        await accept(cell.client, "registration.reinit")
+        modes = await asyncio.to_thread(_modes, folder, Path(cell.ready.journal), probe)
+    expect(modes.pop(probe.name) & OTHERS == 0o044, "The shell did not let others read new files.")
+    expect(len(modes) > 4, f"Only {', '.join(modes)} were looked at.")
+    shared = {name: f"{mode:04o}" for name, mode in modes.items() if mode & OTHERS}
+    expect(not shared, f"Others may use {shared}.")
+    return Evidence(
+        "readable by its owner only", {"files": sorted(modes), "control": "others may read the shell's file"}
+    )
+
+
+def _make_open(folder: Path) -> None:
+    folder.mkdir()
+    folder.chmod(0o755)
+
+
+def _modes(folder: Path, journal: Path, probe: Path) -> dict[str, int]:
+    """Modes of the folder, of journal and keys in it, and of the probe, by name."""
+    files = (folder, probe, *folder.glob(f"{journal.name}*"), *folder.glob("journal.*"))
+    return {path.name: path.stat().st_mode & 0o777 for path in files}
+
+
+@fault("A31", how="a peer in the configuration with the name of the operators on site, and with another name")
+async def peer_named_local(lab: Lab) -> Evidence:
+    """The daemon refuses to start with the first, and says why; with the second it starts."""
+    key = lab.folder / "peer.key"
+    new_key(key)
+    status, errors = await lab.ending(f"gateway.peers.local.key_file={key}")
+    text = errors.strip().splitlines()[-1] if errors.strip() else ""
+    expect(status != 0 and "local" in text and "Traceback" not in errors, f"It ended with {status}: {text}")
+    async with lab.daemon(f"gateway.peers.locals.key_file={key}") as cell:
+        await accept(cell.client, "registration.reinit")
+    return Evidence(
+        "refused to start, and said why", {"text": text, "control": "the same key under another name starts"}
+    )
