@@ -72,6 +72,8 @@ OF_OPERATIONS = (
     "written:outcome:*",
 )
 """Windows through which everything comes that moves the arm."""
+OF_COMMITS = OF_OPERATIONS[-2:]
+"""Windows in which what has ended is not committed yet."""
 OF_STOPS = (
     "send:robot.hold",
     "reply:robot.hold",
@@ -125,7 +127,7 @@ def _answer_at_once(draw: random.Random) -> list[Act]:
 def _answer_and_leave(draw: random.Random) -> list[Act]:
     """Somebody acknowledges what is shown, and the tool goes back; meanwhile something changes."""
     acts = [Act(round(draw.uniform(*STANDS), 3), "go_on", "ben", {"turn": 1}), *_go_on(draw)]
-    return acts + (_inside(draw, _change(draw), OF_OPERATIONS) if draw.random() < CHANGED else [])
+    return acts + (_inside(draw, _change(draw), OF_COMMITS) if draw.random() < CHANGED else [])
 
 
 def _afterwards(draw: random.Random) -> list[Act]:
