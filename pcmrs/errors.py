@@ -92,6 +92,12 @@ class SealError(PcmrsError):
     code = "not_sealed"
 
 
+class AccessError(PcmrsError):
+    """Somebody may not take part in this cell: ``why`` is ``unknown``, ``revoked``, ``expired`` or ``foreign``."""
+
+    code = "access_denied"
+
+
 class CommandRefusedError(PcmrsError):
     """The daemon did not accept a planner's command; the field ``verdict`` says why."""
 

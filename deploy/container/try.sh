@@ -23,7 +23,7 @@ trap finish EXIT
 "$pcmrs" pki init --folder "$work/pki" >/dev/null
 "$pcmrs" pki issue router router --cell 'lab/*' --host router --host 127.0.0.1 --folder "$work/pki" -o "$work" >/dev/null
 "$pcmrs" pki issue daemon cell1 --cell lab/cell1 --folder "$work/pki" -o "$work" >/dev/null
-"$pcmrs" pki issue viewer eve --cell lab/cell1 --folder "$work/pki" -o "$work" >/dev/null
+"$pcmrs" pki issue viewer eve --cell lab/cell1 --via router --folder "$work/pki" -o "$work" >/dev/null
 register=$work/pki/register.json
 chown -R 10001:10001 "$work/router" "$work/cell1" "$register"
 podman network create try >/dev/null

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from pcmrs.bus.keys import KEYS, KeyInfo
 from pcmrs.bus.qos import class_of
-from pcmrs.messages.identity import EVERY_CELL, LOCAL, Identity
+from pcmrs.messages.identity import EVERY_CELL, LOCAL, Identity, shared_cells
 from pcmrs.messages.roles import PEOPLE, Role
 
 ROLES_ON_SITE: Final[tuple[Role, ...]] = ("operator", "device", "daemon")
@@ -36,19 +36,29 @@ class _Way(NamedTuple):
     key: str
 
 
-def access_control(members: Iterable[Identity], *, on_site: bool = False) -> dict[str, Any]:
+def access_control(members: Iterable[Identity], *, router: str = "", on_site: bool = False) -> dict[str, Any]:
     """The value of Zenoh's ``access_control``: what each member's role may do under the member's own name.
+
+    A router may do what the people may whom it carries, each under their own name: those of the register who are marked
+    with it (`Identity.via`), in the cells that both have.
 
     Args:
         members: Everybody whose certificate counts; others are connected to nothing.
+        router: Name of the router whose access this is: it serves only the people marked with it. Empty for a daemon.
         on_site: Whether those who come over loopback without a certificate are `LOCAL`: operator and devices there.
     """
     access = _Access()
-    for member in members:
-        if member.revoked is None:
-            access.add({"cert_common_names": [member.name]}, member.name, [member.role], member.cells)
+    valid = [each for each in members if each.revoked is None]
+    for member in valid:
+        subject = {"cert_common_names": [member.name]}
+        if member.role == "router":
+            carried = [each for each in valid if each.role in PEOPLE and member.name in each.via]
+            access.add(subject, member.name, (way for each in carried for way in _carried(each, member)))
+        elif not router or router in member.via or member.role not in PEOPLE:
+            access.add(subject, member.name, _in_cells(member.cells, _ways(member.name, member.role)))
     if on_site:
-        access.add({"interfaces": ["lo"], "link_protocols": ["tcp"]}, LOCAL, ROLES_ON_SITE, EVERY_CELL)
+        ways = (way for role in ROLES_ON_SITE for way in _ways(LOCAL, role))
+        access.add({"interfaces": ["lo"], "link_protocols": ["tcp"]}, LOCAL, _in_cells(EVERY_CELL, ways))
     return {
         "enabled": True,
         "default_permission": "deny",
@@ -64,17 +74,18 @@ class _Access:
     subjects: list[dict[str, Any]] = field(default_factory=list)
     policies: list[dict[str, Any]] = field(default_factory=list)
 
-    def add(self, subject: dict[str, Any], name: str, roles: Iterable[Role], cells: Iterable[str]) -> None:
-        own = list(_rules(name, roles, cells))
-        self.rules += own
-        self.subjects.append({"id": name, **subject})
-        self.policies.append({"subjects": [name], "rules": [rule["id"] for rule in own]})
+    def add(self, subject: dict[str, Any], name: str, ways: Iterable[_Way]) -> None:
+        own = list(_rules(name, ways))
+        if own:  # who has no rules is denied everything
+            self.rules += own
+            self.subjects.append({"id": name, **subject})
+            self.policies.append({"subjects": [name], "rules": [rule["id"] for rule in own]})
 
 
-def _rules(name: str, roles: Iterable[Role], cells: Iterable[str]) -> Iterator[dict[str, Any]]:
+def _rules(name: str, ways: Iterable[_Way]) -> Iterator[dict[str, Any]]:
     """One rule for each direction and set of messages, over all keys to which it applies."""
     keys: dict[tuple[str, tuple[str, ...]], list[str]] = {}
-    for way in (way for role in roles for way in _ways(name, role)):
+    for way in ways:
         for flow, messages in (("ingress", way.ingress), ("egress", way.egress)):
             if not messages:
                 continue
@@ -85,17 +96,27 @@ def _rules(name: str, roles: Iterable[Role], cells: Iterable[str]) -> Iterator[d
             "permission": "allow",
             "flows": [flow],
             "messages": list(messages),
-            "key_exprs": [f"pcmrs/{cell}/{key}" for cell in cells for key in dict.fromkeys(expressions)],
+            "key_exprs": list(dict.fromkeys(expressions)),
         }
 
 
+def _in_cells(cells: Iterable[str], ways: Iterable[_Way]) -> Iterator[_Way]:
+    """The ways with absolute keys, in each of the cells."""
+    relative = list(ways)
+    return (way._replace(key=f"pcmrs/{cell}/{way.key}") for cell in cells for way in relative)
+
+
+def _carried(member: Identity, router: Identity) -> Iterator[_Way]:
+    """What a router does for one of those whom it carries."""
+    return _in_cells(shared_cells(member.cells, router.cells), _ways(member.name, member.role))
+
+
 def _ways(name: str, role: Role) -> Iterator[_Way]:
-    """What a role does; a router carries what its people do, under whatever names it has let in."""
-    user, roles = ("*", set(PEOPLE)) if role == "router" else (name, {role})
+    """What a role does under a name."""
     for row in KEYS:
-        if roles & {*row.users}:
-            yield from _as_user(row, _expression(row.key, user))
-        if roles & {*row.owners}:
+        if role in row.users:
+            yield from _as_user(row, _expression(row.key, name))
+        if role in row.owners:
             yield from _as_owner(row, _expression(row.key, "*"))
 
 

@@ -14,7 +14,7 @@ from pcmrs.bus.serving import ANSWERS
 from pcmrs.bus.session import Bus
 from pcmrs.bus.stop import Stop, StopLane
 from pcmrs.clock import SystemClock
-from pcmrs.errors import PayloadError, PcmrsError
+from pcmrs.errors import AccessError, PayloadError, PcmrsError
 from pcmrs.messages import Command, Verdict
 
 _COMMANDS = "cmd/*/*/*"
@@ -85,14 +85,14 @@ class CommandEdge:
     async def _answer(self, key: str, envelope: Envelope) -> Verdict:
         try:
             command = command_from(key, envelope, self._bus.settings.role_of)
-        except PayloadError as error:
+        except (PayloadError, AccessError) as error:
             return self._refusal(key, error)
         return await self._submit(command, arrived=ARRIVED.get())
 
     def _take(self, key: str, envelope: Envelope) -> None:
         try:
             command = command_from(key, envelope, self._bus.settings.role_of)
-        except PayloadError as error:
+        except (PayloadError, AccessError) as error:
             self._refuse(key, error)
         else:
             if len(self._submitted) < ANSWERS:
@@ -114,6 +114,6 @@ class CommandEdge:
 
     def _refusal(self, key: str, error: PcmrsError) -> Verdict:
         """May run in any thread for one message too many, of which the bus keeps count."""
-        if isinstance(error, PayloadError):
+        if isinstance(error, (PayloadError, AccessError)):
             self._refused(f"bus:{key.split('/')[1]}", error.code, f"{key} was refused: {error.text}")
         return refusal(key, error)

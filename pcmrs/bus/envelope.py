@@ -38,6 +38,7 @@ def command_from(key: str, envelope: Envelope, role_of: Callable[[str], Role]) -
 
     Raises:
         PayloadError: A part of the key is no name.
+        AccessError: The user may not take part in this cell.
     """
     user, branch, operation = split_command_key(key)
     return Command(

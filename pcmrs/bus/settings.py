@@ -10,7 +10,8 @@ import zenoh
 
 from pcmrs.bus.access import access_control
 from pcmrs.bus.codec import MAX_BYTES
-from pcmrs.errors import BusError, ConfigurationError
+from pcmrs.clock import SystemClock
+from pcmrs.errors import AccessError, BusError, ConfigurationError
 from pcmrs.hosts import is_loopback
 from pcmrs.messages.identity import LOCAL, ON_SITE, Identity
 from pcmrs.messages.roles import Role
@@ -82,10 +83,33 @@ class BusSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return LOCAL if self.credentials is None or on_site else self.credentials.name
 
     def role_of(self, user: str) -> Role:
-        """The register's. Without one everybody is on site; with one nobody is, but under that name."""
+        """The register's. Without one everybody is on site.
+
+        Raises:
+            AccessError: The register has nobody of that name who may take part in this cell now.
+        """
         if not self.members or user == ON_SITE.user:
             return ON_SITE.role
-        return next((each.role for each in self.members if each.name == user), "viewer")
+        return self.member(user, SystemClock().wall()).role
+
+    def member(self, user: str, now: float) -> Identity:
+        """Somebody in the register who may take part in this cell at the wall time `now`, s.
+
+        Raises:
+            AccessError: Nobody of that name may.
+        """
+        cell, found = f"{self.site}/{self.cell}", next((each for each in self.members if each.name == user), None)
+        if found is None:
+            raise AccessError(f"{user!r} is not in the register of {cell}.", user=user, why="unknown")
+        if found.revoked is not None:
+            raise AccessError(f"{user!r} is revoked: have a new identity issued.", user=user, why="revoked")
+        if not found.valid(now):
+            text = f"The certificate of {user!r} does not count now: have a new one issued, or set the clock."
+            raise AccessError(text, user=user, why="expired")
+        if not found.in_cell(cell):
+            text = f"{user!r} may take part in {' '.join(found.cells)}, not in {cell}."
+            raise AccessError(text, user=user, why="foreign")
+        return found
 
     def values(self) -> dict[str, Any]:
         """Zenoh's configuration: nothing is found by multicast or gossip, nobody gets in whom `members` does not have.
@@ -125,7 +149,9 @@ class BusSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         }
         if self.mode == "client":
             return {"transport/link/tls": tls}
-        return {"transport/link/tls": tls, "access_control": access_control(self.members, on_site=bool(self.endpoint))}
+        between = "" if self.endpoint else own.name
+        access = access_control(self.members, router=between, on_site=bool(self.endpoint))
+        return {"transport/link/tls": tls, "access_control": access}
 
     def _listened(self) -> list[str]:
         if self.mode == "client":

@@ -76,6 +76,12 @@ def init(site: str, folder: Path, as_json: bool) -> None:
     help="Cell in which it may do that, such as lab/cell1 or lab/*; may be repeated.",
 )
 @click.option(
+    "--via",
+    multiple=True,
+    metavar="ROUTER",
+    help="Name of a router that may carry what this person sends; may be repeated.",
+)
+@click.option(
     "-o",
     "--output",
     type=click.Path(path_type=Path, file_okay=False),
@@ -92,20 +98,21 @@ def issue(
     days: float,
     hosts: tuple[str, ...],
     cells: tuple[str, ...],
+    via: tuple[str, ...],
     output: Path,
     folder: Path,
     as_json: bool,
 ) -> None:
-    """Give NAME a certificate for ROLE, with a new key; again for one that ends soon.
+    """Give NAME a certificate for ROLE, with a new key; again for one that ends soon, with all its options.
 
     NAME stands in the bus keys that are this identity's own, such as cmd/NAME/**. Exit status: 0 issued, 2 the files
-    cannot be written, 4 name, role, hosts or cells are not possible.
+    cannot be written, 4 name, role, hosts, cells or routers are not possible.
 
     Example: pcmrs pki issue operator anna --days 7 --cell lab/cell1
     """
     from pcmrs.pki import Authority
 
-    issued = Authority(folder).issue(role, name, _now(), days=days, hosts=hosts, cells=cells, into=output)
+    issued = Authority(folder).issue(role, name, _now(), days=days, hosts=hosts, cells=cells, via=via, into=output)
     if as_json:
         say_json(issued)
     else:
@@ -169,9 +176,11 @@ def list_(folder: Path, as_json: bool) -> None:
     if as_json:
         say_json(identities)
         return
-    table, now = Table("name", "role", "cells", "until", "state", box=SIMPLE_HEAD), _now()
+    table, now = Table("name", "role", "cells", "via", "until", "state", box=SIMPLE_HEAD), _now()
     for each in identities:
-        table.add_row(each.name, each.role, " ".join(each.cells), _day(each.ends), _state(each, now))
+        table.add_row(
+            each.name, each.role, " ".join(each.cells), " ".join(each.via), _day(each.ends), _state(each, now)
+        )
     Terminal().print(table)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from fnmatch import fnmatchcase
 from typing import Final, NamedTuple
 
 import msgspec
@@ -31,6 +32,7 @@ class Identity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         begins: Wall time from which it is valid, s.
         ends: Wall time until which it is valid, s.
         revoked: Wall time at which it was revoked, s; None when it was not.
+        via: Names of the routers that may carry what this person sends. Empty: none may.
     """
 
     name: str
@@ -40,10 +42,15 @@ class Identity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ends: float
     cells: tuple[str, ...] = EVERY_CELL
     revoked: float | None = None
+    via: tuple[str, ...] = ()
 
     def valid(self, now: float) -> bool:
         """Whether it counts at the wall time `now`, s."""
         return self.revoked is None and self.begins <= now < self.ends
+
+    def in_cell(self, cell: str) -> bool:
+        """Whether `cell`, as ``<site>/<name>``, is one of its cells."""
+        return any(fnmatchcase(cell, each) for each in self.cells)
 
 
 class Asker(NamedTuple):
@@ -92,3 +99,14 @@ def check_cells(cells: Iterable[str]) -> tuple[str, ...]:
             text = f"{each!r} is no cell: write its site and name, such as lab/cell1; either may be *."
             raise ConfigurationError(text, cell=each)
     return found
+
+
+def shared_cells(ones: Iterable[str], others: Iterable[str]) -> tuple[str, ...]:
+    """Return the cells that two identities have both; either may be written with ``*``."""
+    found = []
+    for one in ones:
+        for other in others:
+            pairs = list(zip(one.split("/"), other.split("/"), strict=True))
+            if all(a == b or "*" in (a, b) for a, b in pairs):
+                found.append("/".join(b if a == "*" else a for a, b in pairs))
+    return tuple(dict.fromkeys(found))

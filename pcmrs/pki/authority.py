@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from pcmrs.errors import ConfigurationError
 from pcmrs.files import SECRET, write_durably
 from pcmrs.messages.identity import EVERY_CELL, Identity, check_cells, check_name
-from pcmrs.messages.roles import INFRASTRUCTURE, ROLES, Role
+from pcmrs.messages.roles import INFRASTRUCTURE, PEOPLE, ROLES, Role
 from pcmrs.pki.certificates import CLOCKS_DIFFER, authority_certificate, certificate
 from pcmrs.pki.keyfile import key_bytes, new_key, read_key
 from pcmrs.pki.register import read_register
@@ -99,6 +99,7 @@ class Authority:
         days: float = DAYS,
         hosts: Sequence[str] = (),
         cells: Sequence[str] = EVERY_CELL,
+        via: Sequence[str] = (),
         into: Path,
     ) -> Issued:
         """Issues a certificate with a new key; a name that has one, and the same role, gets a newer one.
@@ -110,13 +111,15 @@ class Authority:
             days: Validity.
             hosts: Under which it is dialled; a router needs one, a daemon that is not dialled none, others have none.
             cells: In which it may do that, as ``<site>/<cell>``.
+            via: Names of the routers that may carry what a person sends.
             into: Folder in which a folder `name` with the files is made.
 
         Raises:
-            ConfigurationError: Name, role, days, hosts or cells are wrong, or others may read the authority's key.
+            ConfigurationError: Name, role, days, hosts, cells or routers are wrong, or others may read the key of the
+                authority.
             OSError: The files cannot be written.
         """
-        self._check(role, name, days, hosts)
+        self._check(role, name, days, hosts, via)
         key = new_key()
         with self._register() as known:
             _refuse(role, name, known)
@@ -127,6 +130,7 @@ class Authority:
                 begins=now - CLOCKS_DIFFER,
                 ends=now + days * 86400.0,
                 cells=check_cells(cells),
+                via=tuple(map(check_name, via)),
             )
             authority = x509.load_pem_x509_certificate((self.folder / CERTIFICATE).read_bytes())
             signed = certificate(identity, key.public_key(), hosts, authority, read_key(self.folder / KEY))
@@ -154,7 +158,7 @@ class Authority:
             self._write([revoked if each is found else each for each in known])
         return revoked
 
-    def _check(self, role: Role, name: str, days: float, hosts: Sequence[str]) -> None:
+    def _check(self, role: Role, name: str, days: float, hosts: Sequence[str], via: Sequence[str]) -> None:
         check_name(name)
         if role not in ROLES:
             raise ConfigurationError(f"{role!r} is no role; choose {', '.join(ROLES)}.", role=role)
@@ -163,6 +167,8 @@ class Authority:
             raise ConfigurationError(text, days=days, limit=MOST_DAYS)
         if hosts and role not in INFRASTRUCTURE:
             raise ConfigurationError(f"A {role} is not dialled: give no hosts.", role=role, hosts=list(hosts))
+        if via and role not in PEOPLE:
+            raise ConfigurationError(f"Routers carry what people send, nothing of a {role}.", role=role, via=list(via))
         if role == "router" and not hosts:
             raise ConfigurationError("A router is dialled: say at which hosts.", role=role)
 

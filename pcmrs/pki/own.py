@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterable
-from fnmatch import fnmatchcase
 from pathlib import Path
 
 from cryptography import x509
@@ -73,7 +72,7 @@ def check_registered(own: Credentials, members: Iterable[Identity], role: Role, 
         wrong = "is revoked: have a new identity issued"
     elif found.role != role:
         wrong = f"has the role {found.role}, not {role}: have one issued with that role"
-    elif cell and not any(fnmatchcase(cell, each) for each in found.cells):
+    elif cell and not found.in_cell(cell):
         wrong = f"may serve {' '.join(found.cells)}, not {cell}: have one issued for this cell"
     if wrong is not None:
         raise ConfigurationError(f"{own.name} {wrong}.", name=own.name, role=role, cell=cell)

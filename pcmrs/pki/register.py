@@ -7,16 +7,19 @@ from pathlib import Path
 import msgspec
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.messages.identity import Identity
+from pcmrs.messages.identity import Identity, check_name
 
 
 def read_register(path: Path) -> list[Identity]:
     """Reads the register of an authority, or a copy of it.
 
     Raises:
-        ConfigurationError: It cannot be read.
+        ConfigurationError: It cannot be read, or has a name that nobody may have.
     """
     try:
-        return msgspec.json.decode(path.read_bytes(), type=list[Identity])
+        found = msgspec.json.decode(path.read_bytes(), type=list[Identity])
     except (OSError, msgspec.DecodeError) as error:
         raise ConfigurationError(f"{path} cannot be read: {error}. Put it back from a copy.", path=str(path)) from None
+    for each in found:
+        check_name(each.name)
+    return found

@@ -78,12 +78,19 @@ class Lab:
         for name, role in {**NAMES, "gate": "router"}.items():
             hosts = ("127.0.0.1",) if role in ("daemon", "router") else ()
             authority.issue(role, name, now, hosts=hosts, cells=["lab/c1"], into=folder)
+        authority.issue("router", "far", now, hosts=("127.0.0.1",), cells=["lab/c1"], into=folder)
+        for name, cell in (("tom1", "lab/*"), ("ray1", "lab/c1"), ("eva1", "lab/c2")):
+            authority.issue("teleoperator", name, now, cells=[cell], via=["far"], into=folder)
+        authority.revoke("ray1", now)
         self._folder, self._endpoint = folder, f"tls/127.0.0.1:{free_port()}"
         self.router = self._open("gate", "router", access_control(authority.identities()))
         stack.callback(self.router.close)
         self.sessions = {name: self._open(name, "client") for name in NAMES}
         for session in self.sessions.values():
             stack.callback(session.close)
+
+        self.far = self._open("far", "client")
+        stack.callback(self.far.close)
 
     def _open(self, name: str, mode: str, access: dict[str, Any] | None = None) -> zenoh.Session:
         own = self._folder / name
@@ -157,6 +164,41 @@ def test_who_may_ask(lab: Lab) -> None:
             session.get(key, take, timeout=PATIENCE)
     check("query", found)
     serving.undeclare()
+
+
+def test_a_router_speaks_only_for_people_who_are_marked_with_it(lab: Lab) -> None:
+    found: Tried = set()
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            found.add(("far", "query", str(query.key_expr)))
+
+    heard: Any = lab.router.declare_subscriber(
+        "pcmrs/**", lambda sample: found.add(("far", "put", str(sample.key_expr)))
+    )
+    serving: Any = lab.router.declare_queryable("pcmrs/**", answer, complete=True)
+    for user in ("local", "far", *NAMES, "ray1", "eva1", "nobody", "tom1"):
+        for cell in (HERE, ELSEWHERE):
+            for key in ("cmd/<user>/x/x", "cmd/<user>/lease/take_over", "stop/<user>", "teleop/<user>"):
+                lab.far.put(f"{cell}/{concrete(key, user)}", b"{}")
+                lab.far.get(f"{cell}/{concrete(key, user)}", lambda _: None, timeout=PATIENCE)
+    commands = {f"{HERE}/cmd/tom1/x/x", f"{HERE}/cmd/tom1/lease/take_over", f"{HERE}/stop/tom1"}
+    expected = {("far", action, key) for action in ("put", "query") for key in commands}
+    expected.add(("far", "put", f"{HERE}/teleop/tom1"))
+    assert gather(found, lambda: expected) == expected
+    heard.undeclare()
+    serving.undeclare()
+
+
+def test_at_a_router_are_only_people_who_are_marked_with_it(tmp_path: Path) -> None:
+    now = SystemClock().wall()
+    authority = Authority.init(tmp_path / "pki", "lab", now)
+    for role in ("router", "daemon"):
+        authority.issue(role, f"{role}1", now, hosts=("127.0.0.1",), into=tmp_path)
+    for name, via in (("anna", ("router1",)), ("bob", ("router2",)), ("eve", ())):
+        authority.issue("operator", name, now, via=via, into=tmp_path)
+    names = [each["id"] for each in access_control(authority.identities(), router="router1")["subjects"]]
+    assert names == ["router1", "daemon1", "anna"]
 
 
 def test_who_may_hear(lab: Lab) -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 import time
 from collections import Counter
 from collections.abc import AsyncIterator
@@ -116,21 +117,31 @@ async def test_messagepack_is_answered_in_messagepack() -> None:
 
 
 async def test_who_asks_has_the_role_of_the_register_and_without_one_everybody_is_on_site() -> None:
-    async def roles(*members: Identity) -> list[tuple[str, str]]:
+    async def roles(names: tuple[str, ...], *members: Identity) -> list[tuple[str, str]]:
         async with running_daemon(*members) as (daemon, session):
-            for name in ("anna", "eve", "nobody", "local"):
+            for name in names:
                 await get(daemon, session, f"cmd/{name}/registration/reinit")
-            commands = [daemon.submitted.get_nowait() for _ in range(4)]
+            commands = [daemon.submitted.get_nowait() for _ in names]
             return [(each.user, each.role) for each in commands]
 
-    assert await roles() == [(name, "operator") for name in ("anna", "eve", "nobody", "local")]
-    known = [Identity(name=name, role=role, serial="1", begins=0.0, ends=1.0) for name, role in REGISTER.items()]
-    assert await roles(*known) == [
+    names = ("anna", "eve", "nobody", "local")
+    assert await roles(names) == [(name, "operator") for name in names]
+    known = [Identity(name=name, role=role, serial="1", begins=0.0, ends=math.inf) for name, role in REGISTER.items()]
+    assert await roles(("anna", "eve", "local"), *known) == [
         ("anna", "teleoperator"),
         ("eve", "viewer"),
-        ("nobody", "viewer"),
         ("local", "operator"),
     ]
+
+
+async def test_a_command_of_who_may_not_take_part_is_refused_before_the_dispatcher() -> None:
+    expired = [Identity(name=name, role=role, serial="1", begins=0.0, ends=1.0) for name, role in REGISTER.items()]
+    async with running_daemon(*expired) as (daemon, session):
+        for name in ("anna", "nobody"):
+            verdict = json.loads(await get(daemon, session, f"cmd/{name}/registration/reinit"))
+            assert (verdict["decision"], verdict["reason"]["code"]) == ("rejected", "access_denied")
+        assert daemon.submitted.empty()
+        assert daemon.refused == [("bus:anna", "access_denied"), ("bus:nobody", "access_denied")]
 
 
 @pytest.mark.parametrize("encoding", ["zenoh/bytes", "application/json", "text/plain"])

@@ -209,8 +209,8 @@ def remote_cell(network: Network, folder: Path, *settings: str, dialled: str = "
     authority = Authority.init(folder / "pki", SITE, now)
     authority.issue("router", "gate", now, hosts=(*ROUTER.values(), "127.0.0.1"), into=folder)
     authority.issue("daemon", "daemon1", now, cells=(f"{SITE}/{CELL}",), into=folder)
-    authority.issue("teleoperator", "tom", now, cells=(f"{SITE}/{CELL}",), into=folder)
-    authority.issue("viewer", "eve", now, cells=(f"{SITE}/{CELL}",), into=folder)
+    authority.issue("teleoperator", "tom", now, cells=(f"{SITE}/{CELL}",), via=("gate",), into=folder)
+    authority.issue("viewer", "eve", now, cells=(f"{SITE}/{CELL}",), via=("gate",), into=folder)
     port = free_port()
     (folder / "port").write_text(str(port))
     overrides = (

@@ -197,3 +197,20 @@ def test_the_commands_do_the_same(tmp_path: Path) -> None:
     assert [each["name"] for each in json.loads(pcmrs("list", "--json")[1])] == ["anna"]
     assert pcmrs("revoke", "anna")[0] == 4
     assert pcmrs("init")[0] == 4
+
+
+def test_the_register_says_which_routers_carry_a_person(authority: Authority, tmp_path: Path, now: float) -> None:
+    authority.issue("operator", "anna", now, via=("gate",), into=tmp_path)
+    assert [each.via for each in authority.identities()] == [("gate",)]
+    with pytest.raises(ConfigurationError, match="nothing of a device"):
+        authority.issue("device", "arm", now, via=("gate",), into=tmp_path)
+
+
+def test_an_old_register_marks_nobody_and_none_has_the_name_of_who_is_on_site(authority: Authority) -> None:
+    row = {"name": "anna", "role": "operator", "serial": "1", "begins": 0.0, "ends": 1.0}
+    register = authority.folder / "register.json"
+    register.write_text(json.dumps([row]))
+    assert [each.via for each in authority.identities()] == [()]
+    register.write_text(json.dumps([row | {"name": "local"}]))
+    with pytest.raises(ConfigurationError, match="choose another one"):
+        authority.identities()

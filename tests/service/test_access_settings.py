@@ -9,7 +9,7 @@ import pytest
 
 from pcmrs.bus import BusSettings
 from pcmrs.clock import SystemClock
-from pcmrs.errors import ConfigurationError
+from pcmrs.errors import AccessError, ConfigurationError
 from pcmrs.pki import Authority
 from pcmrs.settings import read_settings
 
@@ -23,6 +23,7 @@ def lab(tmp_path: Path) -> Path:
     authority.issue("daemon", "c3", now, into=tmp_path)
     authority.revoke("c3", now)
     authority.issue("operator", "anna", now, into=tmp_path)
+    authority.issue("operator", "old", now - 10 * 86400.0, days=7.0, into=tmp_path)
     return tmp_path
 
 
@@ -48,7 +49,7 @@ def test_an_open_cell_denies_what_nobody_has_a_right_to(lab: Path) -> None:
     assert values["access_control"]["default_permission"] == "deny"
     assert values["transport/link/tls"]["enable_mtls"]
     names = [each["id"] for each in values["access_control"]["subjects"]]
-    assert names == ["c1", "c2", "anna", "local"], "who is revoked has no rights"
+    assert names == ["c1", "c2", "anna", "old", "local"], "who is revoked has no rights"
 
 
 @pytest.mark.parametrize(
@@ -91,3 +92,14 @@ def test_a_plain_endpoint_is_this_machines_own(host: str, mode: Any) -> None:
 def test_nobody_dials_another_machine_without_an_identity() -> None:
     with pytest.raises(ConfigurationError, match="--identity"):
         BusSettings(endpoint="tls/router:7449").values()
+
+
+@pytest.mark.parametrize(
+    ("name", "why"), [("c2", "foreign"), ("c3", "revoked"), ("old", "expired"), ("nobody", "unknown")]
+)
+def test_who_may_not_take_part_has_no_role(lab: Path, name: str, why: str) -> None:
+    settings = settings_of(lab, "c1")
+    with pytest.raises(AccessError) as refused:
+        settings.role_of(name)
+    assert refused.value.fields == {"user": name, "why": why}
+    assert (settings.role_of("anna"), settings.role_of("local")) == ("operator", "operator")

@@ -76,7 +76,7 @@ def _flooded(folder: Path) -> Evidence:
     now = SystemClock().wall()
     authority = Authority.init(folder / "pki", "lab", now)
     authority.issue("router", "gate", now, hosts=tuple(ROUTER.values()), into=folder)
-    authority.issue("operator", "anna", now, into=folder)
+    authority.issue("operator", "anna", now, via=("gate",), into=folder)
     with nat_lab() as net:
         _start_router(net, folder)
         unprotected = _connected_beside_a_flood(net, folder)
