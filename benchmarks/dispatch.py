@@ -47,6 +47,7 @@ from pcmrs.messages import BlueprintTag
 from pcmrs.service.core import GatewayCore
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.recorder import JournalRecorder
+from pcmrs.threads import keep_pauses_short
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.settings import ProcedureSettings
@@ -70,6 +71,7 @@ async def nothing_to_hold(_latch: bool) -> None:
 async def serve(endpoint: str, folder: Path, durable: bool) -> None:
     """Runs until standard input ends; says on standard output which ports it has, and nothing else."""
     log_to_stderr()
+    keep_pauses_short()
     loop, clock = asyncio.get_running_loop(), SystemClock()
     ended = asyncio.Event()
     loop.add_reader(sys.stdin.fileno(), ended.set)

@@ -16,7 +16,7 @@ from pcmrs.bus.stop import StopLane
 from pcmrs.clock import SystemClock
 from pcmrs.devices.node import DeviceNode
 from pcmrs.settings import Settings
-from pcmrs.threads import Priority, RealTime, Threads, share_interpreter
+from pcmrs.threads import Priority, RealTime, Threads, keep_pauses_short
 
 ACTING = frozenset({"robot", "stimulator"})
 """Devices that somebody must be able to stop at any time."""
@@ -60,7 +60,7 @@ async def serve_devices(
         stack.push_async_callback(lane.close)
         bus.alive(f"node-{driver}")
         if ACTING.intersection(devices):
-            share_interpreter()
+            keep_pauses_short()
             realtime = RealTime(Priority.DEVICE)
             await stack.enter_async_context(meanwhile(realtime.keep(SystemClock().sleep), "real-time policy"))
         serving = asyncio.create_task(node.run())

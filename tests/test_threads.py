@@ -55,3 +55,12 @@ def test_processes_that_share_a_processor_wait_for_it_and_the_machine_has_more_t
         assert Threads().load().processors == len(os.sched_getaffinity(0))
         for child in pair:
             child.communicate(b"\n")
+
+
+def test_a_full_collection_looks_at_little_of_what_was_loaded() -> None:
+    """In a process of its own: it changes the interpreter."""
+    program = "import gc, scipy.optimize\nfrom pcmrs.threads import keep_pauses_short\nprint(len(gc.get_objects()))\n"
+    program += "keep_pauses_short()\nprint(len(gc.get_objects()))"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    before, after = map(int, ended.stdout.split())
+    assert after < before / 100

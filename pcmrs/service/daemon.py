@@ -45,7 +45,7 @@ from pcmrs.service.space import MEGABYTE, SpaceWatch
 from pcmrs.service.stall import StallWatch
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.settings import Settings
-from pcmrs.threads import NOT_PERMITTED, Priority, RealTime, share_interpreter
+from pcmrs.threads import NOT_PERMITTED, Priority, RealTime, keep_pauses_short
 from pcmrs.workflows.opening import open_workflow
 
 log = structlog.get_logger(__name__)
@@ -246,7 +246,7 @@ def _ready(
 
 async def go_ahead(machine: Clock) -> None:
     """Gives the real-time policy to the loop and the threads of the bus; says once what is missing where it may not."""
-    share_interpreter()
+    keep_pauses_short()
     realtime = RealTime(Priority.LOOP)
     try:
         realtime.give()

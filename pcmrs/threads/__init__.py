@@ -1,7 +1,8 @@
 """Scheduling of threads: how long they ran and waited, and the real-time policy of the few that an arm waits for."""
 
 from pcmrs.threads.figures import Figures, Load, Threads
-from pcmrs.threads.realtime import NOT_PERMITTED, Priority, RealTime, share_interpreter
+from pcmrs.threads.interpreter import keep_pauses_short
+from pcmrs.threads.realtime import NOT_PERMITTED, Priority, RealTime
 from pcmrs.threads.runaways import Runaway, Runaways
 
 __all__ = [
@@ -13,5 +14,5 @@ __all__ = [
     "Runaway",
     "Runaways",
     "Threads",
-    "share_interpreter",
+    "keep_pauses_short",
 ]

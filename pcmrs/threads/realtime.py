@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import sys
 import threading
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
@@ -31,18 +30,6 @@ NOT_PERMITTED = (
 
 PERIOD = 1.0
 """A thread that has begun has the policy after this, s of the machine."""
-
-
-SWITCH = 0.0005
-"""A thread that holds the interpreter's lock gives it to one that waits after this, s; Python's own value is 0.005."""
-
-
-def share_interpreter() -> None:
-    """Let no thread of this process hold the interpreter's lock for long while the loop waits for it.
-
-    The policy does not help there: a thread that waits for the lock does not run, whatever its priority is.
-    """
-    sys.setswitchinterval(SWITCH)
 
 
 class Priority(IntEnum):

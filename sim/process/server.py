@@ -14,6 +14,7 @@ from pcmrs.devices.calls import call_method
 from pcmrs.devices.deadman import DEADMAN, Deadman, Silence
 from pcmrs.devices.gate import ACTS, HOLDS
 from pcmrs.errors import DeviceError, PcmrsError, UnknownOutcomeError
+from pcmrs.threads import keep_pauses_short
 from sim.cell import Cell, open_cell
 from sim.process.channel import Channel
 from sim.process.wire import (
@@ -74,6 +75,7 @@ class Server:
         clock = SystemClock(asked.settings.get("cell", {}).get("rate", 1.0))
         try:
             async with open_cell(asked.devices, asked.settings, clock) as cell:
+                keep_pauses_short()
                 await self._serve(cell, asked)
         except PcmrsError as error:
             self._send(Opened(Failure.of(error)))
