@@ -50,7 +50,7 @@ async def stoppable_cell(
     authority = Authority.init(folder / "pki", SITE, now)
     authority.issue("router", "gate", now, hosts=("127.0.0.1",), into=folder)
     authority.issue("daemon", "daemon1", now, cells=(f"{SITE}/*",), into=folder)
-    authority.issue("operator", "far", now, cells=(f"{SITE}/*",), into=folder)
+    authority.issue("operator", "far", now, cells=(f"{SITE}/*",), via=("gate",), into=folder)
     register = authority.folder / "register.json"
     access = (
         f"access.identity={folder / 'daemon1'}",

@@ -48,7 +48,7 @@ from pcmrs.client import Client
 from pcmrs.errors import BusError, PcmrsError
 from pcmrs.experiment.process import free_port, own_settings, running_daemon
 from pcmrs.messages import JointSetpoint, JointState, TeleopSetpoint, TeleopStatus, Verdict
-from pcmrs.messages.roles import Role
+from pcmrs.messages.roles import PEOPLE, Role
 from pcmrs.messages.teleop import Twist
 from pcmrs.pki import Authority, read_credentials, read_register
 
@@ -83,7 +83,8 @@ class Site:
         return self.authority.folder / "register.json"
 
     def issue(self, role: Role, name: str, hosts: tuple[str, ...] = ()) -> None:
-        self.authority.issue(role, name, time.time(), hosts=hosts, into=self.folder)
+        via = ("gate",) if role in PEOPLE else ()
+        self.authority.issue(role, name, time.time(), hosts=hosts, via=via, into=self.folder)
 
     def credentials(self, name: str) -> Credentials:
         return read_credentials(self.folder / name, time.time())

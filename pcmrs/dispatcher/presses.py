@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from typing import Final
 
 SOURCES: Final = 32
-"""Sources with a Stop under way of their own; one more joins the newest Stop, and is counted by its name there."""
+"""Sources of one kind, such as all of the bus, with their own Stop under way; one more joins the newest Stop, and is
+counted by its name there."""
 NAMED: Final = 32
 """Names that one Stop counts by; further ones are counted together."""
 OTHERS: Final = "others"
@@ -54,7 +55,7 @@ class Presses:
     def find(self, source: str) -> StopUnderWay | None:
         """The Stop under way that a press by `source` is; None where it begins one."""
         own = self._under_way.get(source)
-        if own is None and len(self._under_way) >= SOURCES:
+        if own is None and sum(_kind(each) == _kind(source) for each in self._under_way) >= SOURCES:
             return next(reversed(self._under_way.values()))
         return own
 
@@ -69,3 +70,8 @@ class Presses:
             del self._under_way[stop.source]
         if stop.joined:
             self._joined(stop)
+
+
+def _kind(source: str) -> str:
+    """By which way a source presses, such as ``bus`` or ``udp``: nobody on one of them takes the places of others."""
+    return source.partition(":")[0]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
 from click.testing import CliRunner
 
+from pcmrs.campaign.attacks import attacks, attacks_as_markdown
 from pcmrs.campaign.catalogue import CLASSES, RESPONSES, catalogue, choose
 from pcmrs.campaign.fault import fault, injections
 from pcmrs.cli import main
@@ -98,3 +100,25 @@ def test_the_list_says_which_rows_cannot_run_here_for_want_of_what(monkeypatch: 
 def test_nothing_is_registered_for_a_fault_that_does_not_exist() -> None:
     with pytest.raises(ConfigurationError, match="Z9"):
         fault("Z9", how="by magic")
+
+
+def test_what_was_tried_names_known_ways_attackers_and_proofs() -> None:
+    """That the tests are there is looked for in the document that names them."""
+    known = attacks()
+    for attack in known.attacks:
+        assert set(attack.ways) <= set(known.ways)
+        assert set(attack.by) <= set(known.attackers)
+        assert all("::" in proof or proof in catalogue() for proof in attack.shown_by)
+    for way in known.ways:
+        assert any(known.proofs(way, attacker) for attacker in known.attackers), way
+
+
+def test_every_row_of_an_adversary_is_in_the_table_of_attacks() -> None:
+    shown = {proof for attack in attacks().attacks for proof in attack.shown_by}
+    assert {row.id for row in choose(["adversary"])} - shown == {"A14"}  # of who may send, and too long
+
+
+def test_the_threat_model_has_the_table_of_attacks() -> None:
+    document = (Path(__file__).parents[2] / "docs" / "threat-model.md").read_text()
+    assert attacks_as_markdown() in document
+    assert attacks_as_markdown() == CliRunner().invoke(main, ["faults", "matrix"]).output

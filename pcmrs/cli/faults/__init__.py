@@ -8,6 +8,7 @@ from pcmrs.cli.lazy import LazyGroup
 
 COMMANDS = {
     "list": "pcmrs.cli.faults.list:list_",
+    "matrix": "pcmrs.cli.faults.matrix:matrix",
     "run": "pcmrs.cli.faults.run:run_",
     "kill": "pcmrs.cli.faults.kill:kill",
     "cut": "pcmrs.cli.faults.cut:cut",
