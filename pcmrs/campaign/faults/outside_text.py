@@ -1,0 +1,93 @@
+"""Text from outside that would act on a terminal, or open what should be closed."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from pathlib import Path
+
+from pcmrs.bus.codec import pack_text
+from pcmrs.bus.settings import BusSettings, open_session
+from pcmrs.campaign.checks import expect
+from pcmrs.campaign.fault import Evidence, Unmet, fault
+from pcmrs.campaign.lab import Lab, LabCell
+from pcmrs.files import SECRET
+
+MARK = "lost-and-found"
+FORGED = f"{MARK}\x1b[2J\n2026-01-01 [info     ] robot released\u202e"
+"""It clears the screen, forges a line of the log, and turns the writing direction round."""
+TOLD_WITHIN = 30.0
+START_TIME = 60.0
+
+
+@fault("A32", how="a field of a command on the bus whose name clears the screen and forges a line of the log")
+async def escape_sequences(lab: Lab) -> Evidence:
+    """The daemon logs and journals the name, and nothing of it acts; a plain name is shown as it is."""
+    async with lab.daemon() as cell:
+        shown = {}
+        for user, name in (("eve", FORGED), ("anna", f"{MARK}-plain")):  # of one user, refusals are logged seldom
+            before = len(cell.log)
+            await asyncio.to_thread(_put, cell, user, name)
+            shown[name] = await _logged(cell, before)
+        for text in shown.values():
+            expect(all(line.isprintable() for line in text.splitlines()), f"The log has {text!r}.")
+            expect("\n2026-01-01" not in text, "A line of the log is forged.")
+        expect("u001b" in shown[FORGED], f"The name did not arrive: {shown[FORGED]!r}.")
+    return Evidence("escaped where it is logged", {"control": "a plain name is logged as it is"})
+
+
+def _put(cell: LabCell, user: str, name: str) -> None:
+    """A malformed command whose refusal names the field."""
+    with open_session(BusSettings(endpoint=cell.ready.endpoint)) as session:
+        session.put(f"{cell.ready.prefix}/cmd/{user}/registration/reinit", pack_text({name: 1}))
+
+
+async def _logged(cell: LabCell, before: int) -> str:
+    try:
+        async with asyncio.timeout(TOLD_WITHIN):
+            while True:
+                said = cell.log[before:]
+                if MARK in said and said.endswith("\n"):
+                    return said
+                await asyncio.sleep(0.05)
+    except TimeoutError:
+        raise Unmet(f"The daemon has logged nothing of the name: {cell.log[before:]!r}") from None
+
+
+@fault("A33", how="an empty token file, and one of 19 characters")
+async def guessable_token(lab: Lab) -> Evidence:
+    """No console starts that anybody could open; with a token of its own one starts."""
+    async with lab.daemon() as cell:
+        for token in ("", "nineteen-characters"):
+            status, said = await _console(cell, _token(lab.folder, token))
+            expect(status != 0 and "limit is 20" in said, f"With {token!r} it ended with {status}: {said}")
+        status, said = await _console(cell, _token(lab.folder, "x" * 20))
+        expect('"url"' in said, f"With a good token it says {said!r}, status {status}.")
+    return Evidence("refused to start, and said why", {"control": "20 characters open one"})
+
+
+def _token(folder: Path, token: str) -> Path:
+    file = folder / "token"
+    file.write_text(token)
+    file.chmod(SECRET)
+    return file
+
+
+async def _console(cell: LabCell, token: Path) -> tuple[int, str]:
+    """Exit status of a console and what it has said until it was ready, or ended."""
+    _, site, name = cell.ready.prefix.split("/")
+    words = ("--endpoint", cell.ready.endpoint, "--site", site, "--cell", name, "--port", "0", "--json")
+    command = (sys.executable, "-m", "pcmrs.cli", "console", *words, "--token-file", str(token))
+    pipe = asyncio.subprocess.PIPE
+    process = await asyncio.create_subprocess_exec(*command, stdout=pipe, stderr=asyncio.subprocess.STDOUT)
+    assert process.stdout is not None
+    try:
+        async with asyncio.timeout(START_TIME):
+            said = await process.stdout.readline()
+            while said and b'"url"' not in said and (line := await process.stdout.readline()):
+                said += line
+    finally:
+        if process.returncode is None and b'"url"' in said:
+            process.terminate()
+        status = await process.wait()
+    return status, said.decode(errors="replace")
