@@ -1,0 +1,206 @@
+"""The daemon takes from who may come through a router what they have signed themselves, once, and nothing else."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
+
+import msgspec
+import pytest
+import zenoh
+from bus_cells import TIMEOUT, accepted, open_bus
+from msgspec.structs import replace
+
+from pcmrs.bus import Bus, BusSettings, CommandEdge
+from pcmrs.bus.codec import pack, unpack
+from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.settings import open_session
+from pcmrs.bus.signature import FRESH_FOR, REMEMBERED, Kind, Signatures, Signer
+from pcmrs.client import Client
+from pcmrs.clock import SystemClock
+from pcmrs.errors import ConfigurationError
+from pcmrs.experiment.process import free_port
+from pcmrs.messages import Command, Snapshot, TeleopSetpoint, Verdict
+from pcmrs.pki import Authority, read_credentials, read_register
+from pcmrs.router import router_settings, routing
+
+KEY, PAYLOAD = "pcmrs/lab/c1/cmd/tom/robot/connect", b"{}"
+MANY = 2 * REMEMBERED
+
+
+class SetClock(SystemClock):
+    """A clock that stands where a test has set it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now = time.time()
+
+    def wall(self) -> float:
+        return self.now
+
+
+@dataclass
+class Lab:
+    """An authority with a router, a cell, and tom, who may come through the router; eve may not."""
+
+    folder: Path
+    authority: Authority
+
+    @classmethod
+    def made(cls, folder: Path) -> Lab:
+        now = SystemClock().wall()
+        lab = cls(folder, Authority.init(folder / "pki", "lab", now))
+        lab.authority.issue("router", "gate", now, hosts=("127.0.0.1",), into=folder)
+        lab.authority.issue("daemon", "c1", now, hosts=("127.0.0.1",), into=folder)
+        lab.authority.issue("operator", "eve", now, into=folder)
+        lab.issue()
+        return lab
+
+    @property
+    def register(self) -> Path:
+        return self.authority.folder / "register.json"
+
+    def issue(self) -> None:
+        """Issue a newer certificate to tom."""
+        self.authority.issue("operator", "tom", SystemClock().wall(), via=("gate",), into=self.folder)
+
+    def joined(self, name: str, endpoint: str) -> BusSettings:
+        return BusSettings(endpoint=endpoint, cell="c1", credentials=read_credentials(self.folder / name, time.time()))
+
+    def daemon(self, routers: tuple[str, ...] = ()) -> BusSettings:
+        settings = self.joined("c1", f"tcp/127.0.0.1:{free_port()}")
+        return replace(settings, mode="router", routers=routers, members=tuple(read_register(self.register)))
+
+    def signer(self, name: str, clock: SystemClock) -> Signer:
+        return Signer.read(read_credentials(self.folder / name, time.time()), clock)
+
+
+@dataclass
+class Bench:
+    """A signer of tom's and the check of a daemon, on one clock."""
+
+    lab: Lab
+    clock: SetClock = field(default_factory=SetClock)
+
+    def __post_init__(self) -> None:
+        self.signer = self.lab.signer("tom", self.clock)
+        self.signatures = Signatures(self.lab.daemon(), self.clock)
+        self.clock.now += 0.001
+
+    def sign(self, ahead: float = 0.0) -> bytes:
+        self.clock.now += ahead
+        signature = self.signer.sign("put", KEY, PAYLOAD)
+        self.clock.now -= ahead
+        return signature
+
+    def why(
+        self, signature: bytes, kind: Kind = "put", user: str = "tom", key: str = KEY, payload: bytes = PAYLOAD
+    ) -> str:
+        """Why a message is not taken; nothing where it is."""
+        error = self.signatures.objection(signature, kind, user, key, payload)
+        return "" if error is None else str(error.fields["why"])
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    return Lab.made(tmp_path_factory.mktemp("lab"))
+
+
+@pytest.fixture
+def bench(lab: Lab) -> Bench:
+    return Bench(lab)
+
+
+@pytest.mark.filterwarnings("ignore:Parsed a serial number")
+def test_a_signed_message_is_taken_once_and_with_any_bit_changed_never(bench: Bench) -> None:
+    signature = bench.sign()
+    for known in (False, True):  # the certificate is verified once
+        for bit in range(len(signature) * 8):
+            changed = bytearray(signature)
+            changed[bit // 8] ^= 1 << bit % 8
+            assert bench.why(bytes(changed)) in ("forged", "certificate", "old", "ahead")
+        assert bench.why(signature) == ("repeated" if known else "")
+
+
+def test_what_was_signed_is_taken_for_nothing_else(bench: Bench) -> None:
+    signature = bench.sign()
+    assert bench.why(signature, payload=PAYLOAD + b" ") == "forged"
+    assert bench.why(signature, key=KEY.replace("connect", "disconnect")) == "forged"
+    assert bench.why(signature, key=KEY.replace("c1", "c2")) == "forged"
+    assert bench.why(signature, kind="query") == "forged"
+    assert bench.why(b"") == "unsigned"
+    for length in range(1, len(signature)):
+        assert bench.why(signature[:length]) in ("forged", "certificate")
+    assert bench.why(signature) == ""
+
+
+def test_only_the_newest_certificate_in_the_register_counts(bench: Bench, tmp_path: Path) -> None:
+    assert bench.why(bench.lab.signer("eve", bench.clock).sign("put", KEY, PAYLOAD)) == "certificate"
+    other = Lab.made(tmp_path / "foreign")
+    assert bench.why(other.signer("tom", bench.clock).sign("put", KEY, PAYLOAD)) == "certificate"
+    other.issue()
+    newer = Bench(other)
+    old, newer.signer = newer.signer, Bench(other).signer
+    assert newer.why(newer.sign()) == ""
+    other.issue()
+    assert Bench(other).why(old.sign("put", KEY, PAYLOAD)) == "certificate"
+
+
+def test_a_message_is_taken_while_it_is_fresh_and_clocks_that_differ_are_named(bench: Bench) -> None:
+    assert bench.why(bench.sign(ahead=FRESH_FOR - 0.01)) == ""
+    assert bench.why(bench.sign(ahead=FRESH_FOR + 0.01)) == "ahead"
+    in_time, late = bench.sign(), bench.sign()
+    bench.clock.now += FRESH_FOR - 0.01
+    assert bench.why(in_time) == ""
+    bench.clock.now += 0.02
+    error = bench.signatures.objection(late, "put", "tom", KEY, PAYLOAD)
+    assert error is not None
+    assert (error.code, error.fields["why"]) == ("access_denied", "old")
+    assert "'tom' is 2.0 s old, the limit is 2 s" in error.text
+    assert "Set both clocks" in error.text
+
+
+def test_what_was_sent_before_the_daemon_began_is_not_taken(bench: Bench) -> None:
+    signature = bench.sign()
+    bench.clock.now += 0.01
+    bench.signatures = Signatures(bench.lab.daemon(), bench.clock)
+    assert bench.why(signature) == "repeated"
+    assert bench.why(bench.sign()) == "repeated", "in the moment of the start nobody can say which came first"
+    bench.clock.now += 0.01
+    assert bench.why(bench.sign()) == ""
+
+
+def test_what_is_remembered_is_bounded_and_what_is_forgotten_is_not_taken(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pcmrs.bus.signature.REMEMBERED", 16)
+    sent = [bench.sign() for _ in range(40)]
+    late, passed = sent[:20], sent[20:]
+    for signature in passed:
+        assert bench.why(signature) == ""
+    assert {bench.why(signature) for signature in sent} == {"repeated"}
+    assert late
+    assert len(bench.signatures._members["tom"]._taken) == 16
+
+
+def test_messages_overtake_each_other(bench: Bench) -> None:
+    sent = [bench.sign() for _ in range(8)]
+    for signature in reversed(sent):
+        assert bench.why(signature) == ""
+
+
+def test_nobody_else_needs_a_signature(bench: Bench) -> None:
+    assert bench.why(b"", user="local") == ""
+    assert bench.why(b"", user="eve") == ""
+    assert bench.why(b"", user="nobody") == "unknown"
+
+
+def test_a_key_that_cannot_be_read_signs_nothing(lab: Lab, tmp_path: Path) -> None:
+    own = read_credentials(lab.folder / "tom", time.time())
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        Signer.read(replace(own, key=str(tmp_path / "none.key")), SystemClock())
