@@ -22,6 +22,7 @@ from pcmrs.bus.settings import SECURED
 from pcmrs.bus.stop import Press, Stopping
 from pcmrs.clock import SystemClock
 from pcmrs.errors import (
+    AccessError,
     BusError,
     CommandRefusedError,
     ConfigurationError,
@@ -320,8 +321,13 @@ class Client:
     async def _renew(self) -> None:
         while True:
             await self._clock.sleep(_RENEWED)
-            with suppress(UnknownOutcomeError):  # a line that is slow now may be quick enough before the lease lapses
+            try:
                 await self.lease("renew")
+            except UnknownOutcomeError:
+                continue  # a line that is slow now may be quick enough before the lease lapses
+            except CommandRefusedError as error:
+                if not _came_late(error.fields["verdict"]):
+                    raise
 
     async def lease(self, operation: str) -> None:
         """Asks for ``acquire``, ``take_over``, ``renew`` or ``release``; see `holding`.
@@ -400,6 +406,12 @@ class Client:
                 endpoint=settings.endpoint,
                 cell=self._bus.prefix,
             ) from error
+
+
+def _came_late(verdict: Verdict) -> bool:
+    """Whether a command was refused only because it was long on its way: it says nothing of what was asked for."""
+    reason = verdict.reason
+    return reason is not None and reason.code == AccessError.code and reason.fields.get("why") == "old"
 
 
 @asynccontextmanager

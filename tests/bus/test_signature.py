@@ -25,7 +25,7 @@ from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.errors import ConfigurationError
 from pcmrs.experiment.process import free_port
-from pcmrs.messages import Command, Snapshot, TeleopSetpoint, Verdict
+from pcmrs.messages import Command, LeaseState, Snapshot, TeleopSetpoint, Verdict
 from pcmrs.pki import Authority, read_credentials, read_register
 from pcmrs.router import router_settings
 
@@ -245,7 +245,7 @@ class Cell:
             yield client
 
     async def answer(self, key: str, request: Empty) -> Snapshot:
-        return snapshot(1)
+        return replace(snapshot(1), lease=LeaseState(holder="tom"))
 
     async def counted(self, at_least: int) -> None:
         async with asyncio.timeout(TIMEOUT):
@@ -364,3 +364,21 @@ async def test_stop_needs_no_signature(lab: Lab) -> None:
             assert await asyncio.to_thread(cell.query, session, "stop/tom", b"")
         assert cell.stops == ["bus:tom"] * 2
         assert (await tom.stop()).source == "bus:tom"
+
+
+async def test_a_renewal_of_the_lease_that_was_long_on_its_way_is_not_the_end_of_it(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pcmrs.client.aio._RENEWED", 0.02)
+    async with opened(lab) as cell, cell.client("tom") as tom, asyncio.timeout(TIMEOUT), tom.holding():
+        assert cell.daemon._signatures is not None
+        late = SetClock()
+        late.now += FRESH_FOR + TIMEOUT
+        monkeypatch.setattr(cell.daemon._signatures, "_clock", late)
+        while not cell.refused:  # noqa: ASYNC110  refused as they come
+            await asyncio.sleep(0.01)
+        monkeypatch.setattr(cell.daemon._signatures, "_clock", SystemClock())
+        done = len(cell.submitted)
+        while len(cell.submitted) < done + 2:  # noqa: ASYNC110  accepted as they come
+            await asyncio.sleep(0.01)
+        assert cell.submitted[-1].operation == "renew"
