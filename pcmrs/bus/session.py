@@ -338,8 +338,7 @@ class Bus:
 
     def _objection(self, sample: zenoh.Sample) -> AccessError | None:
         """Why a message that must be signed is not taken. In Zenoh's threads: forged ones keep no loop busy."""
-        key = self._relative(sample)
-        if self._signatures is None or not is_signed(key):
+        if self._signatures is None or not is_signed(key := self._relative(sample)):
             return None
         absolute, payload = str(sample.key_expr), payload_of(sample)
         return self._signatures.objection(attached_to(sample), "put", user_of(key), absolute, payload)
