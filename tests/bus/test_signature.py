@@ -23,7 +23,7 @@ from pcmrs.bus.settings import open_session
 from pcmrs.bus.signature import FRESH_FOR, Kind, Signatures, Signer
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
-from pcmrs.errors import ConfigurationError
+from pcmrs.errors import ConfigurationError, UnknownOutcomeError
 from pcmrs.experiment.process import free_port
 from pcmrs.messages import Command, LeaseState, Snapshot, TeleopSetpoint, Verdict
 from pcmrs.pki import Authority, read_credentials, read_register
@@ -221,10 +221,12 @@ class Cell:
     submitted: list[Command] = field(default_factory=list)
     refused: list[tuple[str, str]] = field(default_factory=list)
     stops: list[str] = field(default_factory=list)
+    answering: asyncio.Event = field(default_factory=asyncio.Event)
     steered: asyncio.Queue[TeleopSetpoint] = field(default_factory=asyncio.Queue)
 
     async def submit(self, command: Command, *, arrived: float) -> Verdict:
         self.submitted.append(command)
+        await self.answering.wait()
         return accepted(command)
 
     def stop(self, source: str, presses: int) -> int:
@@ -247,6 +249,12 @@ class Cell:
     async def answer(self, key: str, request: Empty) -> Snapshot:
         return replace(snapshot(1), lease=LeaseState(holder="tom"))
 
+    def hold_back(self, monkeypatch: pytest.MonkeyPatch, late: float = FRESH_FOR + TIMEOUT) -> None:
+        """Let the daemon find what comes from now on so old, s."""
+        clock = SetClock()
+        clock.now += late
+        monkeypatch.setattr(self.daemon._signatures, "_clock", clock if late else SystemClock())
+
     async def counted(self, at_least: int) -> None:
         async with asyncio.timeout(TIMEOUT):
             while self.daemon.counters()["bus.ignored"] < at_least:  # noqa: ASYNC110  counted in another thread
@@ -260,6 +268,7 @@ async def opened(lab: Lab) -> AsyncIterator[Cell]:
         async with open_bus(replace(lab.daemon((middle,)), listen=(direct,))) as daemon:
             with await asyncio.to_thread(open_session, lab.joined("gate", direct)) as thief:
                 cell = Cell(lab, daemon, router, thief, middle)
+                cell.answering.set()
                 edge = await CommandEdge.open(
                     daemon, cell.submit, lambda source, code, text: cell.refused.append((source, code)), cell.stop
                 )
@@ -371,14 +380,45 @@ async def test_a_renewal_of_the_lease_that_was_long_on_its_way_is_not_the_end_of
 ) -> None:
     monkeypatch.setattr("pcmrs.client.aio._RENEWED", 0.02)
     async with opened(lab) as cell, cell.client("tom") as tom, asyncio.timeout(TIMEOUT), tom.holding():
-        assert cell.daemon._signatures is not None
-        late = SetClock()
-        late.now += FRESH_FOR + TIMEOUT
-        monkeypatch.setattr(cell.daemon._signatures, "_clock", late)
+        cell.hold_back(monkeypatch)
         while not cell.refused:  # noqa: ASYNC110  refused as they come
             await asyncio.sleep(0.01)
-        monkeypatch.setattr(cell.daemon._signatures, "_clock", SystemClock())
+        cell.hold_back(monkeypatch, 0.0)
         done = len(cell.submitted)
         while len(cell.submitted) < done + 2:  # noqa: ASYNC110  accepted as they come
             await asyncio.sleep(0.01)
         assert cell.submitted[-1].operation == "renew"
+
+
+async def test_a_command_that_was_long_on_its_way_is_asked_again(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pcmrs.client.aio._ASKED_AGAIN", 0.02)
+    async with opened(lab) as cell, cell.client("tom") as tom, asyncio.timeout(TIMEOUT), asyncio.TaskGroup() as group:
+        cell.hold_back(monkeypatch)
+        calling = group.create_task(tom.call("robot.connect"))
+        while not cell.refused:  # noqa: ASYNC110  refused as they come
+            await asyncio.sleep(0.01)
+        cell.hold_back(monkeypatch, 0.0)
+        assert (await calling).decision == "accepted"
+        assert len(cell.submitted) == 1
+
+
+async def test_a_refusal_that_comes_after_a_broken_link_does_not_say_that_nothing_has_happened(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pcmrs.client.aio._ASKED_AGAIN", 0.02)
+    monkeypatch.setattr("pcmrs.client.aio._TTL", 0.2)
+    async with opened(lab) as cell, cell.client("tom") as tom, asyncio.timeout(TIMEOUT), asyncio.TaskGroup() as group:
+        cell.answering.clear()
+        calling = group.create_task(expect_unknown(tom))
+        while not cell.submitted:  # noqa: ASYNC110  submitted as they come
+            await asyncio.sleep(0.01)
+        cell.hold_back(monkeypatch)
+        for task in list(cell.daemon._tasks):
+            task.cancel()
+        await calling
+        assert cell.refused
+
+
+async def expect_unknown(client: Client) -> None:
+    with pytest.raises(UnknownOutcomeError):
+        await client.call("robot.connect")
