@@ -93,7 +93,11 @@ class SealError(PcmrsError):
 
 
 class AccessError(PcmrsError):
-    """Somebody may not take part in this cell: ``why`` is ``unknown``, ``revoked``, ``expired`` or ``foreign``."""
+    """Somebody may not take part in this cell, or a message in their name is not theirs, by all that can be seen.
+
+    The field ``why`` is ``unknown``, ``revoked``, ``expired`` or ``foreign`` for who may not take part; ``unsigned``,
+    ``forged``, ``certificate``, ``old``, ``ahead`` or ``repeated`` for the signature of a message.
+    """
 
     code = "access_denied"
 

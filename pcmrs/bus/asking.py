@@ -14,7 +14,7 @@ import zenoh
 from pcmrs.bus.qos import DataClass
 from pcmrs.bus.reasons import error_from
 from pcmrs.bus.seal import Kind, Seal, Taken
-from pcmrs.bus.serving import payload_of, seal_of
+from pcmrs.bus.serving import attached_to, payload_of
 from pcmrs.errors import PcmrsError, SealError, UnknownOutcomeError
 
 _TO_EVERYBODY: Final[dict[str, Any]] = {
@@ -26,7 +26,7 @@ _TO_EVERYBODY: Final[dict[str, Any]] = {
 
 @dataclass(frozen=True, slots=True)
 class Sealing:
-    """How the queries of a process are sealed, and their replies checked.
+    """How replies to the sealed queries of a process are checked.
 
     Attributes:
         seal: Of daemon and device nodes.
@@ -46,6 +46,7 @@ async def ask(
     payload: bytes,
     timeout: float,
     data: DataClass,
+    attachment: bytes | None = None,
     sealing: Sealing | None = None,
 ) -> bytes:
     """Sends a query and returns the payload of its first reply.
@@ -63,7 +64,8 @@ async def ask(
         payload: The request.
         timeout: Seconds of the machine.
         data: In which of the link's queues it waits.
-        sealing: Of daemon and device nodes; None for a query that needs none.
+        attachment: Seal or signature of the query; None for a query that needs none.
+        sealing: For a query that is sealed.
 
     Raises:
         UnknownOutcomeError: The query ended without a reply.
@@ -75,8 +77,6 @@ async def ask(
     def settle(outcome: bytes | PcmrsError) -> None:
         if not answered.done():
             answered.set_result(outcome)
-
-    attachment = None if sealing is None else sealing.seal.put("query", key, payload)
 
     def on_reply(reply: zenoh.Reply) -> None:
         try:
@@ -122,7 +122,7 @@ def _authentic(reply: zenoh.Reply, sealing: Sealing, key: str, query: bytes | No
         raise SealError(f"{key}: an error reply carries no seal and is not taken.", why="unsealed")
     payload = payload_of(result)
     answers: tuple[Kind, ...] = ("reply", "error")
-    kind = sealing.seal.check(seal_of(result), answers, str(result.key_expr), payload, sealing.taken, query or b"")
+    kind = sealing.seal.check(attached_to(result), answers, str(result.key_expr), payload, sealing.taken, query or b"")
     return payload if kind == "reply" else error_from(payload)
 
 

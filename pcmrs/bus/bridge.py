@@ -16,7 +16,7 @@ from collections.abc import Callable, Hashable
 from contextvars import ContextVar
 from typing import Final
 
-Call = Callable[[], None]
+Call = Callable[[], object]
 
 ARRIVED: Final[ContextVar[float]] = ContextVar("arrived")
 """When the message that is handled here arrived in this process, s of the machine's monotonic clock."""

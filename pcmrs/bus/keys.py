@@ -176,6 +176,16 @@ def command_key(user: str, branch: str, operation: str) -> str:
     return "/".join(("cmd", *map(check_chunk, (user, branch, operation))))
 
 
+def is_signed(key: str) -> bool:
+    """Whether messages on a relative key are signed: what acts on the cell, but for Stop, which everybody may send."""
+    return key.startswith(("cmd/", "teleop/"))
+
+
+def user_of(key: str) -> str:
+    """The second chunk of a relative key, such as ``teleop/*``: who uses it."""
+    return key.split("/")[1]
+
+
 def split_command_key(key: str) -> tuple[str, str, str]:
     """User, branch and operation of a relative key that matches ``cmd/*/*/*``.
 

@@ -8,17 +8,21 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Final, Generic, TypeVar
+from typing import TYPE_CHECKING, Final, Generic, TypeVar
 
 import msgspec
 import zenoh
 
 from pcmrs.bus.bridge import CAPACITY, Call
 from pcmrs.bus.codec import is_text, pack, pack_text, unpack
+from pcmrs.bus.keys import user_of
 from pcmrs.bus.reasons import busy, reason_from
 from pcmrs.bus.seal import Kind, Seal, Taken
 from pcmrs.bus.turns import WAITING, Turns
-from pcmrs.errors import PayloadError, PcmrsError, SealError
+from pcmrs.errors import AccessError, PayloadError, PcmrsError, SealError
+
+if TYPE_CHECKING:
+    from pcmrs.bus.signature import Signatures
 
 T = TypeVar("T")
 
@@ -40,12 +44,13 @@ class Service(Generic[T]):
         prefix: What stands before relative keys.
         kind: Type of the requests.
         handler: Makes the reply from relative key and request.
-        refuse: Makes the reply to a malformed or excess request; None for an error reply.
+        refuse: Makes the reply to a malformed, excess or unsigned request; None for an error reply.
         post: Runs a call in the event loop, or returns False when too many wait.
         turns: Starts requests that only read, in turn; None for those that are started as they come.
         tasks: Where running answers are kept.
         pool: Sends replies, since a link whose queue is full blocks its sender.
         seal: Of requests and replies on this key; None where they are not sealed.
+        signatures: Checks requests on this key; None where they are not signed.
     """
 
     key: str
@@ -58,6 +63,7 @@ class Service(Generic[T]):
     tasks: set[asyncio.Task[None]]
     pool: Executor
     seal: Seal | None = None
+    signatures: Signatures | None = None
     _taken: Taken = field(default_factory=Taken)
 
     def receive(self, query: zenoh.Query) -> None:
@@ -65,33 +71,41 @@ class Service(Generic[T]):
         key = self._relative(query)
         if "*" in key:
             self._send(query, key, PayloadError(f"{key} holds a wildcard; ask on one key.", key=key))
-        elif (forged := self._objection(query)) is not None:
-            self._send(query, key, forged)
+        elif (unsealed := self._unsealed(query)) is not None:
+            self._send(query, key, unsealed)
         elif self.turns is not None:
             if not self.turns.post(str(query.key_expr), partial(self._serve, query, key)):
                 self._send(query, key, self._refusal(key, busy(WAITING)))
-        elif not self.post(partial(self._start, query, key)):
+        elif not self.post(partial(self._start, query, key, self._objection(query, key))):
             self._send(query, key, self._refusal(key, busy(CAPACITY)))
 
-    def _objection(self, query: zenoh.Query) -> SealError | None:
+    def _unsealed(self, query: zenoh.Query) -> SealError | None:
         """Why a query that must be sealed is not answered: device nodes serve their daemon and nobody else."""
         if self.seal is None:
             return None
         try:
-            self.seal.check(seal_of(query), ("query",), str(query.key_expr), payload_of(query), self._taken)
+            self.seal.check(attached_to(query), ("query",), str(query.key_expr), payload_of(query), self._taken)
         except SealError as error:
             return error
         return None
+
+    def _objection(self, query: zenoh.Query, key: str) -> AccessError | None:
+        """Why a query that must be signed is not answered. In Zenoh's thread: forged ones keep no loop busy."""
+        if self.signatures is None:
+            return None
+        absolute, payload = str(query.key_expr), payload_of(query)
+        return self.signatures.objection(attached_to(query), "query", user_of(key), absolute, payload)
 
     def _relative(self, query: zenoh.Query) -> str:
         """A query with wildcards, such as ``svc/*``, means the served key when that has none."""
         return str(query.key_expr).removeprefix(f"{self.prefix}/") if "*" in self.key else self.key
 
-    def _start(self, query: zenoh.Query, key: str) -> None:
-        if len(self.tasks) >= ANSWERS:
-            self.pool.submit(self._send, query, key, self._refusal(key, busy(ANSWERS)))
-            return
-        self._serve(query, key)
+    def _start(self, query: zenoh.Query, key: str, objection: AccessError | None) -> None:
+        error = objection or (busy(ANSWERS) if len(self.tasks) >= ANSWERS else None)
+        if error is None:
+            self._serve(query, key)
+        else:
+            self.pool.submit(self._send, query, key, self._refusal(key, error))
 
     def _serve(self, query: zenoh.Query, key: str) -> asyncio.Task[None]:
         task = asyncio.create_task(self._answer(query, key))
@@ -142,7 +156,7 @@ class Service(Generic[T]):
     def _put(self, query: zenoh.Query, key: str, kind: Kind, payload: bytes) -> None:
         absolute, sealed = f"{self.prefix}/{key}", None
         if self.seal is not None:
-            sealed = self.seal.put(kind, absolute, payload, seal_of(query))
+            sealed = self.seal.put(kind, absolute, payload, attached_to(query))
         query.reply(absolute, payload, attachment=sealed)
 
 
@@ -151,6 +165,6 @@ def payload_of(received: zenoh.Query | zenoh.Sample) -> bytes:
     return received.payload.to_bytes() if received.payload is not None else b""
 
 
-def seal_of(received: zenoh.Query | zenoh.Sample) -> bytes:
-    """The seal of a query or sample; empty when it has none."""
+def attached_to(received: zenoh.Query | zenoh.Sample) -> bytes:
+    """The seal or signature of a query or sample; empty when it has none."""
     return received.attachment.to_bytes() if received.attachment is not None else b""

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import msgspec
 import zenoh
@@ -18,14 +18,19 @@ from pcmrs.bus.bridge import CAPACITY, Bridge
 from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
 from pcmrs.bus.ignored import Ignored
-from pcmrs.bus.keys import cell_prefix
+from pcmrs.bus.keys import cell_prefix, is_signed, user_of
 from pcmrs.bus.qos import COMMANDS, REQUESTS, class_of
 from pcmrs.bus.reasons import busy
 from pcmrs.bus.seal import Seal, Taken, is_sealed
-from pcmrs.bus.serving import Refuse, Service, payload_of, seal_of
+from pcmrs.bus.serving import Refuse, Service, attached_to, payload_of
 from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.bus.turns import AT_ONCE, Turns
-from pcmrs.errors import PayloadError, PcmrsError, SealError
+from pcmrs.clock import SystemClock
+from pcmrs.errors import AccessError, PayloadError, PcmrsError, SealError
+from pcmrs.messages.identity import LOCAL
+
+if TYPE_CHECKING:
+    from pcmrs.bus.signature import Signatures, Signer
 
 T = TypeVar("T")
 
@@ -37,9 +42,18 @@ class Bus:
     Use `Bus.open`; all methods but `publish` belong to the event loop that opened it.
     """
 
-    def __init__(self, session: zenoh.Session, settings: BusSettings, seal: Seal | None = None) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        settings: BusSettings,
+        seal: Seal | None = None,
+        signer: Signer | None = None,
+        signatures: Signatures | None = None,
+    ) -> None:
         self.settings = settings
         self._seal = seal
+        self._signer = signer
+        self._signatures = signatures
         self._replies = Taken()
         self.prefix = cell_prefix(settings.site, settings.cell)
         self._session = session
@@ -60,7 +74,7 @@ class Bus:
 
     @classmethod
     async def open(cls, settings: BusSettings, seal: Seal | None = None) -> Bus:
-        """Opens the session.
+        """Opens the session. Who has a certificate signs with it; a daemon with a register checks signatures.
 
         Args:
             settings: Where and as whom.
@@ -69,11 +83,13 @@ class Bus:
 
         Raises:
             BusError: The endpoint is taken (``router``) or nobody answers there (``client``).
+            ConfigurationError: Certificate or key cannot be read.
             PayloadError: The site's or cell's name cannot be a part of a key.
         """
         cell_prefix(settings.site, settings.cell)
+        signing = _signing(settings)
         session = await asyncio.get_running_loop().run_in_executor(None, open_session, settings)
-        return cls(session, settings, seal)
+        return cls(session, settings, seal, *signing)
 
     def publish(self, key: str, message: Any) -> None:
         """Sends a message to all subscribers of `key`; drops it rather than wait for the link. From any thread.
@@ -82,7 +98,7 @@ class Bus:
             PayloadError: The message holds a value that cannot be sent.
         """
         payload = pack(message)
-        self._publisher(key).put(payload, attachment=self._sealed(key, payload))
+        self._publisher(key).put(payload, attachment=self._attached("put", key, payload))
 
     def publish_cdr(self, key: str, payload: bytes) -> None:
         """The same for a message that is CDR already, as ROS 2 has it."""
@@ -103,8 +119,8 @@ class Bus:
             key: Relative key expression; may hold wildcards.
             kind: Type of the messages; an empty payload is one without fields.
             handler: Runs in the event loop and returns soon.
-            refuse: Called in place of `handler` for a message that is malformed or one too many; without it,
-                that is counted, and logged once a second. It may run in any thread.
+            refuse: Called in place of `handler` for a message that is malformed, not signed as it must be, or one too
+                many; without it, that is counted, and logged once a second. It may run in any thread.
 
         Returns:
             A coroutine function without parameters that ends the subscription; closing the bus does it too.
@@ -134,9 +150,13 @@ class Bus:
         def receive(sample: zenoh.Sample) -> None:
             if not self._is_authentic(sample, taken):
                 return
-            call = partial(deliver, sample)
+            objection = self._objection(sample)
+            call: Callable[[], object] = partial(deliver, sample)
+            if objection is not None:
+                call = partial(refuse, self._relative(sample), objection)
             if data.newest:
-                self._bridge.post_newest((deliver, str(sample.key_expr)), call, data.newest)
+                stream = (deliver, str(sample.key_expr), objection is None)  # a forged message replaces no other
+                self._bridge.post_newest(stream, call, data.newest)
             elif not self._bridge.post(call, urgent=data.urgent):
                 # Here, not in the loop: nobody may keep that busy with what it has no time for.
                 refuse(self._relative(sample), busy(CAPACITY))
@@ -187,8 +207,8 @@ class Bus:
             key: Relative key expression; may hold wildcards.
             kind: Type of the requests.
             handler: Makes the reply from relative key and request.
-            refuse: Makes the reply to a request that is malformed or one too many; without it, that is an
-                error reply. It may run in any thread.
+            refuse: Makes the reply to a request that is malformed, not signed as it must be, or one too many; without
+                it, that is an error reply. It may run in any thread.
             reading: The requests only read: all such requests of this process are answered a few at a time, those of
                 all keys in turn, so that they leave the loop to what acts.
 
@@ -206,6 +226,7 @@ class Bus:
             tasks=self._tasks,
             pool=self._reading_pool if reading else self._pool,
             seal=self._seal if is_sealed(key) else None,
+            signatures=self._signatures if is_signed(key) else None,
         )
         queryable = self._session.declare_queryable(
             self._absolute(key), service.receive, allowed_origin=Locality.REMOTE
@@ -234,8 +255,9 @@ class Bus:
         """
         pool = self._sender(sender) if sender else self._pool
         sealing = Sealing(self._seal, self._replies, self._forged) if self._seal and is_sealed(key) else None
-        data = COMMANDS if urgent else REQUESTS
-        answer = await ask(self._session, pool, self._absolute(key), pack(message), timeout, data, sealing)
+        payload, data = pack(message), COMMANDS if urgent else REQUESTS
+        attached = self._attached("query", key, payload)
+        answer = await ask(self._session, pool, self._absolute(key), payload, timeout, data, attached, sealing)
         return unpack(answer, reply)
 
     def alive(self, component: str) -> Any:
@@ -295,21 +317,31 @@ class Bus:
             self._receivers.remove(receiver)
             await self._in_pool(receiver.undeclare)
 
-    def _sealed(self, key: str, payload: bytes) -> bytes | None:
-        if self._seal is None or not is_sealed(key):
-            return None
-        return self._seal.put("put", self._absolute(key), payload)
+    def _attached(self, kind: Literal["put", "query"], key: str, payload: bytes) -> bytes | None:
+        """What proves who sends a message: the seal of daemon and nodes, or the signature of who has a certificate."""
+        if self._seal is not None and is_sealed(key):
+            return self._seal.put(kind, self._absolute(key), payload)
+        if self._signer is not None and is_signed(key):
+            return self._signer.sign(kind, self._absolute(key), payload)
+        return None
 
     def _is_authentic(self, sample: zenoh.Sample, taken: Taken) -> bool:
         """Whether a message may be taken; one that may not is counted. In Zenoh's threads: it keeps no loop busy."""
         if self._seal is None or not is_sealed(self._relative(sample)):
             return True
         try:
-            self._seal.check(seal_of(sample), ("put",), str(sample.key_expr), payload_of(sample), taken)
+            self._seal.check(attached_to(sample), ("put",), str(sample.key_expr), payload_of(sample), taken)
         except SealError as error:
             self._forged(self._relative(sample), error)
             return False
         return True
+
+    def _objection(self, sample: zenoh.Sample) -> AccessError | None:
+        """Why a message that must be signed is not taken. In Zenoh's threads: forged ones keep no loop busy."""
+        if self._signatures is None or not is_signed(key := self._relative(sample)):
+            return None
+        absolute, payload = str(sample.key_expr), payload_of(sample)
+        return self._signatures.objection(attached_to(sample), "put", user_of(key), absolute, payload)
 
     def _forged(self, key: str, error: SealError) -> None:
         self._not_sealed += 1
@@ -323,6 +355,20 @@ class Bus:
 
     async def _in_pool(self, work: Callable[..., None], *arguments: Any) -> None:
         await self._loop.run_in_executor(self._pool, work, *arguments)
+
+
+def _signing(settings: BusSettings) -> tuple[Signer | None, Signatures | None]:
+    """Signs for who is known by a certificate, and checks at a daemon that others may reach."""
+    own = settings.credentials
+    if own is None or (settings.user == LOCAL and not settings.members):
+        return None, None
+    from pcmrs.bus.signature import Signatures, Signer  # loads a library for certificates
+
+    clock = SystemClock()
+    return (
+        None if settings.user == LOCAL else Signer.read(own, clock),
+        Signatures(settings, clock) if settings.members else None,
+    )
 
 
 def _undeclare(entities: list[Any]) -> None:

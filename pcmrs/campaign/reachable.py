@@ -26,7 +26,9 @@ PEOPLE: dict[str, Role] = {
     "anna": "operator", "bob": "operator", "ray": "operator",
     "slicer": "planner", "eve": "viewer", "tom": "teleoperator",
 }  # fmt: skip
-"""Names and roles; ray is revoked."""
+"""Names and roles; ray is revoked, and tom may come through the router `ROUTER`."""
+ROUTER = "gate"
+CARRIED = "tom"
 REVOKED = "ray"
 EXPIRED = "old"
 FOREIGN = "foreign"
@@ -46,8 +48,10 @@ class People:
         self.folder = folder
         self.authority = Authority.init(folder / "pki", "lab", now)
         self.authority.issue("daemon", "daemon1", now, hosts=("127.0.0.1",), cells=(cell,), into=folder)
+        self.authority.issue("router", ROUTER, now, hosts=("127.0.0.1",), cells=(cell,), into=folder)
         for name, role in PEOPLE.items():
-            self.authority.issue(role, name, now, cells=(cell,), into=folder)
+            via = (ROUTER,) if name == CARRIED else ()
+            self.authority.issue(role, name, now, cells=(cell,), via=via, into=folder)
         self.authority.issue("operator", EXPIRED, now - 10 * DAY, days=7.0, cells=(cell,), into=folder)
         self.authority.revoke(REVOKED, now)
         Authority.init(folder / FOREIGN, "other", now).issue("operator", "anna", now, into=folder / FOREIGN)

@@ -22,6 +22,7 @@ from pcmrs.bus.settings import SECURED
 from pcmrs.bus.stop import Press, Stopping
 from pcmrs.clock import SystemClock
 from pcmrs.errors import (
+    AccessError,
     BusError,
     CommandRefusedError,
     ConfigurationError,
@@ -57,6 +58,8 @@ _PATIENCE, _FAR_PATIENCE = 1.5, 10.0
 """For what a daemon decides at once, s: on this machine, and over a network that loses packets."""
 _ASKED_AGAIN = 0.5
 """Between two askings for the verdict of a command whose link broke, s."""
+_OLD = "old"
+"""Why a command is denied that was too long on its way; see `AccessError`."""
 _BACKLOG = 1024
 """Events that may wait for who watches."""
 
@@ -128,7 +131,7 @@ class Client:
         """Asks for an operation and waits for its outcome.
 
         Over a network a link that breaks meanwhile is not the end: for some seconds the daemon is asked again by the
-        command's id, which begins nothing twice.
+        command's id, which begins nothing twice. So it is when the command was too long on its way.
 
         Args:
             name: ``branch.operation``.
@@ -142,14 +145,25 @@ class Client:
         """
         key, envelope = self._command(name, arguments, id)
         end = self._clock.monotonic() + timeout
+        unknown: UnknownOutcomeError | None = None
         while True:
             try:
                 left = max(end - self._clock.monotonic(), _ASKED_AGAIN)
-                return await self._bus.request(key, envelope, Verdict, left)
-            except UnknownOutcomeError:
-                end = min(end, self._clock.monotonic() + _FAR_PATIENCE)
-                if not self._is_far or self._clock.monotonic() >= end:
+                verdict = await self._bus.request(key, envelope, Verdict, left)
+                denied = _denied(verdict)
+                if not denied or (unknown is None and denied != _OLD):
+                    return verdict
+                # It says nothing of what was asked before; asked again, the command may be quick enough.
+                patience = _TTL
+            except UnknownOutcomeError as error:
+                if not self._is_far:
                     raise
+                unknown, patience = error, _FAR_PATIENCE
+            end = min(end, self._clock.monotonic() + patience)
+            if self._clock.monotonic() >= end:
+                if unknown is not None:
+                    raise unknown
+                return verdict
             await self._clock.sleep(_ASKED_AGAIN)
 
     def _command(self, name: str, arguments: Mapping[str, Any] | None, id: str | None) -> tuple[str, Envelope]:
@@ -320,8 +334,13 @@ class Client:
     async def _renew(self) -> None:
         while True:
             await self._clock.sleep(_RENEWED)
-            with suppress(UnknownOutcomeError):  # a line that is slow now may be quick enough before the lease lapses
+            try:
                 await self.lease("renew")
+            except UnknownOutcomeError:
+                continue  # a line that is slow now may be quick enough before the lease lapses
+            except CommandRefusedError as error:
+                if _denied(error.fields["verdict"]) != _OLD:
+                    raise
 
     async def lease(self, operation: str) -> None:
         """Asks for ``acquire``, ``take_over``, ``renew`` or ``release``; see `holding`.
@@ -400,6 +419,12 @@ class Client:
                 endpoint=settings.endpoint,
                 cell=self._bus.prefix,
             ) from error
+
+
+def _denied(verdict: Verdict) -> str:
+    """Why a command was not taken as ours; empty where it was."""
+    reason = verdict.reason
+    return "" if reason is None or reason.code != AccessError.code else str(reason.fields.get("why"))
 
 
 @asynccontextmanager

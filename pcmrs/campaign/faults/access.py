@@ -106,7 +106,7 @@ async def no_certificate(lab: Lab) -> Evidence:
         for name in (None, FOREIGN, EXPIRED):
             expect(not await _let_in(open_cell.settings(name)), f"{name or 'Nobody'} was let in.")
         expect(await _let_in(open_cell.settings("anna")), "Not even anna is let in.")
-        async with _unmoved(open_cell):
+        async with unmoved(open_cell):
             with open_session(open_cell.settings(REVOKED)) as session:
                 await _try_everything(open_cell, session, REVOKED)
     return Evidence("refused", {"revoked": "connected, and nothing that it sent had an effect"})
@@ -116,7 +116,7 @@ async def no_certificate(lab: Lab) -> Evidence:
 async def wrong_role(lab: Lab) -> Evidence:
     """What is not a role's is dropped; what a role may not ask for is refused with the reason."""
     async with reachable_cell(lab) as open_cell, open_cell.client("anna") as anna, anna.holding():
-        async with _unmoved(open_cell):
+        async with unmoved(open_cell):
             for name, others in (("eve", ("eve", "anna", "local")), ("slicer", ("anna", "local")), ("tom", ("anna",))):
                 with open_session(open_cell.settings(name)) as session:
                     for other in others:
@@ -135,7 +135,7 @@ async def enormous_message(lab: Lab) -> Evidence:
         with open_session(open_cell.settings("bob")) as session:
             for _ in range(4):
                 session.put(f"pcmrs/lab/{open_cell.cell.name}/cmd/bob/registration/reinit", bytes(LARGE))
-            async with _unmoved(open_cell):
+            async with unmoved(open_cell):
                 await asyncio.sleep(QUIET)
         grown = sample(open_cell.cell.process.pid).memory - before
         expect(grown < 4 * LARGE, f"The daemon has grown by {grown / 2**20:.0f} MiB.")
@@ -147,7 +147,7 @@ async def enormous_message(lab: Lab) -> Evidence:
 @fault("A15", how=f"{TLS}: on keys with wildcards, of an operator and a viewer")
 async def wildcards(lab: Lab) -> Evidence:
     """Nobody sends to all at once."""
-    async with reachable_cell(lab) as open_cell, _unmoved(open_cell):
+    async with reachable_cell(lab) as open_cell, unmoved(open_cell):
         keys = ("**", "pcmrs/**", "pcmrs/*/*/**", "pcmrs/lab/*/cmd/**", "pcmrs/lab/*/stop/*", "pcmrs/lab/*/dev/*/cmd")
         for name in ("anna", "eve"):
             with open_session(open_cell.settings(name)) as session:
@@ -178,7 +178,7 @@ async def readable_key(lab: Lab) -> Evidence:
 @fault("A18", how=f"{TLS}: on the keys of Zenoh's own configuration")
 async def administration(lab: Lab) -> Evidence:
     """Nobody changes the access control through the router's own keys."""
-    async with reachable_cell(lab) as open_cell, _unmoved(open_cell):
+    async with reachable_cell(lab) as open_cell, unmoved(open_cell):
         with open_session(open_cell.settings("anna")) as session:
             routers = [str(each) for each in session.info.routers_zid()]
             for router in (*routers, "*"):
@@ -264,7 +264,7 @@ async def _try_everything(open_cell: ReachableCell, session: zenoh.Session, name
 
 
 @asynccontextmanager
-async def _unmoved(open_cell: ReachableCell) -> AsyncIterator[None]:
+async def unmoved(open_cell: ReachableCell) -> AsyncIterator[None]:
     """The state of the cell is at the end what it was, and its journal has no decision of anybody's."""
     cell = open_cell.cell
     before, row = await cell.client.state(), cell.last_row()
