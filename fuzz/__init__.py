@@ -1,1 +1,1 @@
-"""Fuzz targets, run by hand with atheris: every parser of bytes that come from outside."""
+"""Fuzz targets: every parser that bytes from outside reach, and a small corpus for each, which the test suite replays."""

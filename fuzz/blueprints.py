@@ -7,11 +7,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import atheris
+from fuzz.running import instrumented, run
 
-from fuzz.running import run
-
-with atheris.instrument_imports(include=["pcmrs.fsm"]):
+with instrumented("pcmrs.fsm"):
     from pcmrs.errors import PcmrsError
     from pcmrs.fsm import Blueprint, parse_blueprint
 
@@ -35,5 +33,4 @@ def one(data: bytes) -> None:
 
 
 if __name__ == "__main__":
-    workflows = Path(__file__).parents[1] / "pcmrs" / "workflows"
-    run(one, SMALL, (workflows / "ratms.toml").read_bytes()[:4000])
+    run(one)
