@@ -16,7 +16,7 @@ import msgspec
 
 from fuzz.running import instrumented, run
 
-with instrumented("pcmrs.journal", "pcmrs.report.source"):
+with instrumented("pcmrs.journal", "pcmrs.report.reading", "pcmrs.report.source"):
     from pcmrs.errors import JournalError
     from pcmrs.journal import JournalReader, verify
     from pcmrs.journal.copy import copy_journal
@@ -25,7 +25,7 @@ with instrumented("pcmrs.journal", "pcmrs.report.source"):
     from pcmrs.journal.keys import PUBLIC
     from pcmrs.journal.rows import GENESIS, chain_hash
     from pcmrs.journal.schema import HEADLESS, INSERT, make_database
-    from pcmrs.report.source import open_source
+    from pcmrs.report.reading import read_report
 
 FOLDER = tempfile.TemporaryDirectory(prefix="fuzz-journals-")
 
@@ -89,8 +89,7 @@ def read(path: Path, copy: Path) -> None:
     assert exported(path, csv_lines) == rows
     assert rows is not None or not sound or path.stat().st_size == 0  # an empty file is a journal that has not begun
     with suppress(JournalError):
-        source = open_source(path)
-        assert bool(source.journal.problems) != sound
+        assert bool(read_report(path).journal.problems) != sound
 
 
 def exported(path: Path, form: Callable[..., object]) -> int | None:

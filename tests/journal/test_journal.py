@@ -6,6 +6,7 @@ import sqlite3
 import threading
 from collections.abc import AsyncIterator, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -258,6 +259,24 @@ def test_a_damaged_row_is_told() -> None:
     deep = encode_row(row(arguments={"a": "x"})).replace(b"\xa1x", b"\x91" * 100_000)
     with pytest.raises(JournalError, match="damaged"):
         decode_row(deep)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"wall": 1e300},
+        {"wall": -1e11},
+        {"wall": float("nan")},
+        {"arguments": {"a": msgspec.msgpack.Ext(5, b"x")}},
+        {"arguments": {"a": {1: 2}}},
+        {"result": {"a": {None: 1}}},
+    ],
+)
+def test_a_row_that_no_journal_of_ours_holds_is_damaged(fields: dict[str, Any]) -> None:
+    """Found by `fuzz.journals`: exports and reports of such a row ended with an `OverflowError` or a `TypeError`."""
+    foreign = msgspec.to_builtins(row()) | fields
+    with pytest.raises(JournalError, match="damaged"):
+        decode_row(msgspec.msgpack.encode(foreign))
 
 
 @pytest.mark.parametrize(("durable", "level"), [(True, 2), (False, 0)])
