@@ -16,6 +16,9 @@ import structlog
 CORPUS = Path(__file__).parent / "corpus"
 """A folder for each target; its files are where libFuzzer starts, and tests."""
 
+SLOWEST = 60
+"""An input that takes longer is a defect, s."""
+
 Target = Callable[[bytes], Awaitable[None] | None]
 
 _MAIN = Path(getattr(sys.modules["__main__"], "__file__", None) or "-")
@@ -34,8 +37,8 @@ def instrumented(*packages: str) -> AbstractContextManager[object]:
 def run(target: Target) -> None:
     """Feed inputs to the target of the main module until one raises.
 
-    ``-runs=N`` and ``-max_total_time=S`` on the command line end it earlier. What libFuzzer finds on its way is kept in
-    the folder that the command line names first, otherwise in a temporary one; the corpus is only read.
+    ``-runs=N`` and ``-max_total_time=S`` on the command line end it earlier. Inputs that reach something new are kept in
+    the folder that the command line names first, otherwise in a temporary one; the input that raised, in the corpus.
 
     Args:
         target: Raises what is a defect.
@@ -45,7 +48,8 @@ def run(target: Target) -> None:
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
     own = [] if any(not each.startswith("-") for each in sys.argv[1:]) else [tempfile.mkdtemp(prefix="fuzz-")]
     with asyncio.Runner() as runner:
-        atheris.Setup([*sys.argv, *own, str(CORPUS / _MAIN.stem)], _in_loop(runner, target))
+        options = [f"-artifact_prefix={CORPUS / _MAIN.stem}/", f"-timeout={SLOWEST}"]
+        atheris.Setup([sys.argv[0], *options, *sys.argv[1:], *own, str(CORPUS / _MAIN.stem)], _in_loop(runner, target))
         atheris.Fuzz()
 
 

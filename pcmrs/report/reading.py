@@ -71,7 +71,8 @@ def read_report(path: Path, session: str | None = None) -> SessionReport:
     """
     source = open_source(path)
     try:
-        return _report(source, session)
+        # Values of the configuration are taken as they are: what draws the page relies on their types.
+        return msgspec.convert(msgspec.to_builtins(_report(source, session)), SessionReport)
     except PcmrsError:
         raise
     except Exception as error:  # rows of another program stumble wherever a value is not of the kind that ours writes

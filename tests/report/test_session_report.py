@@ -266,7 +266,7 @@ def forget_key(journal: Path) -> None:
     (journal.parent / "journal.pub").unlink()
 
 
-@pytest.mark.parametrize("settings", [5, {"procedure": [1]}, {"cell": "x"}])
+@pytest.mark.parametrize("settings", [5, {"procedure": [1]}, {"cell": "x"}, {"cell": {"rate": "fast"}}])
 def test_values_that_no_program_of_ours_writes_are_refused(settings: Any, tmp_path: Path) -> None:
     """Found by `fuzz.journals`: a report ended with an `AttributeError`."""
 
