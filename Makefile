@@ -29,7 +29,7 @@ mutants: install ## Take guards out of the product, one at a time, and count how
 	$(BIN)/python tests/mutants/run_removed_guards.py
 
 fuzz: install ## Fuzz every parser of bytes from outside, SECONDS=30 each; TARGETS="kst ndi" for some of them
-	@log=$$(mktemp); trap 'rm -f "$$log"' EXIT; \
+	@export TMPDIR=$$(mktemp -d); trap 'rm -rf "$$TMPDIR"' EXIT; log=$$TMPDIR/log; \
 	for target in $(TARGETS); do \
 	    echo "fuzz.$$target"; \
 	    $(BIN)/python -m fuzz.$$target -max_total_time=$(SECONDS) >"$$log" 2>&1 || { tail -n 40 "$$log"; exit 1; }; \

@@ -1,1 +1,1 @@
-"""Fuzz targets: every parser that bytes from outside reach, and a small corpus for each, which the test suite replays."""
+"""Fuzz targets: every parser that bytes from outside reach, and for each a small corpus, which the suite replays."""

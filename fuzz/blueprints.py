@@ -5,23 +5,11 @@ python -m fuzz.blueprints -max_total_time=60
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from fuzz.running import instrumented, run
 
 with instrumented("pcmrs.fsm"):
     from pcmrs.errors import PcmrsError
     from pcmrs.fsm import Blueprint, parse_blueprint
-
-SMALL = b"""
-schema = 1
-id = "small"
-title = "Small"
-[[branches]]
-id = "lamp"
-levels = [{ id = "lit", title = "Lit" }]
-initial = "0"
-"""
 
 
 def one(data: bytes) -> None:

@@ -9,7 +9,7 @@ from fuzz.running import instrumented, run
 
 with instrumented("pcmrs.ros2.cdr", "pycdr2"):
     from pcmrs.errors import PayloadError
-    from pcmrs.ros2.cdr import Header, JointState, Pose, PoseStamped, String, TFMessage, Time, decode, header
+    from pcmrs.ros2.cdr import JointState, Pose, PoseStamped, String, TFMessage, decode
 
 KINDS = (PoseStamped, TFMessage, JointState, String, Pose)
 

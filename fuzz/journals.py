@@ -8,7 +8,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, suppress
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from fuzz.running import instrumented, run
 
 with instrumented("pcmrs.journal", "pcmrs.report.reading", "pcmrs.report.source"):
     from pcmrs.errors import JournalError
-    from pcmrs.journal import JournalReader, verify
+    from pcmrs.journal import JournalReader, StoredRow, verify
     from pcmrs.journal.copy import copy_journal
     from pcmrs.journal.export import csv_lines, json_lines
     from pcmrs.journal.head import head_path
@@ -35,7 +35,7 @@ EMPTY = Path(FOLDER.name, "empty.sqlite").read_bytes()
 
 
 def one(data: bytes) -> None:
-    """The first byte says whether the rest is the file, the head and its key, or rows; and of rows, whether to report."""
+    """The first byte says whether the rest is the file, the head and its key, or rows, and whether to report these."""
     folder = Path(FOLDER.name)
     for kept in ("journal", "copied"):
         shutil.rmtree(folder / kept, ignore_errors=True)
@@ -52,7 +52,8 @@ def one(data: bytes) -> None:
         write(path, rest)
     sound = read(path, folder / "copied" / "ratms.sqlite")
     with suppress(JournalError):
-        found = read_report(path).journal if kind >= b"\xf0" else open_source(path).journal  # a report takes half a second
+        # A report takes half a second, which few inputs are worth.
+        found = read_report(path).journal if kind >= b"\xf0" else open_source(path).journal
         assert bool(found.problems) != sound
 
 
@@ -99,10 +100,11 @@ def read(path: Path, copy: Path) -> bool:
     return sound
 
 
-def exported(path: Path, form: Callable[..., object]) -> int | None:
-    """How many lines the export has; None where a row is damaged."""
+def exported(path: Path, form: Callable[[Iterable[StoredRow]], Iterator[str]]) -> int | None:
+    """How many rows the export has; None where one is damaged."""
     with suppress(JournalError), JournalReader(path) as reader:
-        return sum(1 for _ in form(reader.read_whole())) - (form is csv_lines)  # type: ignore[attr-defined]
+        lines = sum(1 for _ in form(reader.read_whole()))
+        return lines - 1 if form is csv_lines else lines
     return None
 
 

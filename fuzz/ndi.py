@@ -22,7 +22,7 @@ with instrumented("pcmrs.devices.ndi", "sim.ndi"):
     from sim.ndi.system import NdiSystem
 
 FRAME = struct.Struct("<8d?IIdH?")
-"""Pose and error, whether it is seen, number, status, when it arrived, the system's status, whether the tracker restarts."""
+"""Pose, error, whether it is seen, number, status, time of arrival, status of the system, whether it restarts."""
 POSE = BodyPose(body="coil", frame_number=7, captured=0.0, sent=0.0, valid=True, position=(0.1, -0.2, -1.5), error=1e-4)
 
 

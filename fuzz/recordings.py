@@ -51,7 +51,7 @@ def one(data: bytes) -> None:
 def write(path: Path, data: bytes) -> None:
     """A whole file of messages: a byte for the key, two for the time and two for the length, then the payload."""
     with path.open("wb") as file:
-        writer = Writer(file, compression=CompressionType.NONE, use_chunking=False)
+        writer: Any = Writer(file, compression=CompressionType.NONE, use_chunking=False)
         writer.start()
         writer.add_metadata(METADATA, {"cell": "x"})
         channels = [writer.register_channel(f"{raw.PREFIX}state/{key}", "protobuf", 0) for key in KEYS]

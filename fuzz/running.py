@@ -37,8 +37,9 @@ def instrumented(*packages: str) -> AbstractContextManager[object]:
 def run(target: Target) -> None:
     """Feed inputs to the target of the main module until one raises.
 
-    ``-runs=N`` and ``-max_total_time=S`` on the command line end it earlier. Inputs that reach something new are kept in
-    the folder that the command line names first, otherwise in a temporary one; the input that raised, in the corpus.
+    ``-runs=N`` and ``-max_total_time=S`` on the command line end it earlier. Inputs that reach something new are kept
+    in the folder that the command line names first, otherwise in a temporary one; the input that raised, in the corpus.
+    Where the command line names files, they are replayed and nothing else is done.
 
     Args:
         target: Raises what is a defect.
@@ -46,10 +47,12 @@ def run(target: Target) -> None:
     import atheris
 
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
-    own = [] if any(not each.startswith("-") for each in sys.argv[1:]) else [tempfile.mkdtemp(prefix="fuzz-")]
+    corpus, named = CORPUS / _MAIN.stem, [Path(each) for each in sys.argv[1:] if not each.startswith("-")]
+    options = [f"-artifact_prefix={corpus}/", f"-timeout={SLOWEST}", f"-report_slow_units={SLOWEST}"]
+    folders = [] if named else [tempfile.mkdtemp(prefix="fuzz-")]
+    folders += [] if any(each.is_file() for each in named) else [str(corpus)]
     with asyncio.Runner() as runner:
-        options = [f"-artifact_prefix={CORPUS / _MAIN.stem}/", f"-timeout={SLOWEST}"]
-        atheris.Setup([sys.argv[0], *options, *sys.argv[1:], *own, str(CORPUS / _MAIN.stem)], _in_loop(runner, target))
+        atheris.Setup([sys.argv[0], *options, *sys.argv[1:], *folders], _in_loop(runner, target))
         atheris.Fuzz()
 
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -130,7 +131,7 @@ def test_what_nothing_declares_is_damage(tmp_path: Path, schema: int, chunked: b
     """Found by `fuzz.recordings`: a repair ended with a `KeyError`, and left half a file."""
     damaged = tmp_path / "damaged.mcap"
     with damaged.open("wb") as file:
-        writer = Writer(file, use_chunking=chunked, chunk_size=1)
+        writer: Any = Writer(file, use_chunking=chunked, chunk_size=1)
         writer.start()
         known = writer.register_channel("bus/state/joints", "protobuf", 0)
         writer.add_message(known, BEGUN, encode(1.0, b"known"), BEGUN)
