@@ -5,6 +5,7 @@ import hashlib
 import sqlite3
 import threading
 from collections.abc import AsyncIterator, Iterable, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -251,6 +252,20 @@ def test_a_missing_or_foreign_file_is_refused(path: Path) -> None:
     assert path.read_bytes() == before
     with pytest.raises(JournalError, match="cannot be used"):
         Journal.open(path.parent / "no such folder" / "journal.sqlite")
+
+
+@pytest.mark.parametrize("query", ["FROM kept", "FROM kept UNION ALL SELECT * FROM kept"])
+async def test_rows_that_a_query_makes_are_no_journal(path: Path, query: str) -> None:
+    """A view can make rows without end; nothing is asked of one."""
+    journal = Journal.open(path)
+    await journal.append([row()])
+    await journal.close()
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("ALTER TABLE journal RENAME TO kept")
+        connection.execute(f"CREATE VIEW journal AS SELECT * {query}")
+        connection.commit()
+    with pytest.raises(JournalError, match="another file"):
+        JournalReader(path)
 
 
 def test_a_damaged_row_is_told() -> None:
