@@ -8,9 +8,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 WORKFLOW := ratms
 INSTALLED := $(VENV)/installed.stamp
-EXTRAS := sim hardware console imaging ros2 docs dev
+TARGETS := $(filter-out __init__ running,$(basename $(notdir $(wildcard fuzz/*.py))))
+SECONDS := 30
+EXTRAS := sim hardware console imaging ros2 docs fuzz dev
 
-.PHONY: help install demo test mutants tools spin browser mono screenshots docs lint lock clean
+.PHONY: help install demo test mutants fuzz tools spin browser mono screenshots docs lint lock clean
 
 help: ## List these targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  make \1\t\2/p' Makefile
@@ -25,6 +27,14 @@ test: install ## Run the whole test suite; a running daemon does not disturb it
 
 mutants: install ## Take guards out of the product, one at a time, and count how many the tests miss; tens of minutes
 	$(BIN)/python tests/mutants/run_removed_guards.py
+
+fuzz: install ## Fuzz every parser of bytes from outside, SECONDS=30 each; TARGETS="kst ndi" for some of them
+	@export TMPDIR=$$(mktemp -d); trap 'rm -rf "$$TMPDIR"' EXIT; log=$$TMPDIR/log; \
+	for target in $(TARGETS); do \
+	    echo "fuzz.$$target"; \
+	    $(BIN)/python -m fuzz.$$target -max_total_time=$(SECONDS) >"$$log" 2>&1 || { tail -n 40 "$$log"; exit 1; }; \
+	    tail -n 1 "$$log"; \
+	done
 
 tools: spin ## Install SPIN and what faults are injected with (Debian packages, as root); without them such tests and faults are not run
 	apt-get install --yes --no-install-recommends e2fsprogs faketime iproute2 mount nftables strace
@@ -55,7 +65,7 @@ lint: install ## Check style, format, types and import contracts
 	$(BIN)/lint-imports
 
 lock: install ## Remake requirements.lock from pyproject.toml; keeps the versions that still fit
-	$(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url --custom-compile-command "make lock" \
+	$(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url --no-strip-markers --custom-compile-command "make lock" \
 	    $(EXTRAS:%=--extra %) --output-file requirements.lock pyproject.toml
 
 clean: ## Remove .venv, caches and what was built

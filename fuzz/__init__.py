@@ -1,1 +1,1 @@
-"""Fuzz targets, run by hand with atheris: every parser of bytes that come from outside."""
+"""Fuzz targets: every parser that bytes from outside reach, and for each a small corpus, which the suite replays."""

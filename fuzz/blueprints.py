@@ -5,25 +5,11 @@ python -m fuzz.blueprints -max_total_time=60
 
 from __future__ import annotations
 
-from pathlib import Path
+from fuzz.running import instrumented, run
 
-import atheris
-
-from fuzz.running import run
-
-with atheris.instrument_imports(include=["pcmrs.fsm"]):
+with instrumented("pcmrs.fsm"):
     from pcmrs.errors import PcmrsError
     from pcmrs.fsm import Blueprint, parse_blueprint
-
-SMALL = b"""
-schema = 1
-id = "small"
-title = "Small"
-[[branches]]
-id = "lamp"
-levels = [{ id = "lit", title = "Lit" }]
-initial = "0"
-"""
 
 
 def one(data: bytes) -> None:
@@ -35,5 +21,4 @@ def one(data: bytes) -> None:
 
 
 if __name__ == "__main__":
-    workflows = Path(__file__).parents[1] / "pcmrs" / "workflows"
-    run(one, SMALL, (workflows / "ratms.toml").read_bytes()[:4000])
+    run(one)

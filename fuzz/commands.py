@@ -5,11 +5,9 @@ python -m fuzz.commands -max_total_time=60
 
 from __future__ import annotations
 
-import atheris
+from fuzz.running import instrumented, run
 
-from fuzz.running import run
-
-with atheris.instrument_imports(include=["pcmrs.gateway"]):
+with instrumented("pcmrs.gateway"):
     from pcmrs.errors import PayloadError
     from pcmrs.gateway.commands import COMMANDS
     from pcmrs.gateway.grammar import MAX_BYTES, format_command, parse, parse_tool_points
@@ -36,9 +34,4 @@ def one(data: bytes) -> None:
 
 
 if __name__ == "__main__":
-    run(
-        one,
-        b"\x00stop_now_xxxxxxx;",
-        b"\x00target_rotxxxxxx_0.0_-1.5e-3_0_1_#12;",
-        b"\x00icp_registerxxxx_C:\\a_b.stl_#1;",
-    )
+    run(one)

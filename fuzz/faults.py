@@ -8,11 +8,9 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 
-import atheris
+from fuzz.running import instrumented, run
 
-from fuzz.running import in_loop, run
-
-with atheris.instrument_imports(include=["sim"]):
+with instrumented("sim"):
     from pcmrs.clock import SystemClock
     from pcmrs.devices.motion.force import ForceSettings
     from pcmrs.errors import PcmrsError
@@ -36,4 +34,4 @@ async def one(data: bytes) -> None:
 
 
 if __name__ == "__main__":
-    run(in_loop(one), *(bytes((33 + n,)) + b" on 3 0.05" for n in range(len(NAMES))), b"\x00occlude coil on")
+    run(one)

@@ -8,11 +8,9 @@ from __future__ import annotations
 import asyncio
 import math
 
-import atheris
+from fuzz.running import instrumented, pieces, run
 
-from fuzz.running import in_loop, pieces, run
-
-with atheris.instrument_imports(include=["pcmrs.devices.kst", "sim.kst"]):
+with instrumented("pcmrs.devices.kst", "sim.kst"):
     from pcmrs.clock import SystemClock
     from pcmrs.devices.kst.lines import LONGEST, LineBuffer
     from pcmrs.devices.kst.link import KstLink
@@ -81,10 +79,4 @@ async def one(data: bytes) -> None:
 
 
 if __name__ == "__main__":
-    numbers = b"0.1_-2.5E-4_3.0_4.0_5.0_6.0_7.0_\n"
-    motion = b"jRelVel_0.5_\njp_0_0.5_0_-1.5_0_1_0_\ndoPTPinJS\n"
-    line = b"cArtixanPosition_500_0_500_0_3.1_0_\njRelVel_100_\ndoPTPinCS\n"
-    servo = b"startDirectServoJoints\njf_0_0.5_0_-1.5_0_1_0_\njpJP_0_0_0_0_0_0_0_\nstopDirectServoJoints\n"
-    tool = b"TFtrans_0_0_150_0_0_0\nEef_pos\nstartSmartImpedneceJoints_1_0_0_80_4000_300_100_\n"
-    requests = [b"\xff" + each for each in (motion, line, servo, tool)]
-    run(in_loop(one), b"\x00\x00" + numbers, b"\x60\x00" + numbers + b"done\n", b"\x60\x00nak\n", *requests)
+    run(one)

@@ -5,11 +5,9 @@ python -m fuzz.lsl -max_total_time=60
 
 from __future__ import annotations
 
-import atheris
+from fuzz.running import instrumented, run
 
-from fuzz.running import run
-
-with atheris.instrument_imports(include=["pcmrs.devices.lsl"]):
+with instrumented("pcmrs.devices.lsl"):
     from pcmrs.devices.lsl.markers import PulseMarker, read_pulse
 
 
@@ -21,4 +19,4 @@ def one(data: bytes) -> None:
 
 
 if __name__ == "__main__":
-    run(one, b'{"pulse":3,"intensity":55.0}', b'{"pulse":3}', b"stop", b"pulse:3")
+    run(one)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
@@ -13,6 +13,9 @@ from pcmrs.messages import BlueprintTag, Message, Verdict
 from pcmrs.messages.roles import Role
 
 Kind = Literal["intent", "outcome", "event", "device", "snapshot", "config"]
+
+Wall = Annotated[float, msgspec.Meta(ge=0.0, lt=2.5e11)]
+"""Unix seconds; until the year 9892, so that every reader can make a date of them."""
 
 GENESIS: Final = bytes(32)
 """Previous hash of the first row."""
@@ -51,7 +54,7 @@ class JournalRow(Message, frozen=True, kw_only=True):
     """
 
     kind: Kind
-    wall: float
+    wall: Wall
     monotonic: float
     boot_id: str
     session_id: str
@@ -67,6 +70,10 @@ class JournalRow(Message, frozen=True, kw_only=True):
     states: dict[str, str] | None = None
     result: dict[str, Any] | None = None
     parent: str | None = None
+
+
+_NO_DATA: Final = (TypeError, ValueError, OverflowError, RecursionError)
+"""What encoding raises where a value is not plain data."""
 
 
 class StoredRow(Message, frozen=True, kw_only=True, omit_defaults=False):
@@ -86,7 +93,7 @@ def encode_row(row: JournalRow) -> bytes:
     """
     try:
         return msgspec.msgpack.encode(row, order="sorted")
-    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+    except _NO_DATA as error:
         raise JournalError(
             f"The {row.kind} of {row.branch}.{row.operation} cannot be journalled: {error}. "
             "Use numbers, text, lists and maps only."
@@ -100,9 +107,16 @@ def decode_row(body: bytes) -> JournalRow:
         JournalError: The bytes are not such a row.
     """
     try:
-        return msgspec.msgpack.decode(body, type=JournalRow)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        row = msgspec.msgpack.decode(body, type=JournalRow, ext_hook=_refuse)
+        # MessagePack can hold more than plain data, such as keys that are no text: exports and reports cannot.
+        msgspec.msgpack.encode(row, order="sorted")
+        return row
+    except (msgspec.DecodeError, UnicodeDecodeError, *_NO_DATA) as error:
         raise JournalError(f"A row of the journal is damaged: {error}. Keep the file and look at it.") from error
+
+
+def _refuse(code: int, _: memoryview) -> object:
+    raise ValueError(f"extension {code} of MessagePack is not plain data")
 
 
 def chain_hash(previous: bytes, sequence: int, body: bytes) -> bytes:

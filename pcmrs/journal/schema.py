@@ -127,6 +127,7 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
         connection = sqlite3.connect(location, uri=True, isolation_level=None, check_same_thread=False)
         connection.execute("PRAGMA cell_size_check = ON")
         _check_version(connection, path)
+        _check_table(connection)
     except (OSError, *DATABASE_ERRORS) as error:
         raise _unusable(path, error) from error
     return connection
@@ -192,6 +193,14 @@ def _check_version(connection: sqlite3.Connection, path: Path) -> None:
             path=str(path),
             version=version,
         )
+
+
+def _check_table(connection: sqlite3.Connection) -> None:
+    """Raise `sqlite3.DatabaseError` unless the table is ours: a view in its place can make rows without end."""
+    found = connection.execute("SELECT sql FROM sqlite_schema WHERE name = 'journal'").fetchone()
+    if found != (_STATEMENTS["journal"],):
+        connection.close()
+        raise sqlite3.DatabaseError("its table is not as this program makes it")
 
 
 def _unusable(path: Path, error: Exception) -> JournalError:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata
+from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from pcmrs.errors import FileFormatError
@@ -77,10 +77,33 @@ class Reading:
 
     def _whole_records(self, file: BinaryIO) -> Iterator[list[McapRecord]]:
         """Record by record; a chunk is taken apart first, and counts only as a whole."""
+        declared = _Declared()
         # No record is longer than the file: a damaged length must not take all memory.
         for record in StreamReader(file, emit_chunks=True, record_size_limit=self.size).records:
             batch = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+            for each in batch:
+                declared.check(each)
             self.whole = self.size if isinstance(record, Footer) else file.tell()
             if isinstance(record, Metadata) and record.name == METADATA:
                 self.origin = record.metadata
             yield batch
+
+
+class _Declared:
+    """What was declared so far: no message is without its channel, and no channel without its schema."""
+
+    def __init__(self) -> None:
+        self._schemas = {0}  # says that there is none
+        self._channels: set[int] = set()
+
+    def check(self, record: McapRecord) -> None:
+        """Raise `ValueError` when the record needs what was not declared before it."""
+        if isinstance(record, Message):
+            if record.channel_id not in self._channels:
+                raise ValueError(f"channel {record.channel_id} was not declared")
+        elif isinstance(record, Schema):
+            self._schemas.add(record.id)
+        elif isinstance(record, Channel):
+            if record.schema_id not in self._schemas:
+                raise ValueError(f"schema {record.schema_id} was not declared")
+            self._channels.add(record.id)

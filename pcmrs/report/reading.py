@@ -17,7 +17,7 @@ import numpy as np
 from pcmrs.analysis.placements import placement_error
 from pcmrs.config import as_table
 from pcmrs.dispatcher.events import SHUTDOWN
-from pcmrs.errors import BlueprintError, ConfigurationError, GeometryError, JournalError
+from pcmrs.errors import BlueprintError, ConfigurationError, GeometryError, JournalError, PcmrsError
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.journal import JournalRow, StoredRow
@@ -40,7 +40,7 @@ from pcmrs.report.record import (
     Span,
     Unknown,
 )
-from pcmrs.report.source import files_of, open_source
+from pcmrs.report.source import Source, files_of, open_source
 from pcmrs.service.ledger import Kept, Ledger
 from pcmrs.settings import DEVICES, read_settings
 from pcmrs.spatial import Transform
@@ -67,9 +67,21 @@ def read_report(path: Path, session: str | None = None) -> SessionReport:
         session: How the id of the session begins; None for the one that was exported, otherwise for the last one.
 
     Raises:
-        JournalError: Nothing can be read, or there is no such session.
+        JournalError: Nothing can be read, there is no such session, or a row holds what this program does not write.
     """
     source = open_source(path)
+    try:
+        # Values of the configuration are taken as they are: what draws the page relies on their types.
+        return msgspec.convert(msgspec.to_builtins(_report(source, session)), SessionReport)
+    except PcmrsError:
+        raise
+    except Exception as error:  # rows of another program stumble wherever a value is not of the kind that ours writes
+        what = f"{type(error).__name__}: {error}"
+        text = f"{source.path} cannot be reported: a row holds what this program does not write ({what})."
+        raise JournalError(text, path=str(source.path)) from error
+
+
+def _report(source: Source, session: str | None) -> SessionReport:
     runs = _runs(source.rows)
     first, last = _chosen(runs, session if session is not None else source.exported, source.path)
     chosen = runs[first : last + 1]

@@ -5,7 +5,9 @@ import hashlib
 import sqlite3
 import threading
 from collections.abc import AsyncIterator, Iterable, Sequence
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -252,12 +254,44 @@ def test_a_missing_or_foreign_file_is_refused(path: Path) -> None:
         Journal.open(path.parent / "no such folder" / "journal.sqlite")
 
 
+@pytest.mark.parametrize("query", ["FROM kept", "FROM kept UNION ALL SELECT * FROM kept"])
+async def test_rows_that_a_query_makes_are_no_journal(path: Path, query: str) -> None:
+    """A view can make rows without end; nothing is asked of one."""
+    journal = Journal.open(path)
+    await journal.append([row()])
+    await journal.close()
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("ALTER TABLE journal RENAME TO kept")
+        connection.execute(f"CREATE VIEW journal AS SELECT * {query}")
+        connection.commit()
+    with pytest.raises(JournalError, match="another file"):
+        JournalReader(path)
+
+
 def test_a_damaged_row_is_told() -> None:
     with pytest.raises(JournalError, match="damaged"):
         decode_row(msgspec.msgpack.encode({"kind": "intent"}))
     deep = encode_row(row(arguments={"a": "x"})).replace(b"\xa1x", b"\x91" * 100_000)
     with pytest.raises(JournalError, match="damaged"):
         decode_row(deep)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"wall": 1e300},
+        {"wall": -1e11},
+        {"wall": float("nan")},
+        {"arguments": {"a": msgspec.msgpack.Ext(5, b"x")}},
+        {"arguments": {"a": {1: 2}}},
+        {"result": {"a": {None: 1}}},
+    ],
+)
+def test_a_row_that_no_journal_of_ours_holds_is_damaged(fields: dict[str, Any]) -> None:
+    """Found by `fuzz.journals`: exports and reports of such a row ended with an `OverflowError` or a `TypeError`."""
+    foreign = msgspec.to_builtins(row()) | fields
+    with pytest.raises(JournalError, match="damaged"):
+        decode_row(msgspec.msgpack.encode(foreign))
 
 
 @pytest.mark.parametrize(("durable", "level"), [(True, 2), (False, 0)])

@@ -8,10 +8,12 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.writer import Writer
 from recorded import ARM, MOUNTING, decoded, joints, pose
 
 from pcmrs.bus import Bus, BusSettings
@@ -21,6 +23,7 @@ from pcmrs.errors import ConfigurationError, FileFormatError
 from pcmrs.experiment.process import free_port
 from pcmrs.recording.file import RecordingFile, Topics
 from pcmrs.recording.playing import Excerpt, Player, recorded_cell
+from pcmrs.recording.raw import encode
 from pcmrs.recording.reading import Reading
 from pcmrs.recording.repair import repair
 from pcmrs.recording.tap import Heard
@@ -120,6 +123,26 @@ def test_a_repaired_file_is_whole_for_another_reader(whole: tuple[bytes, list[by
     with pytest.raises(FileFormatError, match="no MCAP file"):
         repair(Path(__file__), tmp_path / "other.mcap")
     assert not (tmp_path / "other.mcap").exists()
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+@pytest.mark.parametrize("schema", [0, 9])
+def test_what_nothing_declares_is_damage(tmp_path: Path, schema: int, chunked: bool) -> None:
+    """Found by `fuzz.recordings`: a repair ended with a `KeyError`, and left half a file."""
+    damaged = tmp_path / "damaged.mcap"
+    with damaged.open("wb") as file:
+        writer: Any = Writer(file, use_chunking=chunked, chunk_size=1)
+        writer.start()
+        known = writer.register_channel("bus/state/joints", "protobuf", 0)
+        writer.add_message(known, BEGUN, encode(1.0, b"known"), BEGUN)
+        unknown = writer.register_channel("bus/state/fsm", "protobuf", 9) if schema else known + 1
+        writer.add_message(unknown, BEGUN, encode(1.0, b"unknown"), BEGUN)
+        writer.finish()
+    report = repair(damaged, tmp_path / "mended.mcap")
+    assert (report.complete, report.messages) == (False, 1)
+    assert "declared" in report.damage
+    assert [heard.payload for _, heard in Reading(damaged).bus_messages()] == [b"known"]
+    assert Reading(tmp_path / "mended.mcap").size
 
 
 def test_a_killed_writer_loses_only_what_came_after_its_last_flush(tmp_path: Path) -> None:

@@ -266,6 +266,20 @@ def forget_key(journal: Path) -> None:
     (journal.parent / "journal.pub").unlink()
 
 
+@pytest.mark.parametrize("settings", [5, {"procedure": [1]}, {"cell": "x"}, {"cell": {"rate": "fast"}}])
+def test_values_that_no_program_of_ours_writes_are_refused(settings: Any, tmp_path: Path) -> None:
+    """Found by `fuzz.journals`: a report ended with an `AttributeError`."""
+
+    def change(row: Row) -> None:
+        if row["kind"] == "config":
+            row["result"]["settings"] = settings
+
+    journal = write_journal(altered(golden_rows("ratms"), change), tmp_path / "j.sqlite")
+    status, _, said = run(journal, "-o", tmp_path / "page.html")
+    assert status != 0
+    assert "cannot be reported" in said
+
+
 @pytest.mark.parametrize(
     ("damage", "rows", "said"),
     [

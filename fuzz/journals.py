@@ -1,0 +1,112 @@
+"""Journals of other machines: files, heads and rows as `pcmrs journal`, exports and reports read them.
+
+python -m fuzz.journals -max_total_time=60
+"""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, suppress
+from pathlib import Path
+
+import msgspec
+
+from fuzz.running import instrumented, run
+
+with instrumented("pcmrs.journal", "pcmrs.report.reading", "pcmrs.report.source"):
+    from pcmrs.errors import JournalError
+    from pcmrs.journal import JournalReader, StoredRow, verify
+    from pcmrs.journal.copy import copy_journal
+    from pcmrs.journal.export import csv_lines, json_lines
+    from pcmrs.journal.head import head_path
+    from pcmrs.journal.keys import PUBLIC
+    from pcmrs.journal.rows import GENESIS, chain_hash
+    from pcmrs.journal.schema import HEADLESS, INSERT, make_database
+    from pcmrs.report.reading import read_report
+    from pcmrs.report.source import open_source
+
+FOLDER = tempfile.TemporaryDirectory(prefix="fuzz-journals-")
+BEGIN = b"-----BEGIN"
+make_database(Path(FOLDER.name, "empty.sqlite"))
+EMPTY = Path(FOLDER.name, "empty.sqlite").read_bytes()
+
+
+def one(data: bytes) -> None:
+    """The first byte says whether the rest is the file, the head and its key, or rows, and whether to report these."""
+    folder = Path(FOLDER.name)
+    for kept in ("journal", "copied"):
+        shutil.rmtree(folder / kept, ignore_errors=True)
+        (folder / kept).mkdir()
+    path, kind, rest = folder / "journal" / "ratms.sqlite", data[:1], data[1:]
+    if kind < b"\x40":
+        path.write_bytes(rest)
+    elif kind < b"\x80":
+        path.write_bytes(EMPTY)
+        head, _, key = rest.partition(BEGIN)
+        head_path(path).write_bytes(head)
+        (path.parent / PUBLIC).write_bytes(BEGIN + key)
+    else:
+        write(path, rest)
+    sound = read(path, folder / "copied" / "ratms.sqlite")
+    with suppress(JournalError):
+        # A report takes half a second, which few inputs are worth.
+        found = read_report(path).journal if kind >= b"\xf0" else open_source(path).journal
+        assert bool(found.problems) != sound
+
+
+def write(path: Path, data: bytes) -> None:
+    """A whole journal of version 1, whose chain nobody has signed: two bytes for the length of a row, then the row."""
+    path.write_bytes(EMPTY)
+    previous, sequence = GENESIS, 0
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA synchronous = OFF")
+        while len(data) > 2:
+            size = int.from_bytes(data[:2])
+            body, data, sequence = data[2 : 2 + size], data[2 + size :], sequence + 1
+            own = chain_hash(previous, sequence, body)
+            with suppress(sqlite3.Error, UnicodeEncodeError):  # two outcomes of one command, say
+                connection.execute(INSERT, (sequence, *keys(body), body, previous, own))
+                previous = own
+        connection.execute(f"PRAGMA user_version = {HEADLESS}")
+        connection.commit()
+        connection.execute("PRAGMA journal_mode = DELETE")
+
+
+def keys(body: bytes) -> tuple[object, ...]:
+    """The columns beside a row, as it gives them."""
+    row: object = {}
+    with suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        row = msgspec.msgpack.decode(body)
+    named = row if isinstance(row, dict) else {}
+    kind, *others, wall = (named.get(name) for name in ("kind", "source", "command_id", "branch", "wall"))
+    texts = [each if isinstance(each, str) else None for each in others]
+    return kind if isinstance(kind, str) else "event", *texts, wall if isinstance(wall, float) else 0.0
+
+
+def read(path: Path, copy: Path) -> bool:
+    """Whether it is sound: then it is read to its end; what is copied is as good as the original."""
+    sound = False
+    with suppress(JournalError):
+        sound = verify(path).sound
+    with suppress(JournalError):
+        copy_journal(path, copy)
+        assert verify(copy).sound == sound
+    rows = exported(path, json_lines)
+    assert exported(path, csv_lines) == rows
+    assert rows is not None or not sound or path.stat().st_size == 0  # an empty file is a journal that has not begun
+    return sound
+
+
+def exported(path: Path, form: Callable[[Iterable[StoredRow]], Iterator[str]]) -> int | None:
+    """How many rows the export has; None where one is damaged."""
+    with suppress(JournalError), JournalReader(path) as reader:
+        lines = sum(1 for _ in form(reader.read_whole()))
+        return lines - 1 if form is csv_lines else lines
+    return None
+
+
+if __name__ == "__main__":
+    run(one)
