@@ -10,6 +10,7 @@ WORKFLOW := ratms
 INSTALLED := $(VENV)/installed.stamp
 TARGETS := $(filter-out __init__ running,$(basename $(notdir $(wildcard fuzz/*.py))))
 SECONDS := 30
+SEED := 0
 EXTRAS := sim hardware console imaging ros2 docs fuzz dev
 
 .PHONY: help install demo test mutants fuzz tools spin browser mono screenshots docs lint lock clean
@@ -32,7 +33,7 @@ fuzz: install ## Fuzz every parser of bytes from outside, SECONDS=30 each; TARGE
 	@export TMPDIR=$$(mktemp -d); trap 'rm -rf "$$TMPDIR"' EXIT; log=$$TMPDIR/log; \
 	for target in $(TARGETS); do \
 	    echo "fuzz.$$target"; \
-	    $(BIN)/python -m fuzz.$$target -max_total_time=$(SECONDS) >"$$log" 2>&1 || { tail -n 40 "$$log"; exit 1; }; \
+	    $(BIN)/python -m fuzz.$$target -max_total_time=$(SECONDS) -seed=$(SEED) >"$$log" 2>&1 || { tail -n 40 "$$log"; exit 1; }; \
 	    tail -n 1 "$$log"; \
 	done
 
