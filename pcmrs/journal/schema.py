@@ -198,7 +198,7 @@ def _check_version(connection: sqlite3.Connection, path: Path) -> None:
 def _check_table(connection: sqlite3.Connection) -> None:
     """Raise `sqlite3.DatabaseError` unless the table is ours: a view in its place can make rows without end."""
     found = connection.execute("SELECT sql FROM sqlite_schema WHERE name = 'journal'").fetchone()
-    if found != (_STATEMENTS["journal"],):
+    if found != (statements(version_of(connection))["journal"],):
         connection.close()
         raise sqlite3.DatabaseError("its table is not as this program makes it")
 
