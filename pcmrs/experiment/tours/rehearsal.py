@@ -18,6 +18,10 @@ from pcmrs.fsm.trial.coverage import Deviation, deviation
 from pcmrs.fsm.trial.tour import Move, Tour
 from pcmrs.messages import Command, DeviceEvent, Verdict
 
+AHEAD = 3600.0
+"""Commands arrive so much in the future, s of the event loop: in a rehearsal none comes too late, however busy the
+machine is."""
+
 
 class LeapingClock:
     """A clock that stands still, and leaps to the end of every wait; a deadline on the way passes."""
@@ -148,7 +152,8 @@ async def rehearse(blueprint: Blueprint, tour: Tour, *, outside: bool) -> AsyncI
         dispatcher = scripted_dispatcher(blueprint, script, outside=outside)
         for number, move in enumerate(stretch):
             script.move = move
-            verdict = await dispatcher.submit(_command(number, move))
+            arrived = asyncio.get_running_loop().time() + AHEAD
+            verdict = await dispatcher.submit(_command(number, move), arrived=arrived)
             after = joint_of(blueprint, dispatcher.snapshot().branches)
             yield move, _judged(blueprint, move, verdict, after)
             if after != move.after:
