@@ -9,6 +9,7 @@ from typing import Protocol
 from pcmrs.bucket import TokenBucket
 from pcmrs.bus.bridge import ARRIVED
 from pcmrs.bus.envelope import Envelope, command_from, refusal
+from pcmrs.bus.keys import named_in
 from pcmrs.bus.reasons import busy
 from pcmrs.bus.serving import ANSWERS
 from pcmrs.bus.session import Bus
@@ -115,5 +116,5 @@ class CommandEdge:
     def _refusal(self, key: str, error: PcmrsError) -> Verdict:
         """May run in any thread for one message too many, of which the bus keeps count."""
         if isinstance(error, (PayloadError, AccessError)):
-            self._refused(f"bus:{key.split('/')[1]}", error.code, f"{key} was refused: {error.text}")
+            self._refused(f"bus:{named_in(key)}", error.code, f"{key} was refused: {error.text}")
         return refusal(key, error)

@@ -181,8 +181,8 @@ def is_signed(key: str) -> bool:
     return key.startswith(("cmd/", "teleop/"))
 
 
-def user_of(key: str) -> str:
-    """The second chunk of a relative key, such as ``teleop/*``: who uses it."""
+def named_in(key: str) -> str:
+    """The name in a relative key, its second chunk: the user of ``stop/eve``, the device of ``dev/robot/cmd``."""
     return key.split("/")[1]
 
 

@@ -15,7 +15,7 @@ import zenoh
 
 from pcmrs.bus.bridge import CAPACITY, Call
 from pcmrs.bus.codec import is_text, pack, pack_text, unpack
-from pcmrs.bus.keys import user_of
+from pcmrs.bus.keys import named_in
 from pcmrs.bus.reasons import busy, reason_from
 from pcmrs.bus.seal import Kind, Seal, Taken
 from pcmrs.bus.turns import WAITING, Turns
@@ -94,7 +94,7 @@ class Service(Generic[T]):
         if self.signatures is None:
             return None
         absolute, payload = str(query.key_expr), payload_of(query)
-        return self.signatures.objection(attached_to(query), "query", user_of(key), absolute, payload)
+        return self.signatures.objection(attached_to(query), "query", named_in(key), absolute, payload)
 
     def _relative(self, query: zenoh.Query) -> str:
         """A query with wildcards, such as ``svc/*``, means the served key when that has none."""

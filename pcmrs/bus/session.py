@@ -18,7 +18,7 @@ from pcmrs.bus.bridge import CAPACITY, Bridge
 from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
 from pcmrs.bus.ignored import Ignored
-from pcmrs.bus.keys import cell_prefix, is_signed, user_of
+from pcmrs.bus.keys import cell_prefix, is_signed, named_in
 from pcmrs.bus.qos import COMMANDS, REQUESTS, class_of
 from pcmrs.bus.reasons import busy
 from pcmrs.bus.seal import Seal, Taken, is_sealed
@@ -341,7 +341,7 @@ class Bus:
         if self._signatures is None or not is_signed(key := self._relative(sample)):
             return None
         absolute, payload = str(sample.key_expr), payload_of(sample)
-        return self._signatures.objection(attached_to(sample), "put", user_of(key), absolute, payload)
+        return self._signatures.objection(attached_to(sample), "put", named_in(key), absolute, payload)
 
     def _forged(self, key: str, error: SealError) -> None:
         self._not_sealed += 1

@@ -1,6 +1,6 @@
 """The signature of what a person sends, so that no router on the way can speak in that person's name.
 
-A router ends the TLS on both sides, so the daemon cannot see from a message which certificate has let it in. Whoever
+A router ends the TLS on both sides, so the daemon cannot see from a message which certificate has let it in. Anyone who
 dials with a certificate therefore signs commands and set points with the key of that certificate, and the daemon takes
 nothing without it from those whom the register marks with a router (`Identity.via`). Stop is never signed.
 

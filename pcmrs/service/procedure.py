@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import structlog
 
+from pcmrs.bus.keys import named_in
 from pcmrs.clock import Clock
 from pcmrs.devices.calls import PROTOCOLS
 from pcmrs.devices.dwell import DwellPointer
@@ -203,7 +204,7 @@ class RunningProcedure:
 
     def _take_event(self, key: str, event: DeviceEvent) -> None:
         """Who may publish on a device's key speaks for that device only: not for the lease, and not for the daemon."""
-        speakers = DAEMON_SPEAKERS if key == "daemon/event" else {key.split("/")[1]} & DEVICES
+        speakers = DAEMON_SPEAKERS if key == "daemon/event" else {named_in(key)} & DEVICES
         if event.device in speakers:
             self.dispatcher.report_later(event)
             return
@@ -225,7 +226,7 @@ class RunningProcedure:
         self.hearing.hear("robot")
 
     def _take_beat(self, key: str, beat: NodeBeat) -> None:
-        device = key.split("/")[1]
+        device = named_in(key)
         self._gates.take(device, beat.gate)
         self.heard[device] = self._machine.monotonic()
         if device == "robot":

@@ -10,6 +10,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, cast
 
+from pcmrs.bus.keys import named_in
 from pcmrs.config import as_table
 from pcmrs.devices.node import DeviceNode
 from pcmrs.devices.protocols import OpenDriver
@@ -105,7 +106,7 @@ class SimulatedCell:
             link = self._node = self.network.endpoint(NODE)
             clock = SimulatedClock(asyncio.get_running_loop())
             node = DeviceNode(link, self.devices, clock, self._settings.robot.deadman)
-            link.subscribe("stop/*", Beat, lambda key, _: node.stop(f"bus:{key.split('/')[1]}"))
+            link.subscribe("stop/*", Beat, lambda key, _: node.stop(f"bus:{named_in(key)}"))
             link.spawn(node.run())
 
     async def crash_node(self) -> None:

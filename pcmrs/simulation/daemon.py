@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import AsyncExitStack
 from pathlib import Path
 
+from pcmrs.bus.keys import named_in
 from pcmrs.dispatcher import Dispatcher, Workflow
 from pcmrs.journal import JournalReader
 from pcmrs.messages import Beat, BlueprintTag, Command, Verdict
@@ -148,7 +149,7 @@ class SimulatedDaemon:
             procedure.stop(f"bus:{user}")
 
         self.link.serve(COMMANDS, Command, submit)
-        self.link.subscribe(STOPS, Beat, lambda key, _: stop(key.split("/")[1]))
+        self.link.subscribe(STOPS, Beat, lambda key, _: stop(named_in(key)))
         stack.callback(self.link.end, COMMANDS, STOPS)
         folder = self._path.parent / "records"
         self._gateway = SimulatedGateway(procedure.core, self._settings.gateway, self._clock, folder)

@@ -10,6 +10,7 @@ import heapq
 
 import msgspec
 
+from pcmrs.bus.keys import named_in
 from pcmrs.simulation.windows import Windows
 
 THREADS = 4
@@ -46,5 +47,5 @@ def name_of(key: str, message: msgspec.Struct) -> str:
     """Short name of a request, such as ``robot.follow``; that of a command is its branch and operation."""
     method = getattr(message, "method", None)
     if method is not None:
-        return f"{key.split('/')[1]}.{method}"
+        return f"{named_in(key)}.{method}"
     return ".".join(key.split("/")[-2:]) if key.startswith("cmd/") else key

@@ -125,7 +125,7 @@ def _answer_at_once(draw: random.Random) -> list[Act]:
 
 
 def _answer_and_leave(draw: random.Random) -> list[Act]:
-    """Somebody acknowledges what is shown, and the tool goes back; meanwhile something changes."""
+    """Somebody acknowledges what is shown, and the tool goes back, while something changes."""
     acts = [Act(round(draw.uniform(*STANDS), 3), "go_on", "ben", {"turn": 1}), *_go_on(draw)]
     return acts + (_inside(draw, _change(draw), OF_COMMITS) if draw.random() < CHANGED else [])
 
