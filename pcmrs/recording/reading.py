@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
+import zstandard
 from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
+from pcmrs.bus.codec import MAX_BYTES
 from pcmrs.errors import FileFormatError
 from pcmrs.recording import raw
 from pcmrs.recording.file import METADATA
 from pcmrs.recording.tap import Heard
+
+LARGEST_CHUNK: Final = 2 * MAX_BYTES
+"""Bytes of a chunk when decompressed: more than the largest message of the bus and its view, after `CHUNK`."""
 
 _MAGIC = b"\x89MCAP0\r\n"
 
@@ -80,13 +85,26 @@ class Reading:
         declared = _Declared()
         # No record is longer than the file: a damaged length must not take all memory.
         for record in StreamReader(file, emit_chunks=True, record_size_limit=self.size).records:
-            batch = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+            batch = _parts(record) if isinstance(record, Chunk) else [record]
             for each in batch:
                 declared.check(each)
             self.whole = self.size if isinstance(record, Footer) else file.tell()
             if isinstance(record, Metadata) and record.name == METADATA:
                 self.origin = record.metadata
             yield batch
+
+
+def _parts(chunk: Chunk) -> list[McapRecord]:
+    """Records of a chunk. Raises `ValueError` before a small one is decompressed to more than `LARGEST_CHUNK`."""
+    size = len(chunk.data)
+    if chunk.compression == "zstd":
+        # The decompressor believes the frame, and the chunk's record only where the frame does not say.
+        size = max(chunk.uncompressed_size, zstandard.frame_content_size(chunk.data))
+    elif chunk.compression:
+        raise ValueError(f"a chunk is compressed by {chunk.compression!r}: only zstd is known")
+    if size > LARGEST_CHUNK:
+        raise ValueError(f"a chunk has {size} bytes when decompressed, more than {LARGEST_CHUNK}")
+    return breakup_chunk(chunk, validate_crc=True)
 
 
 class _Declared:

@@ -11,8 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.data_stream import RecordBuilder
+from mcap.records import Chunk
 from mcap.writer import Writer
 from recorded import ARM, MOUNTING, decoded, joints, pose
 
@@ -31,6 +34,7 @@ from pcmrs.recording.views import Views
 
 MAGIC = 8
 MESSAGES = 160
+BOMB = 1200 << 20
 BEGUN = 10**18
 SPACING = 10**6
 """ns since 1970, and between two messages."""
@@ -143,6 +147,44 @@ def test_what_nothing_declares_is_damage(tmp_path: Path, schema: int, chunked: b
     assert "declared" in report.damage
     assert [heard.payload for _, heard in Reading(damaged).bus_messages()] == [b"known"]
     assert Reading(tmp_path / "mended.mcap").size
+
+
+def write_chunk(path: Path, compression: str, data: bytes, size: int) -> None:
+    """A file of one chunk, which says of itself that it has `size` bytes when decompressed."""
+    chunk = Chunk(
+        compression=compression,
+        data=data,
+        uncompressed_size=size,
+        uncompressed_crc=0,
+        message_start_time=0,
+        message_end_time=0,
+    )
+    record: Any = RecordBuilder()
+    with path.open("wb") as file:
+        Writer(file).start()
+        chunk.write(record)
+        file.write(record.end())
+
+
+@pytest.mark.parametrize("frame_says_its_size", [True, False])
+def test_a_chunk_that_would_fill_the_memory_is_damage(tmp_path: Path, frame_says_its_size: bool) -> None:
+    """40 kB of zstd are 1.2 GB of zeros; they are refused by what they say of themselves."""
+    path, mebibyte = tmp_path / "run.mcap", 1 << 20
+    packer = zstandard.ZstdCompressor(write_content_size=frame_says_its_size)
+    packing = packer.compressobj(size=BOMB if frame_says_its_size else -1)
+    packed = b"".join(packing.compress(bytes(mebibyte)) for _ in range(BOMB // mebibyte)) + packing.flush()
+    write_chunk(path, "zstd", packed, size=16 if frame_says_its_size else BOMB)
+    reading = Reading(path)
+    assert [type(record).__name__ for record in reading.records()] == ["Header"]
+    assert not reading.complete
+    assert f"{BOMB} bytes when decompressed" in reading.damage
+
+
+def test_a_chunk_in_a_compression_that_pcmrs_does_not_write_is_damage(tmp_path: Path) -> None:
+    write_chunk(tmp_path / "run.mcap", "lz4", b"", size=0)
+    reading = Reading(tmp_path / "run.mcap")
+    assert [type(record).__name__ for record in reading.records()] == ["Header"]
+    assert "'lz4'" in reading.damage
 
 
 def test_a_killed_writer_loses_only_what_came_after_its_last_flush(tmp_path: Path) -> None:
