@@ -5,12 +5,22 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Collection
 
+import structlog
+
 from pcmrs.clock import Clock
 from pcmrs.errors import DeviceError
 from pcmrs.settings import Settings
 
-DEVICES_TIME = 30.0
-"""The simulated or real devices must have been heard within this after the start, s of the machine."""
+log = structlog.get_logger(__name__)
+
+DEVICES_TIME = 120.0
+"""Every device must have sent something within this after the start, s of the machine.
+
+On two cores beside eight processes that compute, the node of the simulated cell took more than 30 s to start.
+"""
+
+NOTED_AFTER = 10.0
+"""The log names the devices that are still silent after this, s of the machine."""
 
 NEEDED_BY = {"robot": "robot", "tracker": "registration"}
 """Device to the branch that cannot do without it, also where another machine runs its node."""
@@ -62,7 +72,12 @@ class Hearing:
         """
         try:
             async with self._clock.timeout(DEVICES_TIME):
-                await self._ended
+                try:
+                    async with self._clock.timeout(NOTED_AFTER):
+                        await asyncio.shield(self._ended)
+                except TimeoutError:
+                    log.warning("waiting_for_devices", devices=sorted(self._silent), at_most_s=DEVICES_TIME)
+                    await self._ended
         except TimeoutError:
             silent = " and ".join(sorted(self._silent))
             text = f"Not heard within {DEVICES_TIME:g} s: {silent}; the log says why."
