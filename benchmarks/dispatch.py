@@ -51,6 +51,7 @@ from pcmrs.threads import keep_pauses_short
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.settings import ProcedureSettings
+from pcmrs.workflows.surface import read_surface
 
 PAUSE = 0.0005  # s between commands, as planners leave far more: what is measured is latency, not throughput
 PLAN = {"position": [0.0, 0.05, 0.1], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
@@ -83,7 +84,8 @@ async def serve(endpoint: str, folder: Path, durable: bool) -> None:
     tag = BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash)
     settings = ProcedureSettings()
     robot, pointer = RemoteRobot(bus, clock), RemotePointer(bus, clock, 1.0)
-    cell = Cell(robot, pointer, PoseFeed(clock, 0.2), ArmModel(ARMS["iiwa14"]), clock, settings)
+    poses, arm = PoseFeed(clock, 0.2), ArmModel(ARMS["iiwa14"])
+    cell = Cell(robot, pointer, poses, arm, clock, settings, read_surface(settings))
     recorder = JournalRecorder(journal, clock, "benchmark", tag)
     dispatcher = Dispatcher(workflow, cell, clock, recorder, nothing_to_hold, Publishing(bus).publish)
     edge = await CommandEdge.open(bus, dispatcher.submit, lambda *_: None, lambda _source, _presses: None)

@@ -17,6 +17,7 @@ from pcmrs.kinematics.arms import IIWA14_R820
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.settings import ProcedureSettings
+from pcmrs.workflows.surface import read_surface
 from pcmrs.workflows.zones import CellZones
 
 STEPS = 5_000
@@ -38,7 +39,7 @@ def timed(zones: CellZones, posture: Floats) -> float:
 def main(steps: int) -> None:
     settings = msgspec.convert({"body": {"surface": "head_phantom.ply"}}, ProcedureSettings)
     flange_from_coil = Transform.from_quat_wxyz((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
-    zones = CellZones(IIWA14_R820, flange_from_coil, settings)
+    zones = CellZones(IIWA14_R820, flange_from_coil, settings, read_surface(settings))
     zones.place_body(BASE_FROM_IMAGE)
     zones.model.look_from(TRACKER, BODY_REF)
     home, at_head = np.array(IIWA14_R820.home), np.array(AT_HEAD)

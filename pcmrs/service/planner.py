@@ -8,13 +8,13 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 
-import msgspec
 import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.dispatcher import Run
 from pcmrs.dispatcher.perform import reason_of
 from pcmrs.errors import RefusalError
+from pcmrs.formats.mesh import Mesh
 from pcmrs.messages import DeviceEvent, Reason
 from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 from pcmrs.settings import Settings
@@ -27,7 +27,7 @@ log = structlog.get_logger(__name__)
 
 PLANNING_TIME = 5.0
 """A motion is planned within this, or rejected, s of the machine; a process that takes longer is restarted."""
-STARTING_TIME = 30.0
+STARTING_TIME = 120.0
 """The daemon waits so long for the process to be ready, s; without it motions are rejected."""
 PAUSE = 10.0
 """Between two starts of a process that ends again and again, s."""
@@ -49,10 +49,9 @@ class PlanningProcess:
 
     def __init__(self, settings: Settings, clock: Clock) -> None:
         self.report: Callable[[DeviceEvent], None] = lambda _: None
-        self._settings = PlanningSettings(
-            settings.workflow, settings.procedure.in_cell_time(settings.cell.rate), settings.robot.model
-        )
+        self._settings = settings
         self._clock = clock
+        self._start = b""
         self._number = 0
         self._pending: dict[int, asyncio.Future[PlanAnswer]] = {}
         self._ready = asyncio.Event()
@@ -67,8 +66,17 @@ class PlanningProcess:
             return reason_of(refusal)
         return take_answer(run, request, answer)
 
-    def start(self, supervisor: Supervisor) -> None:
-        """Starts the process, and keeps it running."""
+    def start(self, supervisor: Supervisor, surface: Mesh | None) -> None:
+        """Starts the process, and keeps it running.
+
+        Args:
+            supervisor: Restarts what keeps it running.
+            surface: Of the body, as the daemon has read it.
+        """
+        settings = self._settings
+        procedure = settings.procedure.in_cell_time(settings.cell.rate)
+        start = PlanningSettings(settings.workflow, procedure, settings.robot.model, surface)
+        self._start = framed(0, pickle.dumps(start, pickle.HIGHEST_PROTOCOL))
         supervisor.start("planner", self._keep)
 
     async def wait(self) -> None:
@@ -129,7 +137,7 @@ class PlanningProcess:
             start_new_session=True,  # a Ctrl-C at the terminal is the daemon's to handle
         )
         if process.stdin is not None:
-            process.stdin.write(msgspec.json.encode(self._settings) + b"\n")
+            process.stdin.write(self._start)
         return process
 
     async def _take_answers(self, process: asyncio.subprocess.Process) -> None:

@@ -44,6 +44,7 @@ from pcmrs.settings import DWELL, Settings
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.settings import TrackingSettings
+from pcmrs.workflows.surface import read_surface
 
 log = structlog.get_logger(__name__)
 
@@ -250,7 +251,8 @@ def open_cell(settings: Settings, blueprint: Blueprint, link: Link, clocks: Cloc
     """The cell as the operations of a blueprint see it, its devices behind `link`; `session` is the daemon's.
 
     Raises:
-        ConfigurationError: A calibration cannot be used.
+        ConfigurationError: A calibration cannot be used, or the body's surface is not there, or another patient's.
+        FileFormatError: The surface is no mesh.
     """
     procedure, machine = settings.procedure.in_cell_time(settings.cell.rate), clocks.machine
     cell = Cell(
@@ -265,6 +267,7 @@ def open_cell(settings: Settings, blueprint: Blueprint, link: Link, clocks: Cloc
         arm=ArmModel(find_arm(settings.robot.model)),
         clock=clocks.cell,
         settings=procedure,
+        surface=read_surface(procedure),
     )
     if settings.pointer.driver == DWELL:
         cell.pointer = DwellPointer(cell.poses, clocks.cell, cell.pointer_from_tip, settings.pointer.dwell)

@@ -22,19 +22,12 @@ from pcmrs.settings import Settings
 from pcmrs.workflows.accuracy import sigma_in_force
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message
-from pcmrs.workflows.surface import read_surface
 from pcmrs.workflows.tms.data import Data
 
 
 def setup_of(cell: Cell, settings: Settings, blueprint: Blueprint) -> Setup:
-    """How the cell is set up, for nobody in particular. Reads the file of the surface.
-
-    Raises:
-        ConfigurationError: The body's surface is not there any more.
-        FileFormatError: It is no mesh any more.
-    """
-    procedure, facts = settings.procedure, cell.arm.facts
-    mesh = read_surface(procedure)
+    """How the cell is set up, for nobody in particular."""
+    procedure, facts, mesh = settings.procedure, cell.arm.facts, cell.surface
     surface = None
     if mesh is not None:
         surface = SurfaceShown(vertices=mesh.vertices.astype("<f4").tobytes(), faces=mesh.faces.astype("<u4").tobytes())

@@ -51,7 +51,7 @@ class SimulatedPlanner:
             return refusal(self._workflow.registry, spec, run)
         if self._cell is None:
             arm = ArmModel(find_arm(self._settings.robot.model))
-            self._cell = PlanningCell(self._workflow, self._settings.procedure, arm)
+            self._cell = PlanningCell(self._workflow, self._settings.procedure, arm, run.cell.surface)
         request = request_of(run)
         answer = self._cell.answer(request)
         await self._clock.sleep(lasts)

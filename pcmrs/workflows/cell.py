@@ -18,6 +18,7 @@ from pcmrs.clock import Clock
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.protocols import Emg, LatchingRobot, LatchingStimulator, Pointer
 from pcmrs.errors import ConfigurationError, FileFormatError, PcmrsError, RefusalError
+from pcmrs.formats.mesh import Mesh
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import JointState
@@ -35,6 +36,8 @@ class Cell:
     """Devices and calibrations of one cell.
 
     Attributes:
+        surface: Of the body, read once when the cell was opened, so that planning, guard and display have the same one
+            even if the file has changed since. None where none is configured.
         joints: Newest measured joints; None until the robot has been heard.
         name: ``site/name`` of the cell.
         tool_calibration: From a file; None where the configuration gives the poses.
@@ -63,6 +66,7 @@ class Cell:
     arm: ArmModel
     clock: Clock
     settings: ProcedureSettings
+    surface: Mesh | None
     joints: JointState | None = None
     resting_since: float = -math.inf
     base_from_body_ref: Transform | None = None
@@ -94,7 +98,7 @@ class Cell:
             self.tool_from_coil = self.flange_from_tool.inverse() @ self.flange_from_coil
         if self.pointer_calibration is not None:
             self.pointer_from_tip = self.pointer_calibration.transform()
-        self.zones = CellZones(self.arm.facts, self.flange_from_coil, self.settings)
+        self.zones = CellZones(self.arm.facts, self.flange_from_coil, self.settings, self.surface)
 
     @property
     def calibration_id(self) -> str:

@@ -6,7 +6,6 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, fields
 from typing import Any, cast
 
-import msgspec
 import numpy as np
 
 from pcmrs.devices.poses import PoseFeed, Seen
@@ -15,6 +14,7 @@ from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.dispatcher import Workflow
 from pcmrs.dispatcher.perform import reason_of, refusal
 from pcmrs.errors import PcmrsError, RefusalError
+from pcmrs.formats.mesh import Mesh
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import Command, Reason
 from pcmrs.workflows.cell import Cell
@@ -30,23 +30,29 @@ FRAMES = 64
 STILL = 0.01
 """An arm at rest that has moved by more than this in a joint while a motion was planned has left its start, rad."""
 
-_OWN = {"robot", "pointer", "poses", "arm", "clock", "settings", "watchers", "name", "stimulator", "emg", "teleop"}
+_OWN = {
+    *("robot", "pointer", "poses", "arm", "clock", "settings", "surface"),
+    *("watchers", "name", "stimulator", "emg", "teleop"),
+}
 """What a cell in another process has of its own, or not at all; all else of it is sent."""
 _SENT = tuple(field.name for field in fields(Cell) if field.init and field.name not in _OWN)
 
 
-class PlanningSettings(msgspec.Struct, frozen=True):
+@dataclass(frozen=True, slots=True)
+class PlanningSettings:
     """What a process needs to plan for a cell.
 
     Attributes:
         workflow: Its name, or the path of its blueprint.
         procedure: The settings of the procedure.
         arm: Name of the arm, or the path of its URDF.
+        surface: Of the body, as the daemon has read it: plans and the guard of motions keep away from the same body.
     """
 
     workflow: str
     procedure: ProcedureSettings
     arm: str
+    surface: Mesh | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,9 +131,16 @@ class PlanningCell:
         workflow: With the checks.
         settings: Of the procedure.
         arm: Of the cell.
+        surface: Of the body.
     """
 
-    def __init__(self, workflow: Workflow[Cell, PlacementData], settings: ProcedureSettings, arm: ArmModel) -> None:
+    def __init__(
+        self,
+        workflow: Workflow[Cell, PlacementData],
+        settings: ProcedureSettings,
+        arm: ArmModel,
+        surface: Mesh | None,
+    ) -> None:
         self._workflow = workflow
         self._clock = _Moment()
         self._cell = Cell(
@@ -137,6 +150,7 @@ class PlanningCell:
             arm=arm,
             clock=self._clock,
             settings=settings,
+            surface=surface,
         )
 
     def answer(self, request: PlanRequest) -> PlanAnswer:

@@ -1,7 +1,7 @@
 """The process in which motions are planned: ``python -m pcmrs.workflows.planning_process``.
 
-It reads the settings as a line of JSON from its standard input, then requests, and writes an answer to each; both are
-pickled, with their length in front. It ends with its standard input, and so with the daemon.
+It reads its settings from its standard input, then requests, and writes an answer to each; all are pickled, with their
+length in front. It ends with its standard input, and so with the daemon.
 """
 
 from __future__ import annotations
@@ -10,18 +10,17 @@ import os
 import pickle
 import struct
 import sys
-from typing import BinaryIO
-
-import msgspec
+from collections.abc import Iterator
+from typing import Any, BinaryIO
 
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import Reason
 from pcmrs.workflows.opening import open_workflow
-from pcmrs.workflows.planning import PlanAnswer, PlanningCell, PlanningSettings, PlanRequest
+from pcmrs.workflows.planning import PlanAnswer, PlanningCell, PlanningSettings
 
 HEAD = struct.Struct("<QI")
-"""Number of a request, and the length of what follows. Number 0 is the process's own: it is ready."""
+"""Number of a request, and the length of what follows. Number 0 are the settings, and that the process is ready."""
 
 
 def framed(number: int, content: bytes) -> bytes:
@@ -35,13 +34,23 @@ def main() -> None:
     # What a user's checks print must not get between the answers.
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    settings = msgspec.json.decode(requests.readline(), type=PlanningSettings)
-    cell = PlanningCell(open_workflow(settings.workflow), settings.procedure, ArmModel(find_arm(settings.arm)))
+    messages = _messages(requests)
+    first = next(messages, None)
+    if first is None:
+        return
+    settings: PlanningSettings = first[1]
+    arm = ArmModel(find_arm(settings.arm))
+    cell = PlanningCell(open_workflow(settings.workflow), settings.procedure, arm, settings.surface)
     _write(answers, 0, None)
-    while len(head := requests.read(HEAD.size)) == HEAD.size:
-        number, length = HEAD.unpack(head)
-        request: PlanRequest = pickle.loads(requests.read(length))  # noqa: S301  # of our parent
+    for number, request in messages:
         _write(answers, number, cell.answer(request))
+
+
+def _messages(stream: BinaryIO) -> Iterator[tuple[int, Any]]:
+    """Number and content of each message until the stream ends."""
+    while len(head := stream.read(HEAD.size)) == HEAD.size:
+        number, length = HEAD.unpack(head)
+        yield number, pickle.loads(stream.read(length))  # noqa: S301  # of our parent
 
 
 def _write(answers: BinaryIO, number: int, answer: PlanAnswer | None) -> None:

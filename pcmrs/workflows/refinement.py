@@ -114,18 +114,17 @@ def _surface(run: Run) -> Mesh:
 
     A path that a client gives is one of its own machine, Windows or not: only the base name says anything here.
     """
-    settings, asked = run.cell.settings, run.payload.surface
+    settings, asked, mesh = run.cell.settings, run.payload.surface, run.cell.surface
     if asked is not None:
         name = PureWindowsPath(asked).name
         if not name:
             raise RefusalError("unknown_surface", f"{asked!r} names no file of a surface.", surface=asked)
         if name != PureWindowsPath(settings.body.surface).name:
             body = msgspec.structs.replace(settings.body, surface=name)
-            settings = msgspec.structs.replace(settings, body=body)
-    try:
-        mesh = read_surface(settings)
-    except ConfigurationError as error:
-        raise RefusalError("unknown_surface", error.text, **error.fields) from None
+            try:
+                mesh = read_surface(msgspec.structs.replace(settings, body=body))
+            except ConfigurationError as error:
+                raise RefusalError("unknown_surface", error.text, **error.fields) from None
     if mesh is None:
         text = "There is no surface of the body to refine by: set procedure.body.surface, or name one."
         raise RefusalError("unknown_surface", text)

@@ -8,6 +8,7 @@ from math import hypot, radians
 import numpy as np
 import numpy.typing as npt
 
+from pcmrs.formats.mesh import Mesh
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.collision import Solid, box, hull
 from pcmrs.kinematics.cone import ApproachCone
@@ -15,7 +16,6 @@ from pcmrs.kinematics.passage import BOUND, Passage, look_at
 from pcmrs.kinematics.zones import SIGHT_OF_BODY, SIGHT_OF_TOOL, ToolShape, Zone, ZoneModel
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.settings import ProcedureSettings, ToolSettings, ZoneSettings
-from pcmrs.workflows.surface import read_surface
 
 BODY = "body"
 
@@ -27,6 +27,7 @@ class CellZones:
         facts: The arm.
         flange_from_coil: Where the tool is.
         settings: Of the procedure.
+        surface: Of the body; None where the arm keeps away from none.
 
     Attributes:
         model: Computes the distances.
@@ -36,12 +37,12 @@ class CellZones:
         cone: Through which the tool comes to its target.
 
     Raises:
-        ConfigurationError: The body's surface is not there, or another patient's.
-        FileFormatError: It is no mesh.
-        GeometryError: It encloses nothing.
+        GeometryError: The surface encloses nothing.
     """
 
-    def __init__(self, facts: ArmFacts, flange_from_coil: Transform, settings: ProcedureSettings) -> None:
+    def __init__(
+        self, facts: ArmFacts, flange_from_coil: Transform, settings: ProcedureSettings, surface: Mesh | None
+    ) -> None:
         zones = settings.zones
         self._facts = facts
         self._tool_reach = _tool_reach(flange_from_coil, zones.tool)
@@ -49,7 +50,7 @@ class CellZones:
             facts,
             flange_from_coil,
             ToolShape(zones.tool.radius, zones.tool.half_length),
-            _zones(settings),
+            _zones(settings, surface),
             link_margin=zones.link_margin,
             sight_radius=zones.sight_radius,
         )
@@ -92,10 +93,9 @@ def _tool_reach(flange_from_tool: Transform, tool: ToolSettings) -> float:
     return float(np.linalg.norm(flange_from_tool.translation)) + hypot(tool.radius, 2.0 * tool.half_length)
 
 
-def _zones(settings: ProcedureSettings) -> list[Zone]:
+def _zones(settings: ProcedureSettings, surface: Mesh | None) -> list[Zone]:
     margins = settings.zones
     found = [Zone(b.name, box(b.size, b.pose.transform()), margins.box_margin) for b in margins.boxes]
-    surface = read_surface(settings)
     if surface is not None:
         found.append(Zone(BODY, _hull(surface.vertices.tobytes()), margins.body_margin, tool_may_touch=True))
     return found

@@ -14,6 +14,7 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.floors import PART, Floors
 from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.planning import PlanningCell
+from pcmrs.workflows.surface import read_surface
 
 SAMPLES = 10 * PART + 7
 
@@ -22,7 +23,10 @@ SAMPLES = 10 * PART + 7
 def cell() -> Cell:
     settings = Settings()
     planning = PlanningCell(
-        open_workflow(settings.workflow), settings.procedure, ArmModel(find_arm(settings.robot.model))
+        open_workflow(settings.workflow),
+        settings.procedure,
+        ArmModel(find_arm(settings.robot.model)),
+        read_surface(settings.procedure),
     )
     return planning._cell
 

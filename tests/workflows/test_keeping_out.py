@@ -190,7 +190,7 @@ def test_no_point_of_a_tool_that_points_away_from_the_flange_moves_farther_than_
     tool = {"radius": 0.01, "half_length": 0.2}
     own = msgspec.convert({"zones": {"tool": tool}}, ProcedureSettings)
     flange_from_tool = Transform(np.eye(3), np.array((0.0, 0.0, 0.15)))
-    zones = CellZones(IIWA14_R820, flange_from_tool, own)
+    zones = CellZones(IIWA14_R820, flange_from_tool, own, read_surface(own))
     postures = zones.look_at([np.zeros(7), 0.5 * np.eye(7)[1]]).postures
     arm, end = ArmModel(IIWA14_R820), np.array((0.01, 0.0, 0.4))
     ends = np.array([arm.forward(q) @ flange_from_tool @ end for q in postures])

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import os
+import shutil
 import signal
 from collections.abc import AsyncIterator, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -47,7 +49,7 @@ async def planning(bench: WorkflowBench) -> AsyncIterator[tuple[PlanningProcess,
     planner.report = events.put_nowait
     try:
         async with Supervisor(clock) as supervisor:
-            planner.start(supervisor)
+            planner.start(supervisor, bench.cell.surface)
             await planner.wait()
             yield planner, events
     finally:
@@ -95,6 +97,21 @@ async def test_it_answers_as_the_checks_do_in_the_loop() -> None:
             assert await process.wait() == 0
 
     async with open_bench() as bench:
+        await bench.register()
+        on_the_machine(ask(bench))
+
+
+async def test_it_keeps_away_from_the_body_that_the_daemon_has_read(tmp_path: Path) -> None:
+    """A file that is replaced or gone when the process is restarted must not give it another body than the guard's."""
+    file = tmp_path / "body.ply"
+    shutil.copy(Path(__file__).parents[2] / "examples" / "head_phantom.ply", file)
+
+    async def ask(bench: WorkflowBench) -> None:
+        file.unlink()
+        async with planning(bench) as (planner, _):
+            assert await planner.check(run_of(bench, "placement.approach")) is None
+
+    async with open_bench({"body": {"surface": str(file)}}) as bench:
         await bench.register()
         on_the_machine(ask(bench))
 

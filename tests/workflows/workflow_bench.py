@@ -28,6 +28,7 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
 from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.settings import ProcedureSettings
+from pcmrs.workflows.surface import read_surface
 from sim.cell import open_devices
 
 PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "ratms_plan.json").read_text())
@@ -133,6 +134,7 @@ class WorkflowBench:
             arm=ArmModel(ARMS["iiwa14"]),
             clock=clock,
             settings=settings,
+            surface=read_surface(settings),
             stimulator=cast(
                 LatchingStimulator, Latched("stimulator", devices["stimulator"], devices["stimulator"].disarm)
             ),

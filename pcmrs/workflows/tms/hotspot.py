@@ -14,7 +14,6 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.correction import size_of
 from pcmrs.workflows.data import PlacementData, as_transform
 from pcmrs.workflows.placement import planned
-from pcmrs.workflows.surface import read_surface
 from pcmrs.workflows.tms.data import Response, Run
 from pcmrs.workflows.tms.intensity import known_intensity
 from pcmrs.workflows.toolplan import ToolPose, accept_pose, pose_of
@@ -50,7 +49,7 @@ def search_possible(run: Run) -> None:
 
 
 def _scalp(run: Run) -> TriangleSurface:
-    mesh = read_surface(run.cell.settings)
+    mesh = run.cell.surface
     if mesh is None:
         text = "procedure.body.surface names no surface of the body: a search needs the scalp. Configure it."
         raise RefusalError("no_surface", text)
