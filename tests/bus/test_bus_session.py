@@ -13,6 +13,7 @@ from bus_cells import TIMEOUT, new_cell, open_bus, open_pair, plain_session, sna
 
 from pcmrs.bus import Bus, Empty
 from pcmrs.bus.codec import pack
+from pcmrs.bus.serving import ANSWERS
 from pcmrs.errors import BusError, DeviceError, PayloadError, RefusalError, UnknownOutcomeError
 from pcmrs.messages import BodyPose, DeviceReply, DeviceRequest, Snapshot
 
@@ -360,3 +361,27 @@ async def test_a_liveliness_token_lasts_as_long_as_the_session() -> None:
                 node.alive("robot")
                 assert await asyncio.wait_for(events.get(), TIMEOUT) == ("robot", zenoh.SampleKind.PUT)
             assert await asyncio.wait_for(events.get(), TIMEOUT) == ("robot", zenoh.SampleKind.DELETE)
+
+
+async def test_one_more_request_than_is_answered_at_a_time_is_refused_and_says_the_limit() -> None:
+    async with open_pair() as (router, client):
+        let = asyncio.Event()
+
+        async def answer(_: str, request: DeviceRequest) -> DeviceReply:
+            await let.wait()
+            return DeviceReply(result={"method": request.method})
+
+        router.serve("dev/robot/svc/read", DeviceRequest, answer)
+        request = DeviceRequest(method="read")
+        asked = [
+            asyncio.ensure_future(client.request("dev/robot/svc/read", request, DeviceReply, TIMEOUT))
+            for _ in range(ANSWERS + 5)
+        ]
+        async with asyncio.timeout(TIMEOUT):
+            while sum(each.done() for each in asked) < 5:  # noqa: ASYNC110
+                await asyncio.sleep(0.01)
+        let.set()
+        replies = await asyncio.gather(*asked, return_exceptions=True)
+        refused = [each for each in replies if isinstance(each, DeviceError)]
+        assert {(each.fields["reason"], str(ANSWERS) in each.text) for each in refused} == {("busy", True)}
+        assert (len(refused), sum(isinstance(each, DeviceReply) for each in replies)) == (5, ANSWERS)

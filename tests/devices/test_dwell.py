@@ -18,6 +18,7 @@ from pcmrs.spatial import Transform
 
 PERIOD = 1 / 60
 LATENCY = 0.03
+MAX_AGE = 0.25
 SETTINGS = DwellSettings(time=0.5, still_mm=1.0, samples=10, away_mm=10.0)
 TIP = Transform.from_quat_wxyz((0.0, 0.0, -0.15), (1.0, 0.0, 0.0, 0.0))
 PROMPT = LandmarkPrompt(index=0, name="nasion", position_in_image=(0.0, 0.0, 0.0))
@@ -29,7 +30,7 @@ class Hand:
 
     def __init__(self) -> None:
         self.clock = ManualClock()
-        self.feed = PoseFeed(self.clock, max_age=0.25)
+        self.feed = PoseFeed(self.clock, MAX_AGE)
         self.pointer = DwellPointer(self.feed, self.clock, TIP, SETTINGS)
         self.asked: asyncio.Task[None] | None = None
         self._number = 0
@@ -48,12 +49,15 @@ class Hand:
             await self.frame((1.0 - part) * np.array(start) + part * np.array(end))
 
     async def frame(self, tip: npt.NDArray[np.float64], seen: bool = True) -> None:
+        self.publish(tip, seen)
+        await self.clock.advance(PERIOD)
+
+    def publish(self, tip: npt.NDArray[np.float64], seen: bool = True) -> None:
         self._number += 1
         head = Transform.from_rotvec((0.001 * self._number, 0.0, -1.0), (0.0, 0.001 * self._number, 0.0))
         turned = Transform.from_rotvec(tip, (0.2 * np.sin(self._number / 9), 0.0, 0.0))  # about the tip
         self._publish("body_ref", head, True)
         self._publish("pointer", head @ turned @ TIP.inverse(), seen)
-        await self.clock.advance(PERIOD)
 
     def _publish(self, body: str, pose: Transform, seen: bool) -> None:
         now = self.clock.monotonic()
@@ -174,3 +178,18 @@ async def test_a_surface_is_touched_the_same_way_and_a_wait_can_be_cancelled(han
     hand.asked.cancel()
     with pytest.raises(asyncio.CancelledError):
         await hand.asked
+
+
+async def test_a_rest_that_is_learnt_of_too_late_is_no_touch(hand: Hand) -> None:
+    """A link that was held up brings its frames at once: where the tip is now, they do not say."""
+    await hand.rest(TABLE, 1.0)
+    await hand.ask()
+    await hand.go(TABLE, NASION, 0.5)
+    for _ in range(round(2.0 * SETTINGS.time / PERIOD)):
+        hand.clock.stall(PERIOD)
+        hand.publish(np.array(NASION))
+    hand.clock.stall(2.0 * MAX_AGE)
+    await hand.clock.advance(PERIOD)
+    assert not hand.done
+    await hand.rest(NASION, SETTINGS.time + 0.2)
+    assert hand.done

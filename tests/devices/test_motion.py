@@ -1,5 +1,7 @@
 """References at the rate of a streamed arm: the same limits hold as at that of a control loop."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -162,3 +164,67 @@ def test_too_great_a_force_is_relieved_and_told(step: float) -> None:
     assert (alarm.code, alarm.danger) == ("force_limit", True)
     way = MODEL.forward(HOME).inverse() @ MODEL.forward(samples[-1, 0]).translation
     assert np.allclose(way, (0.0, 0.0, -0.002), atol=1e-4)
+
+
+@STEPS
+@pytest.mark.parametrize("end", [-1.0, 1.0])
+def test_a_target_that_leads_too_fast_to_a_joints_end_is_left_while_the_arm_can_brake(step: float, end: float) -> None:
+    arm = follower(step)
+    servo, joint = arm.servo(), 5
+    bound = (MODEL.upper if end > 0.0 else MODEL.lower)[joint]
+    numbers = 0
+    while arm.reference is servo:
+        wanted, velocities = servo.position.copy(), np.zeros(7)
+        wanted[joint] = np.clip(wanted[joint] + end * 0.1, MODEL.lower[joint], MODEL.upper[joint])
+        velocities[joint] = end * MODEL.velocity[joint]
+        numbers += 1
+        servo.take(
+            JointSetpoint(
+                session=1, number=numbers, sent=0.0, positions=wanted.tolist(), velocities=velocities.tolist()
+            )
+        )
+        arm.advance()
+        assert numbers < 10.0 / step, "it never ends"
+    positions = [arm.reference.position[joint]]
+    while not arm.reference.ended:
+        positions.append(arm.advance()[0][joint])
+    (alarm,) = arm.alarms
+    assert (arm.stopped, alarm.fields["reason"], alarm.fields["joint"]) == ("joint_limit", "joint_limit", joint + 1)
+    assert (end * (bound - np.array(positions))).min() >= 0.0
+
+
+@STEPS
+def test_a_press_that_leads_out_of_a_joints_range_is_held(step: float) -> None:
+    free, sensor = follower(step), Spring(1.0)
+    request = PressRequest(force=3.0, direction_in_flange=(0.0, 0.0, 1.0), travel=0.010, speed=0.02, timeout=8.0)
+    free.press(request)
+    way = run(free, sensor, step, 10.0)[-1, 0] - HOME
+    joint = int(np.abs(way).argmax())
+    half = float(HOME[joint] + way[joint] / 2)
+    joints = list(MODEL.facts.joints)
+    rising, facts = bool(way[joint] > 0.0), joints[joint]
+    joints[joint] = dataclasses.replace(
+        facts, lower=facts.lower if rising else half, upper=half if rising else facts.upper
+    )
+    model = ArmModel(dataclasses.replace(MODEL.facts, joints=tuple(joints)))
+    arm = Follower(model, LIMITS, ForceSettings(), sensor, HOME, step)
+    arm.press(request)
+    samples = run(arm, sensor, step, 10.0)
+    assert arm.stopped == "joint_limit"
+    beyond = np.sign(way[joint]) * (samples[:, 0, joint] - half)
+    assert 0.0 <= beyond.max() < 1e-3, "it brakes at once"
+
+
+@STEPS
+def test_forces_that_come_one_after_another_are_relieved_by_no_more_than_the_way_for_one(step: float) -> None:
+    sensor = Spring(gap=1.0)
+    arm = follower(step, sensor, force_limit=10.0, relief_mm=2.0)
+    arm.press(PressRequest(force=3.0, direction_in_flange=(0.0, 0.0, 1.0), travel=0.010, speed=0.02, timeout=8.0))
+    arm.hold()
+    held = arm.reference.position.copy()
+    for gap in (-0.015, -0.030, -0.045):  # the body comes nearer and nearer, and nobody presses Stop
+        for _ in range(round(1.0 / step)):
+            sensor.move_to(gap, arm.advance()[0])
+    way = MODEL.forward(held).inverse() @ MODEL.forward(arm.reference.position).translation
+    assert len(arm.alarms) == 3
+    assert way[2] == pytest.approx(-0.002, abs=1e-4)

@@ -133,3 +133,20 @@ def test_only_the_writer_carries_the_log_over(path: Path, durable: bool) -> None
     writer = JournalWriter(path, durable=durable)
     assert writer._connection.execute("PRAGMA wal_autocheckpoint").fetchone() == (0,)
     writer.close()
+
+
+async def test_what_goes_wrong_while_it_is_reopened_does_not_end_the_thread_that_writes(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: JournalWriter) -> int:
+        raise MemoryError
+
+    journal = Journal.open(path)
+    with monkeypatch.context() as patched:
+        patched.setattr(JournalWriter, "reopen", fail)
+        with pytest.raises(JournalError, match="MemoryError"):
+            async with asyncio.timeout(10.0):
+                await journal.reopen()
+    async with asyncio.timeout(10.0):
+        assert await journal.append([row()]) == 1
+    await journal.close()

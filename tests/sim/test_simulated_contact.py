@@ -218,3 +218,14 @@ def test_the_force_limit_also_guards_a_standing_arm() -> None:
     assert alarm.fields["relieved"] == pytest.approx(0.005, abs=1e-4)
     assert arm.at_rest
     assert arm.contact.force < 8.0
+
+
+@pytest.mark.parametrize(("before", "after"), [(-0.001, 0.005), (0.005, 0.0005)])
+def test_a_body_that_is_shifted_at_once_neither_hits_nor_draws_the_tool(before: float, after: float) -> None:
+    arm = make_arm()
+    arm.contact.place(body_before_tool(-before))
+    arm.step(1)
+    arm.contact.place(body_before_tool(-after))
+    arm.step(1)
+    spring = SimSettings().contact.stiffness * after
+    assert 0.0 <= arm.contact.force <= 2.0 * spring * 1.01

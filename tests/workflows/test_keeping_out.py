@@ -289,6 +289,21 @@ async def test_the_last_way_to_the_body_is_slow() -> None:
         assert 0.035 < speeds.max() < 0.042
 
 
+@pytest.mark.parametrize("operation", ["placement.approach", "placement.home"])
+async def test_near_the_body_every_way_is_slow_and_elsewhere_it_is_not(operation: str) -> None:
+    """SR8: also of the ways that lead from and to places far from the body."""
+    async with open_bench({"motion": {"near_velocity": 0.04, "near_distance": 0.1}}) as bench:
+        await (bench.to_standoff() if operation == "placement.home" else bench.register())
+        postures = np.array(await recorded(bench, operation))
+        flanges = [bench.cell.arm.forward(q) for q in postures]
+        points = np.array([(each.translation, each @ bench.cell.flange_from_coil.translation) for each in flanges])
+        speeds = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1) * 100.0  # states come at 100 Hz
+        near = bench.cell.zones.near_body(postures, 0.1)
+        slow = near[1:] & near[:-1]
+        assert 0.035 < speeds[slow].max() < 0.042
+        assert speeds[~slow].max() > 0.1
+
+
 def settings_with(**body: Any) -> ProcedureSettings:
     return msgspec.convert({"body": body}, ProcedureSettings)
 

@@ -14,6 +14,7 @@ from pcmrs.errors import DeviceError
 from pcmrs.messages import Command, DeviceEvent, HeadBurst, HeadMotion
 from pcmrs.spatial import distance
 from pcmrs.workflows import read_workflow
+from pcmrs.workflows.alignment import BODIES
 from pcmrs.workflows.data import as_transform
 from pcmrs.workflows.settings import ProcedureSettings
 
@@ -210,6 +211,23 @@ async def test_what_is_not_seen_lately_gives_no_pulse() -> None:
         await bench.clock.sleep(0.5)
         assert bench.states["alignment"] == "1"
         await bench.refuse("stimulation.fire", "pose_stale")
+
+
+async def test_too_few_frames_to_tell_a_speed_give_no_pulse() -> None:
+    async with stimulation({"alignment": {"off_time": 30.0}}) as bench:
+        await bench.to_armed()
+        await bench.bench.scene.occlude("body_ref", hidden=True)
+        await bench.clock.sleep(1.0)
+        await bench.bench.scene.occlude("body_ref", hidden=False)
+        shown = bench.clock.monotonic()
+        await bench.until(lambda: bool(bench.bench.cell.poses.together(BODIES, shown)))
+        verdict = await bench.refuse("stimulation.fire", "pose_stale")
+        assert verdict.reason is not None
+        fields = verdict.reason.fields
+        assert fields["age"] <= fields["limit"], "they are fresh"
+        assert 0 < fields["frames"] < 4
+        await bench.clock.sleep(0.1)
+        await bench.accept("stimulation.fire")
 
 
 async def test_a_head_that_moves_fast_gets_no_pulse() -> None:
