@@ -11,9 +11,11 @@ INSTALLED := $(VENV)/installed.stamp
 TARGETS := $(filter-out __init__ running,$(basename $(notdir $(wildcard fuzz/*.py))))
 SECONDS := 30
 SEED := 0
+PART :=
+OPTIONS :=
 EXTRAS := sim hardware console imaging ros2 docs fuzz dev
 
-.PHONY: help install demo test mutants fuzz tools spin browser mono screenshots docs lint lock clean
+.PHONY: help install demo test nightly evidence mutants fuzz tools spin browser mono screenshots docs lint lock clean
 
 help: ## List these targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  make \1\t\2/p' Makefile
@@ -23,8 +25,14 @@ install: $(INSTALLED) ## Create .venv with the locked versions; done once, again
 demo: install ## Run a procedure on the simulated cell and print its errors; WORKFLOW=femoroplasty for another
 	$(BIN)/pcmrs demo --workflow $(WORKFLOW)
 
-test: install ## Run the whole test suite; a running daemon does not disturb it
-	$(BIN)/pytest -n auto
+test: install ## Run the whole test suite; OPTIONS=--tools-installed: a test that is skipped for a missing tool fails
+	$(BIN)/pytest -n auto $(OPTIONS)
+
+nightly: install ## Run what `make test` leaves out, in parts; PART=faults for some, OPTIONS=--publish for docs/evidence.md
+	$(BIN)/python tests/nightly/run.py $(OPTIONS) $(PART)
+
+evidence: install ## Make docs/evidence.md from the documents' promises and the last nightly runs
+	$(BIN)/python tests/evidence/make_evidence.py
 
 mutants: install ## Take guards out of the product, one at a time, and count how many the tests miss; tens of minutes
 	$(BIN)/python tests/mutants/run_removed_guards.py
@@ -37,8 +45,9 @@ fuzz: install ## Fuzz every parser of bytes from outside, SECONDS=30 each; TARGE
 	    tail -n 1 "$$log"; \
 	done
 
-tools: spin ## Install SPIN and what faults are injected with (Debian packages, as root); without them such tests and faults are not run
-	apt-get install --yes --no-install-recommends e2fsprogs faketime iproute2 mount nftables strace
+tools: spin browser mono ## Install all that tests are skipped and faults are not injected without (Debian packages, as root)
+	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends \
+	    e2fsprogs faketime graphviz iproute2 mount nftables strace systemd >/dev/null
 
 spin: ## Install the model checker SPIN and a C compiler (Debian packages, as root); without them its tests are skipped
 	apt-get update -qq

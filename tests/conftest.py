@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 from collections.abc import AsyncIterator, Iterator
 
 import pytest
 import structlog
 from hypothesis import Phase, settings
+from skip_budget import OPTION, SkipBudget
+
+# A shell may ignore Ctrl-C for what it runs, as scripts do for what they start with `&`. Children inherit that, and
+# would not end by the signal that tests send them.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # How long an example takes says how busy the machine is. `--hypothesis-profile=thorough` tries more of them; `mutants`
 # the same ones every time, and does not look for the smallest one that fails.
@@ -17,6 +24,17 @@ settings.register_profile(
     "mutants", deadline=None, max_examples=40, derandomize=True, phases=(Phase.explicit, Phase.generate)
 )
 settings.load_profile("pcmrs")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        OPTION, action="store_true", help="fail when a test is skipped that tests/skips.toml does not name"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption(OPTION):
+        config.pluginmanager.register(SkipBudget(), "skip-budget")
 
 
 @pytest.fixture(autouse=True)
