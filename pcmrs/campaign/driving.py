@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from pcmrs.campaign.fault import NotRun, Unmet
+from pcmrs.campaign.sham import is_sham
 from pcmrs.client import Client
 from pcmrs.errors import PcmrsError
 from pcmrs.experiment.plan import Plan, example_plan, read_plan
@@ -280,6 +281,9 @@ async def injected(
     """
     began = dict(begin or {}) if end is not None else {**(begin or {}), "on": True}
     ended = end if end is not None else {**began, "on": False}
+    if is_sham():
+        yield
+        return
     await cell.scene.inject(fault, began)
     try:
         yield

@@ -7,7 +7,8 @@ async def pose_nan(lab: Lab) -> Evidence:
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterable
+import math
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from pkgutil import iter_modules
@@ -39,15 +40,41 @@ class NotRun(PcmrsError):  # noqa: N818 - see above
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What was seen when a fault was injected and the required response came.
+    """What was seen when a fault was injected and the required response came; without any of it nothing is proved.
 
     Attributes:
         response: In a few words.
-        details: Measured values; ``control`` is what the same check saw without the fault.
+        details: Other measured values.
+        took_place: What the receiver, or somebody else who is not the injector, has measured of the fault, by name.
+        control: What the same bytes or the same event do where they are permitted, or where the protection is out of
+            force, by name.
     """
 
     response: str
-    details: dict[str, Any] = field(default_factory=dict)
+    details: Mapping[str, Any] = field(default_factory=dict)
+    took_place: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
+    control: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
+
+    @property
+    def missing(self) -> str:
+        """What it lacks for a proof; empty when nothing does. A measurement of nothing (0, none, empty) is none."""
+        for what, measured in (("that the fault took place", self.took_place), ("of its control", self.control)):
+            if not measured:
+                return f"There is no measurement {what}."
+            nothing = [name for name, value in measured.items() if not _is_something(value)]
+            if nothing:
+                return f"The measurement {what} is of nothing: {', '.join(nothing)}."
+        return ""
+
+    @property
+    def measured(self) -> dict[str, Any]:
+        """All of it, for a report."""
+        return {"took_place": dict(self.took_place), "control": dict(self.control), **self.details}
+
+
+def _is_something(value: Any) -> bool:
+    """A number that is not finite was not measured."""
+    return bool(value) and not (isinstance(value, float) and not math.isfinite(value))
 
 
 Injector = Callable[["Lab"], Awaitable[Evidence]]

@@ -13,7 +13,7 @@ from pcmrs.pages import render
 JSON_NAME = "faults.json"
 PAGE_NAME = "faults.html"
 TEMPLATE = "faults.html.j2"
-MARKS = {"passed": "✓", "failed": "✗", "not_run": "–"}
+MARKS = {"passed": "✓", "failed": "✗", "not_proved": "?", "not_run": "–"}
 
 
 def write_report(report: CampaignReport, folder: Path) -> None:

@@ -8,8 +8,11 @@ import msgspec
 
 from pcmrs.campaign.catalogue import CLASSES, Row
 
-Outcome = Literal["passed", "failed", "not_run"]
-OUTCOMES: tuple[Outcome, ...] = ("passed", "failed", "not_run")
+Outcome = Literal["passed", "failed", "not_proved", "not_run"]
+OUTCOMES: tuple[Outcome, ...] = ("passed", "failed", "not_proved", "not_run")
+"""``not_proved``: the response came, but it was not measured that the fault took place, or what happens without the
+protection."""
+_WORST_FIRST: tuple[Outcome, ...] = ("failed", "not_proved", "not_run", "passed")
 
 
 class Part(msgspec.Struct, frozen=True):
@@ -35,7 +38,8 @@ class FaultResult(msgspec.Struct, frozen=True, rename={"fault_class": "class"}):
     """One fault with one seed, in all ways in which it was injected.
 
     Attributes:
-        outcome: ``passed`` when all of them passed, ``failed`` when one failed.
+        outcome: ``passed`` when all of them passed, ``failed`` when one failed; ``not_proved`` and ``not_run`` when
+            one was so, and none worse.
         how: By what means, all of them.
         response: What was seen.
         required: What must be seen.
@@ -62,6 +66,7 @@ class CampaignReport(msgspec.Struct, frozen=True):
     Attributes:
         seeds: Every fault was injected with each of these.
         seconds: How long all of it took, s of the machine.
+        sham: No fault took place; a way has passed when it has found that.
         summary: Class to how many results had each outcome.
     """
 
@@ -71,17 +76,18 @@ class CampaignReport(msgspec.Struct, frozen=True):
     seconds: float
     faults: list[FaultResult]
     summary: dict[str, dict[Outcome, int]]
+    sham: bool = False
 
     @property
     def failed(self) -> list[FaultResult]:
-        """Faults of which the required response was not seen."""
-        return [result for result in self.faults if result.outcome == "failed"]
+        """Faults of which the required response was not seen, or not proved."""
+        return [result for result in self.faults if result.outcome in ("failed", "not_proved")]
 
 
 def result_of(row: Row, seed: int, parts: list[Part]) -> FaultResult:
-    """Puts the parts of one fault together: one failure fails it, and what was not run is not passed."""
+    """Puts the parts of one fault together: one failure fails it, and what was not proved or not run is not passed."""
     found = {part.outcome for part in parts}
-    outcome: Outcome = "failed" if "failed" in found else "not_run" if "not_run" in found else "passed"
+    outcome = next(each for each in _WORST_FIRST if each in found)
     telling = [part for part in parts if part.outcome == outcome]
     return FaultResult(
         id=row.id,

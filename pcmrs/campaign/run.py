@@ -6,13 +6,17 @@ import asyncio
 import tempfile
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from pathlib import Path
+
+import msgspec
 
 import pcmrs
 from pcmrs.campaign.catalogue import Row
 from pcmrs.campaign.fault import Injection, NotRun, Unmet, injections
 from pcmrs.campaign.lab import Lab, Pool
-from pcmrs.campaign.report import CampaignReport, FaultResult, Part, result_of, summarize
+from pcmrs.campaign.report import CampaignReport, FaultResult, Outcome, Part, result_of, summarize
+from pcmrs.campaign.sham import sham
 from pcmrs.campaign.tools import require
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.errors import PcmrsError
@@ -24,7 +28,12 @@ ShowProgress = Callable[[str, int, int], None]
 
 
 async def run_campaign(
-    rows: Sequence[Row], seeds: Sequence[int], jobs: int = 1, progress: ShowProgress = lambda *_: None
+    rows: Sequence[Row],
+    seeds: Sequence[int],
+    jobs: int = 1,
+    progress: ShowProgress = lambda *_: None,
+    *,
+    is_sham: bool = False,
 ) -> CampaignReport:
     """Injects every fault with every seed; one that hangs, fails or raises keeps none of the others from being run.
 
@@ -33,6 +42,7 @@ async def run_campaign(
         seeds: Of everything that is random in them.
         jobs: So many at a time, each with daemons of its own.
         progress: Told after each.
+        is_sham: No fault takes place, and every way must find that: it has passed then.
     """
     clock = SystemClock()
     begun = clock.monotonic()
@@ -47,7 +57,7 @@ async def run_campaign(
                 while waiting:
                     row, seed = waiting.pop()
                     progress(f"{row.id} {row.title}"[:40], len(results), total)
-                    results.append(await run_fault(row, seed, Path(name), pool, clock))
+                    results.append(await run_fault(row, seed, Path(name), pool, clock, is_sham=is_sham))
             finally:
                 await pool.close()
 
@@ -62,14 +72,20 @@ async def run_campaign(
         seconds=clock.monotonic() - begun,
         faults=results,
         summary=summarize(results),
+        sham=is_sham,
     )
 
 
-async def run_fault(row: Row, seed: int, folder: Path, pool: Pool, clock: Clock) -> FaultResult:
+async def run_fault(
+    row: Row, seed: int, folder: Path, pool: Pool, clock: Clock, *, is_sham: bool = False
+) -> FaultResult:
     """Injects one fault in all ways in which it can be."""
     known = injections().get(row.id, [])
     if known:
-        parts = [await run_injection(injection, seed, folder, pool, clock) for injection in known]
+        with sham() if is_sham else nullcontext():
+            parts = [await run_injection(injection, seed, folder, pool, clock) for injection in known]
+        if is_sham:
+            parts = list(map(_found_out, parts))
     else:
         parts = [Part("", "", "not_run", NO_INJECTION, 0.0)]
     return result_of(row, seed, parts)
@@ -87,13 +103,24 @@ async def run_injection(injection: Injection, seed: int, folder: Path, pool: Poo
         except NotRun as error:
             return Part(injection.name, injection.how, "not_run", error.text, clock.monotonic() - begun)
         except Exception as error:  # whatever an injection raises is a failure of this fault alone
-            details = {"daemon": lab.last_words(), "where": _where(error)}
+            kind = error.code if isinstance(error, PcmrsError) else type(error).__name__
+            details = {"daemon": lab.last_words(), "where": _where(error), "error": kind}
             seconds = clock.monotonic() - begun
             late = isinstance(error, TimeoutError) and seconds >= injection.deadline
             text = f"not ended within {injection.deadline:g} s" if late else _text(error)
             return Part(injection.name, injection.how, "failed", text, seconds, details)
-    seconds = clock.monotonic() - begun
-    return Part(injection.name, injection.how, "passed", evidence.response, seconds, evidence.details)
+    seconds, missing = clock.monotonic() - begun, evidence.missing
+    outcome: Outcome = "not_proved" if missing else "passed"
+    return Part(injection.name, injection.how, outcome, missing or evidence.response, seconds, evidence.measured)
+
+
+def _found_out(part: Part) -> Part:
+    """What a sham way has come to: it has passed when the row said by itself that its fault did not take place."""
+    if part.outcome == "not_run":
+        return part
+    found = part.outcome == "not_proved" or part.details.get("error") == Unmet.code
+    said = part.response if found else f"Without its fault it {part.outcome}: {part.response}"
+    return msgspec.structs.replace(part, outcome="passed" if found else "failed", response=said)
 
 
 def _text(error: Exception) -> str:

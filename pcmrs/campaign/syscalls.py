@@ -10,6 +10,7 @@ from pathlib import Path
 
 from pcmrs.campaign.fault import NotRun
 from pcmrs.campaign.needs import ROOT, program
+from pcmrs.campaign.sham import is_sham
 
 NEEDS = (program("strace"), ROOT)
 
@@ -43,6 +44,9 @@ async def injected(
     Raises:
         NotRun: strace may not attach.
     """
+    if is_sham():
+        yield Tampered()
+        return
     paths = [word for file in files for word in ("-P", str(file))]
     words = [*(["-f"] if threads else []), "-p", str(pid), *paths, "-e", f"trace={','.join(calls)}"]
     tracer = await asyncio.create_subprocess_exec(

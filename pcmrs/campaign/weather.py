@@ -5,6 +5,8 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass, field
 
+from pcmrs.campaign.sham import is_sham
+
 
 @dataclass
 class Weather:
@@ -38,6 +40,8 @@ class Weather:
     def delays(self, now: float) -> list[float]:
         """After how many seconds a datagram of this moment arrives: never when it is lost, twice when it is doubled."""
         self.counted["sent"] += 1
+        if is_sham():
+            return [0.0]
         if self._random.random() < self.loss:
             self.counted["lost"] += 1
             return []

@@ -20,9 +20,11 @@ from pcmrs.campaign.needs import program
 from pcmrs.campaign.page import JSON_NAME, PAGE_NAME
 from pcmrs.campaign.report import CampaignReport, FaultResult
 from pcmrs.campaign.run import NO_INJECTION, run_campaign
+from pcmrs.campaign.sham import bring_about
 from pcmrs.cli import main
 from pcmrs.errors import DeviceError
 
+ONCE = {"seen": 1}
 NASTY = "<script>alert('B4')</script> & \"more\""
 
 
@@ -37,7 +39,8 @@ def _scripted(monkeypatch: pytest.MonkeyPatch) -> None:
     @fault("S1", how="well")
     async def well(lab: Lab) -> Evidence:
         lab.folder.joinpath("left over").write_text("x")
-        return Evidence("as required", {"seed": lab.seed, "drawn": lab.random.random()})
+        drawn = {"seed": lab.seed, "drawn": lab.random.random()}
+        return Evidence("as required", took_place=ONCE, control=ONCE, details=drawn)
 
     @fault("S2", how="unmet")
     async def unmet(lab: Lab) -> Evidence:
@@ -62,7 +65,7 @@ def _scripted(monkeypatch: pytest.MonkeyPatch) -> None:
 
     @fault("S7", how="first way")
     async def first(lab: Lab) -> Evidence:
-        return Evidence("seen")
+        return Evidence("seen", took_place=ONCE, control=ONCE)
 
     @fault("S7", how="second way")
     async def second(lab: Lab) -> Evidence:
@@ -70,11 +73,39 @@ def _scripted(monkeypatch: pytest.MonkeyPatch) -> None:
 
     @fault("S8", how="can be")
     async def can_be(lab: Lab) -> Evidence:
-        return Evidence("seen")
+        return Evidence("seen", took_place=ONCE, control=ONCE)
 
     @fault("S8", how="cannot be")
     async def cannot_be(lab: Lab) -> Evidence:
         raise NotRun("no disk")
+
+    @fault("S9", how="nothing measured")
+    async def unmeasured(lab: Lab) -> Evidence:
+        return Evidence("as required", took_place={}, control=ONCE)
+
+    @fault("S10", how="measured, and there was nothing")
+    async def measured(lab: Lab) -> Evidence:
+        arrived: list[int] = []
+        bring_about(lambda: arrived.append(1))
+        return Evidence("as required", took_place={"arrived": len(arrived)}, control={**ONCE, "way_m": 0.1})
+
+    @fault("S11", how="found out at once")
+    async def found_out(lab: Lab) -> Evidence:
+        arrived: list[int] = []
+        bring_about(lambda: arrived.append(1))
+        if not arrived:
+            raise Unmet("Nothing arrived.")
+        return Evidence("as required", took_place=ONCE, control=ONCE)
+
+    @fault("S12", how="without a control")
+    async def uncontrolled(lab: Lab) -> Evidence:
+        return Evidence("as required", took_place=ONCE, control={"accepted": False, "way_m": float("nan")})
+
+    @fault("S13", how="breaks without its fault")
+    async def breaks(lab: Lab) -> Evidence:
+        arrived: list[int] = []
+        bring_about(lambda: arrived.append(1))
+        return Evidence("as required", took_place={"arrived": arrived[0]}, control=ONCE)
 
 
 IDS = [f"S{number}" for number in range(1, 9)]
@@ -94,7 +125,7 @@ async def test_each_fault_has_its_own_outcome_in_the_order_of_the_catalogue(jobs
     report = await campaign(IDS, [1], jobs)
     assert [result.id for result in report.faults] == IDS
     assert [result.outcome for result in report.faults] == OUTCOMES
-    assert report.summary == {"sensor": {"passed": 1, "failed": 4, "not_run": 3}}
+    assert report.summary == {"sensor": {"passed": 1, "failed": 4, "not_proved": 0, "not_run": 3}}
     assert [result.id for result in report.failed] == ["S2", "S5", "S6", "S7"]
 
 
@@ -121,6 +152,39 @@ async def test_all_ways_of_a_fault_are_tried_and_one_failure_fails_it() -> None:
 async def test_what_nothing_injects_is_not_run_and_never_passed() -> None:
     report = await campaign(["S14"], [1])
     assert [(result.outcome, result.response) for result in report.faults] == [("not_run", NO_INJECTION)]
+
+
+async def test_a_response_without_measurement_or_control_is_not_proved_and_never_passed() -> None:
+    report = await campaign(["S9", "S10", "S12"], [1])
+    assert [(result.outcome, result.response) for result in report.faults] == [
+        ("not_proved", "There is no measurement that the fault took place."),
+        ("passed", "as required"),
+        ("not_proved", "The measurement of its control is of nothing: accepted, way_m."),
+    ]
+    assert [result.id for result in report.failed] == ["S9", "S12"]
+    with pytest.raises(AssertionError, match="S9"):
+        check_answered(report.faults[:1])
+
+
+async def test_a_sham_campaign_fails_what_passes_or_breaks_without_its_fault() -> None:
+    report = await run_campaign(choose(ids=["S1", "S10", "S11", "S13", "S3"]), [1], is_sham=True)
+    found = {result.id: (result.outcome, result.response) for result in report.faults}
+    assert found == {
+        "S1": ("failed", "Without its fault it passed: as required"),
+        "S10": ("passed", "The measurement that the fault took place is of nothing: arrived."),
+        "S11": ("passed", "Nothing arrived."),
+        "S13": ("failed", "Without its fault it failed: IndexError: list index out of range"),
+        "S3": ("not_run", "this machine has no moon"),
+    }
+    assert report.sham
+    again = await campaign(["S10", "S13"], [1])
+    assert [result.outcome for result in again.faults] == ["passed", "passed"]
+
+
+@pytest.mark.parametrize(("part", "ids"), [("1/2", ["S1", "S5"]), ("2/2", ["S3"]), ("3/3", ["S5"])])
+def test_a_part_of_the_chosen_faults_is_run(part: str, ids: list[str]) -> None:
+    ended = run_faults("--id", "S1", "--id", "S3", "--id", "S5", "--part", part, "--json")
+    assert [entry["id"] for entry in json.loads(ended.stdout)["faults"]] == ids
 
 
 async def test_every_fault_gets_every_seed_and_the_same_one_draws_the_same() -> None:
@@ -162,7 +226,7 @@ def test_the_report_is_written_as_json_and_as_a_page_that_loads_nothing(tmp_path
     assert "<script" not in page
     assert "&lt;script&gt;" in page
     shown = re.findall(r'<input type="checkbox" id="(?:class|outcome)-(\w+)" checked>', page)
-    assert shown == ["passed", "failed", "not_run", "sensor"]
+    assert shown == ["passed", "failed", "not_proved", "not_run", "sensor"]
     assert all(f"tr.{name} {{ display: none; }}" in page for name in shown)
     assert not {word for word in ("http:", "https:", "src=", "@import", "url(") if word in page}
     assert msgspec.json.decode((folder / JSON_NAME).read_bytes(), type=CampaignReport).summary
@@ -178,6 +242,11 @@ def test_the_report_is_written_as_json_and_as_a_page_that_loads_nothing(tmp_path
         (("--class", "weather"), 2),
         (("--seed", "-1"), 2),
         (("--jobs", "0"), 2),
+        (("--part", "3/2"), 2),
+        (("--part", "0/2"), 2),
+        (("--id", "S1", "--sham"), 1),
+        (("--id", "S11", "--sham"), 0),
+        (("--id", "S9"), 1),
     ],
 )
 def test_the_exit_status_says_whether_a_response_was_missed(words: tuple[str, ...], status: int) -> None:

@@ -15,6 +15,19 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+class PartOf(click.ParamType[tuple[int, int]]):
+    """The k-th of n parts, written ``k/n``, as two numbers."""
+
+    name = "k/n"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Both numbers, or a usage error."""
+        number, _, parts = str(value).partition("/")
+        if not (number.isdecimal() and parts.isdecimal() and 1 <= int(number) <= int(parts)):
+            self.fail(f"{value!r} is no part: write 2/3 for the second of three.", param, ctx)
+        return int(number), int(parts)
+
+
 def choosing(function: F) -> F:
     """Adds --class and --id; the command gets them as `classes` and `ids`."""
     for option in (
