@@ -10,18 +10,24 @@ from pcmrs.campaign.fault import injections
 from pcmrs.campaign.report import FaultResult
 
 
+TO_BE_PROVED = frozenset[str]()
+"""Rows of which a way does not measure yet that its fault took place, or has no control. A row that does goes from here."""
+
+
 def check_answered(results: Sequence[FaultResult]) -> None:
     """Every fault has passed in all ways; where one lacks what it needs, and all else has passed, the test is skipped.
 
     Raises:
-        AssertionError: One has failed, or was not run though the machine has all that it needs.
+        AssertionError: One has failed, was not proved, or was not run though the machine has all that it needs.
     """
     lacking = [(result, _lacking(result)) for result in results]
     wrong = [
         (result.id, result.seed, part.name, part.outcome, part.response)
         for result, missing in lacking
         for part in result.parts
-        if part.outcome != "passed" and not (part.outcome == "not_run" and missing.get(part.name))
+        if part.outcome != "passed"
+        and not (part.outcome == "not_run" and missing.get(part.name))
+        and not (part.outcome == "not_proved" and result.id in TO_BE_PROVED)
     ]
     assert not wrong, wrong
     left_out = [
