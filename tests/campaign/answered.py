@@ -9,9 +9,8 @@ import pytest
 from pcmrs.campaign.fault import injections
 from pcmrs.campaign.report import FaultResult
 
-
 TO_BE_PROVED = frozenset[str]()
-"""Rows of which a way does not measure yet that its fault took place, or has no control. A row that does goes from here."""
+"""Rows of which a way does not measure yet that its fault took place, or has no control; one that does goes from here."""
 
 
 def check_answered(results: Sequence[FaultResult]) -> None:
