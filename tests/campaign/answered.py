@@ -10,7 +10,7 @@ from pcmrs.campaign.fault import injections
 from pcmrs.campaign.report import FaultResult
 
 TO_BE_PROVED = frozenset[str]()
-"""Rows of which a way does not measure yet that its fault took place, or has no control; one that does goes from here."""
+"""Rows of which a way does not measure that its fault took place, or has no control. One that does goes from here."""
 
 
 def check_answered(results: Sequence[FaultResult]) -> None:
