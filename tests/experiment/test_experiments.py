@@ -25,18 +25,22 @@ def run_experiment(*words: str) -> dict[str, Any]:
     return report
 
 
-@pytest.mark.nightly
-def test_placements_are_as_accurate_as_promised() -> None:
-    report = run_experiment("placements", "--trials", "3", "--seed", "4")
+TRANSLATION_MM, ROTATION_DEG = 0.25, 0.08
+"""What is promised: the mean error of a placement, measured by the tracker against the plan."""
+
+
+@pytest.mark.parametrize(("trials", "seed"), [(1, 1), pytest.param(3, 4, marks=pytest.mark.nightly)])
+def test_placements_are_as_accurate_as_promised(trials: int, seed: int) -> None:
+    report = run_experiment("placements", "--trials", str(trials), "--seed", str(seed))
     summary = report["summary"]
-    assert summary["trials"] == len(report["trials"]) == 3
-    assert summary["translation_error_mm"]["mean"] <= 0.25
-    assert summary["rotation_error_deg"]["mean"] <= 0.08
+    assert summary["trials"] == len(report["trials"]) == trials
+    assert summary["translation_error_mm"]["mean"] <= TRANSLATION_MM
+    assert summary["rotation_error_deg"]["mean"] <= ROTATION_DEG
     for trial in report["trials"]:
         # The table's error is the tracker's own measurement, never the truth: both are there, and they differ.
         assert 0.0 < trial["translation_error_mm"] != trial["true_translation_error_mm"] > 0.0
         assert trial["target_registration_error_mm"] > trial["true_translation_error_mm"]
-    assert (report["workflow"], report["seed"], report["simulated"]) == ("ratms", 4, True)
+    assert (report["workflow"], report["seed"], report["simulated"]) == ("ratms", seed, True)
     assert "cell.rate=5" in report["settings"]
 
 
@@ -45,7 +49,7 @@ def test_femoroplasty_goes_on_to_the_injection_at_the_last_pose() -> None:
     report = run_experiment("placements", "--workflow", "femoroplasty", "--trials", "2", "--seed", "2")
     assert (report["workflow"], report["tool"]) == ("femoroplasty", "guide")
     assert report["residual_mm"] < 2.7
-    assert report["summary"]["translation_error_mm"]["mean"] <= 0.25
+    assert report["summary"]["translation_error_mm"]["mean"] <= TRANSLATION_MM
     assert report["summary"]["published_translation_error_mm"] == {"mean": 0.5979, "sd": 0.328}
     states = [step["state"] for step in report["treatment"]]
     assert states == ["drilling", "drilled", "checked", "injecting", "injected"]

@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[2]
 ELSEWHERE = {
     "make install": "installs; done in the tests' environment",
     "source .venv/bin/activate": "the tests' environment is another",
-    "make demo": "installs; the demo is tested in tests/experiment",
+    "make demo": "installs; .ci/wheel runs the demo",
     "make test": "runs this test",
 }
 """Commands that are not run here, and why."""
