@@ -10,15 +10,18 @@ import pytest
 import structlog
 from hypothesis import Phase, settings
 from skip_budget import OPTION, SkipBudget
+from trials import USUAL
 
 # A shell may ignore Ctrl-C for what it runs, as scripts do for what they start with `&`. Children inherit that, and
 # would not end by the signal that tests send them.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# How long an example takes says how busy the machine is. `--hypothesis-profile=thorough` tries more of them; `mutants`
-# the same ones every time, and does not look for the smallest one that fails.
-settings.register_profile("pcmrs", deadline=None, max_examples=25)
+# How long an example takes says how busy the machine is. `make nightly` tries properties with the profile `nightly`,
+# `--hypothesis-profile=thorough` tries more; both scale what `trials.examples` says. `mutants` tries the same ones
+# every time, and does not look for the smallest one that fails.
+settings.register_profile("pcmrs", deadline=None, max_examples=USUAL)
+settings.register_profile("nightly", deadline=None, max_examples=100)
 settings.register_profile("thorough", deadline=None, max_examples=1000)
 settings.register_profile(
     "mutants", deadline=None, max_examples=40, derandomize=True, phases=(Phase.explicit, Phase.generate)

@@ -4,8 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.devices.motion.follower import Follower, brake_limits
 from pcmrs.devices.motion.force import ForceSettings
@@ -91,7 +92,7 @@ def test_a_held_motion_brakes_as_fast_as_the_limits_allow(step: float, again: bo
     assert len(samples) * step == pytest.approx(speed / ACCELERATION + ACCELERATION / JERK, abs=2.1 * 0.005)
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(st.lists(st.tuples(st.floats(-0.19, 0.19), st.floats(-3.0, 3.0), st.integers(1, 20)), min_size=1, max_size=15))
 def test_whatever_is_sent_to_a_streamed_arm_stays_within_all_limits(course: list[tuple[float, float, int]]) -> None:
     step = 1 / 200

@@ -11,8 +11,9 @@ import pytest
 from clock import settle
 from dispatcher_fakes import Bench, Notes
 from following import FOLLOWING
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.dispatcher import Activity, Registry, Workflow
 from pcmrs.errors import BlueprintError, DeviceError, ReentrancyError, UnknownOutcomeError
@@ -421,7 +422,7 @@ COMMANDS = [
 ACTIONS = st.lists(st.sampled_from([*COMMANDS, *COMMANDS, "stop", "end", "raise", "settle", "settle"]), max_size=25)
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(ACTIONS)
 async def test_whatever_happens_only_the_activity_of_the_present_state_goes_on(actions: list[str]) -> None:
     """And never beside a motion that has begun, nor while Stop is latched where it moves the robot."""

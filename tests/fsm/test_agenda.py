@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from random import Random
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from random_blueprints import blueprints
+from trials import examples
 
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.trial.agenda import Agenda
@@ -53,7 +54,7 @@ def tour(world: World, start: tuple[str, ...], most: int) -> tuple[set[Move], di
 
 
 @given(blueprints(), st.randoms(use_true_random=False), st.sampled_from([0, 0.1, 0.5]), st.sampled_from([0, 0.2]))
-@settings(max_examples=40)
+@examples(40)
 def test_a_tour_ends_and_says_what_is_left(blueprint: Blueprint, rng: Random, never: float, drifting: float) -> None:
     world = World(blueprint, rng, never, drifting)
     everything = {move for there in world.moves.values() for move in there}

@@ -7,9 +7,10 @@ from random import Random
 import msgspec
 import pytest
 from altered import with_branch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from random_blueprints import blueprints
+from trials import examples
 
 from pcmrs.fsm import Blueprint, Denial, examine, parse_blueprint
 from pcmrs.fsm.behaviour import behaviour
@@ -199,7 +200,7 @@ def test_activities_that_move_belong_to_one_branch() -> None:
 
 
 @given(blueprints(), st.randoms(use_true_random=False))
-@settings(max_examples=100)
+@examples(100)
 def test_where_its_end_is_denied_it_is_stuck(blueprint: Blueprint, rng: Random) -> None:
     """Against the answers of every joint state, one by one."""
     name = rng.choice(list(blueprint.branches))

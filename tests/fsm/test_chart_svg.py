@@ -7,17 +7,18 @@ import re
 
 import chart_reading as reading
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from random_blueprints import blueprints
 from ratms_oracle import BLUEPRINT
+from trials import examples
 
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
 from pcmrs.fsm.chart import svg
 from pcmrs.fsm.files.load import read_blueprint
 
-charts = settings(max_examples=25)
+charts = examples(25)
 
 
 def ratms() -> Blueprint:

@@ -14,10 +14,11 @@ import chart_reading as reading
 import pytest
 import resvg_py
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from random_blueprints import blueprints
 from ratms_oracle import BLUEPRINT
+from trials import examples
 
 from pcmrs.cli.fsm.render import render
 from pcmrs.errors import ConfigurationError
@@ -30,7 +31,7 @@ RATMS = str(BLUEPRINT)
 GRAPHVIZ = shutil.which("dot")
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
-texts = settings(max_examples=25)
+texts = examples(25)
 
 
 def in_order(blueprint: Blueprint) -> list[tuple[str, str]]:
@@ -57,7 +58,7 @@ def test_graphviz_has_every_state_in_the_nested_cluster_of_its_branch(blueprint:
 
 
 @pytest.mark.skipif(GRAPHVIZ is None, reason="Graphviz is not installed")
-@settings(max_examples=5)
+@examples(5)
 @given(blueprints(), st.text(), st.text())
 def test_graphviz_accepts_any_chart(blueprint: Blueprint, title: str, meaning: str) -> None:
     odd = BranchSpec(title=title, states={"a": meaning, "b": title})

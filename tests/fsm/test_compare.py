@@ -11,11 +11,12 @@ import msgspec
 import pytest
 from altered import with_branch, with_operation
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from large_blueprints import free
 from random_blueprints import blueprints
 from ratms_oracle import BLUEPRINT, as_dict, expected, reachable
+from trials import examples
 
 from pcmrs.cli import main
 from pcmrs.errors import BlueprintError
@@ -61,13 +62,13 @@ def seen(differences: list[Difference]) -> set[tuple[str, str, int, str, str]]:
 
 
 @given(blueprints())
-@settings(max_examples=25)
+@examples(25)
 def test_a_workflow_does_not_differ_from_itself(blueprint: Blueprint) -> None:
     assert compare(blueprint, blueprint) == []
 
 
 @given(st.randoms(use_true_random=False))
-@settings(max_examples=15)
+@examples(15)
 def test_order_titles_and_version_are_no_behaviour(rng: Random) -> None:
     assert compare(RATMS, shuffled(RATMS, rng)) == []
 
@@ -79,7 +80,7 @@ def test_all_states_by_name_are_the_same_as_the_star() -> None:
 
 
 @given(blueprints(), blueprints())
-@settings(max_examples=30)
+@examples(30)
 def test_swapping_the_two_mirrors_the_differences(one: Blueprint, other: Blueprint) -> None:
     there, back = compare(one, other), compare(other, one)
     mirrored = {(MIRRORED.get(d.kind, d.kind), d.subject, d.joint_states, d.new, d.old) for d in there}

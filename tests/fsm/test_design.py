@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 import tomli_w
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 import pcmrs
 from pcmrs.cli.fsm.design import design as command
@@ -335,13 +336,13 @@ def check_answer(result: Design) -> None:
         assert parse_blueprint(result.text.encode()).branches
 
 
-@settings(max_examples=150)
+@examples(150)
 @given(st.lists(ANY_STEP, max_size=4), st.text(max_size=3), st.text(max_size=3))
 def test_any_table_ends_in_a_sound_blueprint_or_findings(steps: list[Any], name: str, version: str) -> None:
     check_answer(design(tomli_w.dumps({"id": name, "version": version, "steps": steps}).encode(errors="replace")))
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(st.lists(MUTATION, min_size=1, max_size=3))
 def test_any_bytes_end_in_a_sound_blueprint_or_findings(mutations: list[tuple[int, int, bytes]]) -> None:
     raw = RATMS_STEPS

@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 import tomli_w
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from step_table_oracle import Model, random_table
+from trials import examples
 
 from pcmrs.fsm import Blueprint, Closure, Engine, flags_of, parse_blueprint
 from pcmrs.fsm.design import Design, design
@@ -63,7 +64,7 @@ def expected(model: Model, done: set[str], spec_flags: list[str], operation: str
     return model.reinit(done, spec_flags) if operation == "reinit" else model.command(done, operation, outcome)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(RANDOMS)
 @pytest.mark.nightly
 def test_the_joint_states_of_level_1_are_the_downward_closed_sets(rng: Random) -> None:
@@ -80,7 +81,7 @@ def test_the_joint_states_of_level_1_are_the_downward_closed_sets(rng: Random) -
     assert result.combinations.steps == len(table["steps"])
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(RANDOMS)
 def test_each_impossible_combination_counts_once_under_the_first_dependency_it_breaks(rng: Random) -> None:
     table = random_table(rng, levels=1, steps=7)
@@ -116,7 +117,7 @@ def begun(blueprint: Blueprint, joint: Joint) -> bool:
 
 
 @pytest.mark.parametrize(("levels", "steps"), [(1, 5), (2, 3), (3, 2)])
-@settings(max_examples=15)
+@examples(15)
 @given(rng=RANDOMS)
 def test_a_table_does_what_a_set_of_steps_does(levels: int, steps: int, rng: Random) -> None:
     """Refused otherwise is only what would leave behind something that has begun."""

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 import pcmrs
 from pcmrs.fsm.blueprint import (
@@ -80,7 +81,7 @@ def read(text: str) -> Blueprint:
     return msgspec.convert(tomllib.loads(text), Blueprint)
 
 
-@settings(max_examples=80)
+@examples(80)
 @given(BLUEPRINT)
 def test_what_is_written_reads_back_as_itself(blueprint: Blueprint) -> None:
     again = read(blueprint_toml(blueprint))

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from random import Random
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from random_charts import as_drawio, as_mermaid, as_scxml, deflated, random_chart
+from trials import examples
 
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.codes import CODES, EXCHANGE
@@ -23,7 +24,7 @@ Importer = Callable[[bytes, str], tuple[Blueprint | None, list[Finding]]]
 
 IMPORTERS: list[Importer] = [from_scxml, from_mermaid, from_drawio]
 
-fuzzed = settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+fuzzed = examples(60, suppress_health_check=[HealthCheck.too_slow])
 
 
 def documents(seed: int) -> list[tuple[Importer, bytes]]:

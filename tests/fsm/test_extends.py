@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.cli import main
 from pcmrs.errors import BlueprintError
@@ -248,7 +249,7 @@ def test_the_file_below_is_read_within_the_same_bounds(folder: Path) -> None:
     assert only(OWN, folder).code == "not_utf8"
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(at=st.integers(0, len(BASE) - 1), length=st.integers(0, 60), put=st.binary(max_size=20))
 def test_any_damage_below_ends_in_findings_with_a_place(
     tmp_path_factory: pytest.TempPathFactory, at: int, length: int, put: bytes

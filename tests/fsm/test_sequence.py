@@ -6,8 +6,9 @@ from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.fsm import Blueprint, Closure, close
 from pcmrs.fsm.files.sequence import MAX_ITEMS, SequenceError, expand
@@ -51,7 +52,7 @@ def named(items: list[str], state: tuple[int, str]) -> str:
     return items[place] + ("_stopped" if standing == "stopped" else "")
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(items=NAMES, commands=COMMANDS)
 def test_a_sequence_does_what_a_counter_does(items: list[str], commands: list[tuple[str, str]]) -> None:
     blueprint = expand(with_sequence({"items": items}))

@@ -8,9 +8,10 @@ from functools import cache
 import msgspec
 import pytest
 from altered import with_operation
-from hypothesis import given, settings
+from hypothesis import given
 from random_blueprints import blueprints
 from ratms_oracle import BLUEPRINT, INTERNAL_OPERATIONS, all_operations, as_dict, expected, reachable
+from trials import examples
 
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint, BranchSpec, OperationSpec, load_blueprint
@@ -76,7 +77,7 @@ def test_the_tour_of_ratms_is_connected_complete_and_short() -> None:
 
 
 @given(blueprints())
-@settings(max_examples=40)
+@examples(40)
 def test_random_workflows_are_toured_completely(blueprint: Blueprint) -> None:
     tour = plan_tour(blueprint)
     check_connected(blueprint, tour)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from ratms_oracle import BLUEPRINT
+from trials import examples
 
 from pcmrs.fsm import Finding, examine
 from pcmrs.fsm.files.bounded import MAX_BYTES
@@ -100,7 +101,7 @@ def test_any_bytes(raw: bytes) -> None:
     assert not examine(raw).sound or raw
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.integers(0, 2**32), st.integers(1, 6))
 def test_any_damage_to_a_blueprint(seed: int, cuts: int) -> None:
     """Bytes of a sound blueprint swapped, cut, doubled and overwritten end in findings that point into the file."""

@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from random_blueprints import blueprints
 from replay import replayed
 from test_verify_search import levels
+from trials import examples
 
 from pcmrs.fsm.behaviour import Ruling, branch_states, joint_of
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, Condition, OperationSpec, PropertySpec
@@ -69,14 +70,14 @@ def check(blueprint: Blueprint, findings: list[Finding], wanted: Callable[[State
         assert wanted(replayed(blueprint, commands[: len(commands) - extra]).states)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(blueprints())
 def test_the_workflows_obey_the_static_rules_and_findings_are_of_known_kinds(blueprint: Blueprint) -> None:
     assert list(check_rules(blueprint)) == []
     assert {finding.code for finding in verify(blueprint).findings} <= set(VERIFICATION)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(blueprints())
 def test_children_fit_their_parents_in_every_joint_state(blueprint: Blueprint) -> None:
     for states in (branch_states(blueprint, joint) for joint in levels(blueprint)):
@@ -85,7 +86,7 @@ def test_children_fit_their_parents_in_every_joint_state(blueprint: Blueprint) -
             assert parent is None or states[parent.branch] in parent.compatible[states[name]]
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(blueprints())
 def test_a_deadlock_is_found(blueprint: Blueprint) -> None:
     def stuck(states: States) -> bool:
@@ -96,7 +97,7 @@ def test_a_deadlock_is_found(blueprint: Blueprint) -> None:
         check(blueprint, found(blueprint, "deadlock"), stuck)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(blueprints())
 def test_one_fault_that_cuts_the_search_short_does_not_bring_others_with_it(blueprint: Blueprint) -> None:
     local = {"endless_cascade", "no_outcome", "ambiguous_revocation", "order_dependent"}
@@ -115,7 +116,7 @@ def test_a_procedure_that_has_ended_at_its_goal_is_not_stuck() -> None:
     assert verify(msgspec.structs.replace(blueprint, goal={"procedure": ["ended"]})).findings == []
 
 
-@settings(max_examples=150)
+@examples(150)
 @given(blueprints())
 def test_a_goal_out_of_reach_is_found(blueprint: Blueprint) -> None:
     def lost(states: States) -> bool:
@@ -152,7 +153,7 @@ def test_a_dead_end_that_only_a_fault_or_a_device_leaves_is_one(operation: Opera
     assert [finding.code for finding in verify(blueprint).findings] == ([code, "property_violated"] if code else [])
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(blueprints())
 def test_denials_that_have_no_reason_are_found(blueprint: Blueprint) -> None:
     for code, denied in (("endless_cascade", "cascade_too_long"), ("no_outcome", "no_outcome")):
@@ -163,7 +164,7 @@ def test_denials_that_have_no_reason_are_found(blueprint: Blueprint) -> None:
         check(blueprint, found(blueprint, code), unsound, extra=1)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(blueprints())
 def test_what_is_never_used_is_found(blueprint: Blueprint) -> None:
     if cut_short(blueprint):

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from large_blueprints import free
 from random_blueprints import blueprints
 from ratms_mutants import ratms
+from trials import examples
 
 from pcmrs.fsm.behaviour import branch_states, endings, joint_of
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, Condition, OperationSpec, PropertySpec
@@ -76,7 +77,7 @@ def stranded(blueprint: Blueprint, moment: Moment) -> bool:
     return any(not isinstance(close(blueprint, states, name[0], name[1]), Closure) for name in asked)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(blueprints(), st.data())
 def test_finds_every_moment_on_its_level(blueprint: Blueprint, data: st.DataObject) -> None:
     check_moments(blueprint, some_operations(blueprint, data))
@@ -102,7 +103,7 @@ def check_moments(blueprint: Blueprint, observed: frozenset[str]) -> None:
     assert found == lengths(blueprint, observed)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(blueprints(), st.data())
 def test_what_its_locks_protect_need_not_be_searched(blueprint: Blueprint, data: st.DataObject) -> None:
     """Only operations that are called strandable can be found where they are denied."""
@@ -115,7 +116,7 @@ def test_what_its_locks_protect_need_not_be_searched(blueprint: Blueprint, data:
                 assert not any(stranded(blueprint, moment) for moment in found)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(blueprints(), st.data())
 def test_conditions_hold_at_the_same_moments(blueprint: Blueprint, data: st.DataObject) -> None:
     observed = some_operations(blueprint, data)
@@ -133,7 +134,7 @@ def test_conditions_hold_at_the_same_moments(blueprint: Blueprint, data: st.Data
     assert sum(int(moments.hold(stop, batch).sum()) for batch in moments.reached.batches()) == at_stop
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(blueprints(), st.data())
 def test_what_it_leads_to_and_by_the_shortest_way(blueprint: Blueprint, data: st.DataObject) -> None:
     observed = some_operations(blueprint, data)

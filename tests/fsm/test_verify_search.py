@@ -5,10 +5,11 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from large_blueprints import free
 from random_blueprints import blueprints
+from trials import examples
 
 from pcmrs.fsm.behaviour import branch_states, endings, joint_of
 from pcmrs.fsm.blueprint import Blueprint, RevocationSpec
@@ -48,7 +49,7 @@ def levels(blueprint: Blueprint) -> dict[Joint, int]:
     return found
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(blueprints())
 @pytest.mark.nightly
 def test_finds_each_joint_state_on_its_level_and_counts_every_transition(blueprint: Blueprint) -> None:
@@ -63,7 +64,7 @@ def test_finds_each_joint_state_on_its_level_and_counts_every_transition(bluepri
     assert space.taken == sum(sum(successors(blueprint, joint).values()) for joint in expected)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(blueprints(), st.data())
 @pytest.mark.nightly
 def test_the_way_back_is_the_way_there(blueprint: Blueprint, data: st.DataObject) -> None:

@@ -8,10 +8,11 @@ from random import Random
 import msgspec
 import pytest
 from click.testing import CliRunner, Result
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from random_blueprints import blueprints
 from ratms_oracle import BLUEPRINT, INITIAL, Joint, all_operations, as_dict, expected
+from trials import examples
 
 from pcmrs.cli import main
 from pcmrs.errors import RefusalError
@@ -30,7 +31,7 @@ def joint(walk: Walk) -> Joint:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=20)
+@examples(20)
 def test_every_random_step_is_what_the_specification_says(seed: int) -> None:
     walk = Walk(RATMS)
     before = INITIAL
@@ -53,7 +54,7 @@ def test_the_same_seed_is_the_same_walk() -> None:
 
 
 @given(blueprints(), st.integers(0, 1000))
-@settings(max_examples=30)
+@examples(30)
 def test_everything_can_be_taken_back(blueprint: Blueprint, seed: int) -> None:
     walk = Walk(blueprint)
     passed = [walk.states()]
@@ -67,7 +68,7 @@ def test_everything_can_be_taken_back(blueprint: Blueprint, seed: int) -> None:
 
 
 @given(blueprints(), st.randoms(use_true_random=False))
-@settings(max_examples=30)
+@examples(30)
 def test_what_is_offered_is_accepted_and_the_rest_refused(blueprint: Blueprint, rng: Random) -> None:
     walk = Walk(blueprint)
     list(walk.wander(5, rng.randrange(1000)))
@@ -149,7 +150,7 @@ def test_lines_that_are_no_commands_are_told_so() -> None:
 
 
 @given(st.binary(max_size=300))
-@settings(max_examples=15)
+@examples(15)
 @pytest.mark.nightly
 def test_any_bytes_can_be_typed(lines: bytes) -> None:
     run = simulate("ratms", lines=lines)

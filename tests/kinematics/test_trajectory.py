@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.errors import ConfigurationError, GeometryError, UnreachableError
 from pcmrs.kinematics.arms import IIWA14_R820
@@ -47,7 +48,7 @@ def flange_speed(trajectory: JointTrajectory) -> float:
     return float(np.linalg.norm(np.diff(places, axis=0), axis=1).max()) / trajectory.period
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(seeds)
 def test_joint_motion_starts_and_ends_exactly_and_keeps_every_limit(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -77,7 +78,7 @@ def test_joint_motion_to_where_the_arm_is_stays_there() -> None:
 
 
 @given(exponent=st.floats(-17.0, -2.0), joint=st.integers(0, 6))
-@settings(max_examples=60)
+@examples(60)
 def test_no_way_is_too_short(exponent: float, joint: int) -> None:
     """The arm comes to rest beside its goal by what is left of its control: it may be sent there again."""
     goal = np.array(READY)
@@ -92,7 +93,7 @@ def test_joint_motion_beyond_a_limit_is_refused() -> None:
         joint_motion(ARM, READY, ARM.upper + 0.1, LIMITS)
 
 
-@settings(max_examples=10)
+@examples(10)
 @given(seeds)
 def test_straight_motion_keeps_the_tool_on_the_line_and_every_limit(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -6,8 +6,9 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.errors import GeometryError
 from pcmrs.kinematics.arms import IIWA14_R820, ArmFacts
@@ -66,7 +67,7 @@ def random_posture(seed: int) -> Floats:
     return np.random.default_rng(seed).uniform(ARM.lower, ARM.upper)
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(seeds)
 def test_links_are_as_far_apart_as_their_axes_less_their_radii(seed: int) -> None:
     q, model = random_posture(seed), zone_model()
@@ -77,7 +78,7 @@ def test_links_are_as_far_apart_as_their_axes_less_their_radii(seed: int) -> Non
             assert distance == pytest.approx(expected, abs=1e-4)
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(seeds)
 def test_links_are_as_far_from_a_cube_as_the_points_of_their_axes(seed: int) -> None:
     rng, q, model = np.random.default_rng(seed), random_posture(seed), zone_model()
@@ -119,7 +120,7 @@ def test_what_overlaps_has_a_negative_distance() -> None:
     assert distances["link_2", "body"] == pytest.approx(0.05 - FACTS.link_radius, abs=1e-5)
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(seeds)
 def test_the_lines_of_sight_end_at_tool_and_reference(seed: int) -> None:
     rng, q, model = np.random.default_rng(seed), random_posture(seed), zone_model()
@@ -175,7 +176,7 @@ def random_way(seed: int, samples: int = 40) -> Floats:
     return np.asarray(start + parts * turns[0] + parts**2 * turns[1])
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(seeds)
 def test_no_distance_falls_between_two_looks_by_more_than_the_bound(seed: int) -> None:
     model, way = zone_model(), random_way(seed)
@@ -192,7 +193,7 @@ def test_no_distance_falls_between_two_looks_by_more_than_the_bound(seed: int) -
     assert np.all(finest >= least - bounds)
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(seeds)
 def test_an_accepted_way_does_not_violate_when_looked_at_ten_times_finer(seed: int) -> None:
     model, way = zone_model(), random_way(seed)

@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.errors import UnreachableError
 from pcmrs.kinematics.arms import IIWA14_R820
@@ -69,7 +70,7 @@ def assert_keeps_everything(trajectory: JointTrajectory) -> None:
     assert fastest(trajectory, near) <= SLOW * 1.001
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(seeds)
 def test_joint_motion_is_slow_near_the_body_and_keeps_every_limit(seed: int) -> None:
     start, goal = np.random.default_rng(seed).uniform(0.5 * ARM.lower, 0.5 * ARM.upper, (2, 7))
@@ -82,7 +83,7 @@ def test_joint_motion_is_slow_near_the_body_and_keeps_every_limit(seed: int) -> 
     assert np.all(np.diff(along) >= -1e-9), "it never goes back"
 
 
-@settings(max_examples=10, deadline=None)
+@examples(10)
 @given(seeds)
 def test_a_straight_line_is_slow_near_the_body_and_keeps_every_limit(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -114,7 +115,7 @@ def test_only_what_is_near_takes_longer() -> None:
     assert fastest(half, lambda q: q[0] > 0.5) == pytest.approx(0.05, rel=0.02)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(seeds)
 def test_progress_keeps_its_bounds_through_any_sections(seed: int) -> None:
     """Also through sections so short that nothing can be reached within them."""

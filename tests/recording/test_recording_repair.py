@@ -12,12 +12,13 @@ from typing import Any
 
 import pytest
 import zstandard
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.records import Chunk
 from mcap.writer import Writer
 from recorded import ARM, MOUNTING, decoded, joints, pose
+from trials import examples
 
 from pcmrs.bus import Bus, BusSettings
 from pcmrs.bus.codec import pack
@@ -92,7 +93,7 @@ def test_a_file_cut_anywhere_gives_its_first_messages_and_says_what_is_lost(
     assert (found, reading.complete, reading.damage, reading.whole) == (payloads, True, "", len(content))
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(st.data())
 def test_a_flipped_bit_never_changes_a_message(whole: tuple[bytes, list[bytes]], data: st.DataObject) -> None:
     """Chunks have checksums; bytes outside them hold no messages."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from landmark_layouts import (
     FEMUR,
@@ -21,6 +21,7 @@ from landmark_layouts import (
     off_by_10_mm,
     touched,
 )
+from trials import examples
 
 from pcmrs.errors import ConfigurationError, DegeneratePointsError, GeometryError
 from pcmrs.registration import Gate, RegistrationLimits, RegistrationVerdict, judge, predict_tre, register_points
@@ -276,7 +277,7 @@ def test_false_alarms_with_covariances_are_as_many_as_told() -> None:
     assert alarms <= 8  # 1 % of 200 is 2; more than 8 have a probability of 0.02 %
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(st.integers(0, 2**32 - 1))
 def test_the_verdict_does_not_depend_on_the_frames(seed: int) -> None:
     case, rng = CASES["head"], np.random.default_rng(seed)

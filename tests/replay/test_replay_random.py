@@ -6,9 +6,10 @@ import asyncio
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from random_course import OPERATIONS, Course
+from trials import examples
 
 from pcmrs.clock import SystemClock
 from pcmrs.dispatcher.lanes import Lanes
@@ -105,14 +106,14 @@ def on_simulated_time(work: Any) -> Any:
         return runner.run(work)
 
 
-@settings(max_examples=40, derandomize=True)
+@examples(40, derandomize=True)
 @given(far=st.integers(0, len(WAY)), todo=st.lists(actions, max_size=40))
 def test_every_random_course_is_decided_again_as_it_was(far: int, todo: list[Action]) -> None:
     check_decided_again(far, todo)
 
 
 @pytest.mark.nightly  # it still finds one now and then: a change is not refused for what an older one did
-@settings(max_examples=400)
+@examples(400)
 @given(far=st.integers(0, len(WAY)), todo=st.lists(actions, max_size=40))
 def test_courses_drawn_anew_are_decided_again_as_they_were(far: int, todo: list[Action]) -> None:
     check_decided_again(far, todo)

@@ -12,8 +12,8 @@ import msgspec
 import pytest
 from clock import ManualClock, settle
 from hypothesis import given
-from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.dispatcher.events import NOT_CONFIRMED, SHUTDOWN
@@ -131,7 +131,7 @@ def as_row(kind: str, name: str, number: Any, decision: str | None) -> JournalRo
     return JournalRow(kind="outcome", verdict=found, result=changes, **common)
 
 
-@hypothesis_settings(max_examples=60, deadline=None)
+@examples(60)
 @given(rows=ROWS, data=st.data())
 def test_reading_on_from_any_snapshot_says_what_reading_everything_says(rows: list[Any], data: st.DataObject) -> None:
     made = [as_row(*row) for row in rows]

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.experiment.published import PUBLISHED, FailureRun
 from pcmrs.registration import register_points
@@ -26,7 +27,7 @@ def residuals(offset: Floats, count: int) -> Floats:
     return np.array([register_points(touched, POINTS).residual for touched in touches])
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(insides, directions)
 def test_a_ray_leaves_the_bone_where_its_surface_ends(inside: Floats, direction: Floats) -> None:
     point = surface_point(inside, direction)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.clock import SystemClock
 from pcmrs.devices.motion.force import ForceSettings
@@ -46,7 +47,7 @@ def cell() -> Cell:
     return Cell(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), SystemClock())
 
 
-@settings(deadline=None, max_examples=60)
+@examples(60)
 @given(lines=st.lists(requests | anything, max_size=8))
 def test_the_cabinet_survives_any_requests(cell: Cell, lines: list[str]) -> None:
     answers: list[str] = []

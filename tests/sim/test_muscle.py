@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.kinematics.arms import ARMS
@@ -53,7 +54,7 @@ def test_an_artefact_begins_with_the_pulse_and_decays() -> None:
 
 
 @given(st.integers(0, 10**9), st.integers(1, 12000), st.integers(0, 11999))
-@settings(max_examples=30)
+@examples(30)
 def test_any_stretch_of_the_background_is_part_of_any_other(first: int, count: int, offset: int) -> None:
     whole, again = Background(RATE, 7), Background(RATE, 7)
     offset %= count
@@ -129,7 +130,7 @@ def test_the_seed_decides_everything() -> None:
 
 
 @given(st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(0.3, 1)), st.floats(-0.005, 0.01))
-@settings(max_examples=25)
+@examples(25)
 def test_the_nearest_point_of_the_scalp_is_the_nearest(direction: tuple[float, float, float], height: float) -> None:
     foot = surface_point(direction)
     point = foot + height * outward_normal(foot) + np.array((0.001, -0.002, 0.0005))

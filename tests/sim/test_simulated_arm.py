@@ -2,9 +2,10 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from simulated_arms import FACTS, HOME, PERIOD, make_arm, smooth
+from trials import examples
 
 from pcmrs.errors import DeviceError
 from pcmrs.kinematics.model import ArmModel
@@ -13,7 +14,7 @@ from pcmrs.spatial import distance
 from sim.settings import ArmSettings, SimSettings
 
 
-@settings(max_examples=10)
+@examples(10)
 @given(st.integers(0, 1000), st.sampled_from(["head", "femur"]), st.lists(st.floats(-0.5, 0.5), min_size=7, max_size=7))
 def test_the_flange_ends_within_a_tenth_of_a_millimetre(
     seed: int, phantom: Literal["head", "femur"], change: list[float]

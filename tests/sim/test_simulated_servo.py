@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from simulated_arms import FACTS, HOME, smooth
+from trials import examples
 
 from pcmrs.clock import Clock
 from pcmrs.devices.motion.reference import Reference
@@ -60,7 +61,7 @@ def test_a_moving_target_is_followed_without_lag(amplitude: float, hz: float, li
     assert greatest < 3 * limit
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(st.lists(st.tuples(st.floats(-0.19, 0.19), st.floats(-3.0, 3.0), st.integers(1, 60)), min_size=1, max_size=15))
 def test_whatever_is_sent_stays_within_all_limits(course: list[tuple[float, float, int]]) -> None:
     near_end = HOME.copy()

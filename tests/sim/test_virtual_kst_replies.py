@@ -3,8 +3,9 @@
 import asyncio
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.clock import SystemClock
 from sim.kst.replies import Replies
@@ -55,7 +56,7 @@ async def test_replies_lie_in_segments_as_they_are_told_to() -> None:
     assert b"".join(split) == b"done\n" * 5
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(
     seed=st.integers(0, 2**32), texts=st.lists(st.sampled_from(["done\n", "0.5_1.0E-4_\n"]), min_size=60, max_size=80)
 )

@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.errors import RefusalError
 from pcmrs.spatial import Floats, Transform, distance, rotation_angle
@@ -113,7 +114,7 @@ def test_the_error_is_as_large_as_the_covariance_says() -> None:
 
 
 @given(st.tuples(*[st.floats(-3.0, 3.0)] * 3), st.tuples(*[st.floats(-2.0, 2.0)] * 3))
-@settings(max_examples=20)
+@examples(20)
 def test_the_prediction_is_the_same_in_every_tracker_frame(
     rotvec: tuple[float, float, float], position: tuple[float, float, float]
 ) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from heads import RADIUS, TOP, phantom, sphere
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.errors import GeometryError
 from pcmrs.spatial import Transform, rotation_angle
@@ -28,7 +29,7 @@ def test_a_walk_on_a_sphere_follows_its_great_circle(x: float, y: float, angle: 
     assert rotation_angle(found, expected) < 3e-4
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(st.floats(0.002, 0.012), st.integers(0, 4), st.floats(-np.pi, np.pi), lengths, lengths)
 def test_poses_of_a_grid_lie_on_the_scalp_in_order(
     spacing: float, rings: int, angle: float, x: float, y: float

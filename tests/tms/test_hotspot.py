@@ -8,10 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 from heads import RADIUS, TOP, Steady, phantom, sphere
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
+from trials import examples
 
 from pcmrs.errors import GeometryError, RefusalError
 from pcmrs.messages import PoseMessage
@@ -125,7 +126,7 @@ def test_pulses_per_place_repeat_what_was_asked_for() -> None:
     assert asked[0] == asked[1] == asked[2] != asked[3] == asked[4] == asked[5] != asked[6]
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(
     st.sampled_from(METHODS),
     st.lists(st.one_of(st.floats(0.0, 0.1), st.sampled_from([0.0, 1e-300, 49.9e-6, 50e-6, 0.1])), max_size=45),
@@ -170,7 +171,7 @@ def _unit(x: float, y: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=20, deadline=None)
+@examples(20)
 def test_the_process_is_that_of_scikit_learn(seed: int) -> None:
     rng = np.random.default_rng(seed)
     inputs, candidates = rng.normal(size=(12, 4)), rng.normal(size=(9, 4))

@@ -8,8 +8,9 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.errors import RefusalError
 from pcmrs.messages import Epoch
@@ -88,7 +89,7 @@ def test_what_comes_too_early_or_too_late_is_no_response() -> None:
     phase=st.floats(0.0, 6.28),
     mains_hz=st.sampled_from([50.0, 60.0]),
 )
-@settings(max_examples=40)
+@examples(40)
 def test_offset_and_hum_change_nothing(
     microvolts: float, offset_mv: float, hum_uv: float, phase: float, mains_hz: float
 ) -> None:
@@ -102,7 +103,7 @@ def test_offset_and_hum_change_nothing(
 
 
 @given(factor=st.floats(0.2, 3.0))
-@settings(max_examples=20)
+@examples(20)
 def test_amplitudes_scale_with_the_signal(factor: float) -> None:
     samples = response(500e-6) + noise(2e-6)
     once, scaled = judged(samples), judged(factor * samples)
@@ -112,7 +113,7 @@ def test_amplitudes_scale_with_the_signal(factor: float) -> None:
 
 
 @given(late=st.integers(0, 60))
-@settings(max_examples=20)
+@examples(20)
 def test_the_latency_follows_the_response(late: int) -> None:
     quiet = noise(1e-8)
     first, moved = judged(response(500e-6) + quiet), judged(response(500e-6, ONSET + late / RATE_HZ) + quiet)
@@ -207,7 +208,7 @@ def test_the_waveform_is_the_signal_without_its_offset() -> None:
     start=st.floats() | st.floats(-0.2, 0.0),
     full_scale=st.none() | st.floats(1e-4, 1.0),
 )
-@settings(max_examples=300)
+@examples(300)
 def test_whatever_comes_is_judged_or_refused(
     samples: list[float], repeats: int, rate_hz: float, start: float, full_scale: float | None
 ) -> None:

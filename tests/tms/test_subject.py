@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 from heads import TOP, Steady, phantom, sphere
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.spatial import Transform
 from pcmrs.tms.scalp import along_scalp, heading, turned
@@ -59,7 +60,7 @@ def test_a_coil_is_the_worse_the_more_it_is_tilted() -> None:
     assert shares[9] == pytest.approx(0.0, abs=1e-9)
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(st.floats(-0.04, 0.04), st.floats(-0.04, 0.04), st.floats(-3.1, 3.1))
 def test_no_pose_on_the_scalp_is_better_than_the_hotspot(x: float, y: float, angle: float) -> None:
     (pose,) = along_scalp(sphere, SUBJECT.image_from_hotspot, [[x, y]])

@@ -8,9 +8,10 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
+from trials import examples
 
 from pcmrs.errors import RefusalError
 from pcmrs.tms import (
@@ -71,7 +72,7 @@ def test_it_finds_a_threshold(method: ThresholdMethod, threshold: float) -> None
 
 @pytest.mark.parametrize("method", METHODS)
 @given(threshold=st.floats(20.0, 95.0))
-@settings(max_examples=20)
+@examples(20)
 def test_a_muscle_without_variability_is_found_within_a_step(method: ThresholdMethod, threshold: float) -> None:
     hunt = hunted(ThresholdSettings(method=method), step_at(threshold))
     assert hunt.finished
@@ -93,7 +94,7 @@ def brute_force(hunt: ThresholdHunt) -> tuple[float, float, float]:
 
 
 @given(st.lists(st.tuples(st.integers(45, 75), st.booleans()), min_size=1, max_size=8))
-@settings(max_examples=15)
+@examples(15)
 def test_the_estimate_is_the_maximum_of_the_likelihood(pulses: list[tuple[int, bool]]) -> None:
     hunt = ThresholdHunt.begin(ThresholdSettings(interval=0.001, floor=1.0))
     for intensity, responded in pulses:

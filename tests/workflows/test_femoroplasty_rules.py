@@ -8,8 +8,9 @@ from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from trials import examples
 
 from pcmrs.fsm import Change, Closure, Denial, Engine
 from pcmrs.fsm.blueprint import Blueprint
@@ -144,7 +145,7 @@ def check_states(engine: Engine, bone: Bone) -> None:
         assert isinstance(engine.ask("treatment", done), Closure), f"{done} in {treatment}"
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(st.sampled_from(list(BEGINNINGS)), st.lists(st.tuples(COMMANDS, st.integers(0, 3)), max_size=30))
 def test_the_states_never_pretend(beginning: str, commands: list[tuple[tuple[str, str], int]]) -> None:
     engine, bone = ENGINE, replace(BEGINNINGS[beginning])

@@ -7,8 +7,9 @@ from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
+from trials import examples
 from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
 from pcmrs.workflows.settings import PoseSetting
@@ -102,7 +103,7 @@ async def test_stop_in_the_middle_of_a_digitization_keeps_nothing_of_it(bench: W
     await bench.accept("digitization.digitize_all")
 
 
-@settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(4, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.permutations(range(COUNT)))
 async def test_landmarks_may_be_digitized_in_any_order(order: list[int]) -> None:
     async with open_bench() as bench:
