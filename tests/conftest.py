@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import signal
 from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
 
 import pytest
 import structlog
@@ -25,6 +26,8 @@ settings.register_profile(
 )
 settings.load_profile("pcmrs")
 
+TESTS = Path(__file__).parent
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
@@ -35,6 +38,25 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     if config.getoption(OPTION):
         config.pluginmanager.register(SkipBudget(), "skip-budget")
+
+
+NIGHTLY = pytest.StashKey[dict[str, str]]()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Notes tests before those are left out that `-m` does not select."""
+    config.stash[NIGHTLY] = {
+        item.nodeid: item.path.relative_to(TESTS).as_posix()
+        for item in items
+        if item.get_closest_marker("nightly") is not None
+    }
+
+
+@pytest.fixture
+def nightly_tests(request: pytest.FixtureRequest) -> dict[str, str]:
+    """Tests marked nightly, of all files that this run has collected, and the file of each below `tests`."""
+    return request.config.stash[NIGHTLY]
 
 
 @pytest.fixture(autouse=True)
