@@ -6,6 +6,7 @@ import asyncio
 import signal
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 import structlog
@@ -40,23 +41,38 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(SkipBudget(), "skip-budget")
 
 
-NIGHTLY = pytest.StashKey[dict[str, str]]()
+class Collected(NamedTuple):
+    """A test that was collected; a parametrized one is there once for each instance.
+
+    Attributes:
+        file: Below ``tests``.
+    """
+
+    file: str
+    name: str
+    nightly: bool
+
+
+COLLECTED = pytest.StashKey[list[Collected]]()
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Notes tests before those are left out that `-m` does not select."""
-    config.stash[NIGHTLY] = {
-        item.nodeid: item.path.relative_to(TESTS).as_posix()
+    config.stash[COLLECTED] = [
+        Collected(
+            item.path.relative_to(TESTS).as_posix(),
+            item.name.partition("[")[0],
+            item.get_closest_marker("nightly") is not None,
+        )
         for item in items
-        if item.get_closest_marker("nightly") is not None
-    }
+    ]
 
 
 @pytest.fixture
-def nightly_tests(request: pytest.FixtureRequest) -> dict[str, str]:
-    """Tests marked nightly, of all files that this run has collected, and the file of each below `tests`."""
-    return request.config.stash[NIGHTLY]
+def collected(request: pytest.FixtureRequest) -> list[Collected]:
+    """Tests of all files that this run has collected, nightly ones included."""
+    return request.config.stash[COLLECTED]
 
 
 @pytest.fixture(autouse=True)

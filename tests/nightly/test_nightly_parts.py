@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import nightly_results
@@ -31,12 +32,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_every_nightly_test_is_in_one_part(nightly_tests: dict[str, str]) -> None:
+def test_every_nightly_test_is_in_one_part(collected: list[Any]) -> None:
     """Of those that this run has collected: in `make test` all."""
     table = {part.name: part for part in parts()}
-    elsewhere = {test: found for test, file in nightly_tests.items() if len(found := holders(file, table)) != 1}
+    files = {each.file for each in collected if each.nightly}
 
-    assert elsewhere == {}
+    assert {file: found for file in sorted(files) if len(found := holders(file, table)) != 1} == {}
 
 
 def test_parts_are_unique_there_and_together_not_too_long() -> None:
