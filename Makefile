@@ -32,7 +32,7 @@ nightly: install ## Run what `make test` leaves out, in parts; PART=faults for s
 	$(BIN)/python tests/nightly/run.py $(OPTIONS) $(PART)
 
 evidence: install ## Make docs/evidence.md from the documents' promises and the last nightly runs
-	$(BIN)/python tests/evidence/make_evidence.py
+	PYTHONPATH=tests $(BIN)/python tests/nightly/make_evidence.py
 
 mutants: install ## Take guards out of the product, one at a time, and count how many the tests miss; tens of minutes
 	$(BIN)/python tests/mutants/run_removed_guards.py

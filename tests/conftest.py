@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import signal
 from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 import structlog
@@ -28,6 +30,8 @@ settings.register_profile(
 )
 settings.load_profile("pcmrs")
 
+TESTS = Path(__file__).parent
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
@@ -38,6 +42,40 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     if config.getoption(OPTION):
         config.pluginmanager.register(SkipBudget(), "skip-budget")
+
+
+class Collected(NamedTuple):
+    """A test that was collected; a parametrized one is there once for each instance.
+
+    Attributes:
+        file: Below ``tests``.
+    """
+
+    file: str
+    name: str
+    nightly: bool
+
+
+COLLECTED = pytest.StashKey[list[Collected]]()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Notes tests before those are left out that `-m` does not select."""
+    config.stash[COLLECTED] = [
+        Collected(
+            item.path.relative_to(TESTS).as_posix(),
+            item.name.partition("[")[0],
+            item.get_closest_marker("nightly") is not None,
+        )
+        for item in items
+    ]
+
+
+@pytest.fixture
+def collected(request: pytest.FixtureRequest) -> list[Collected]:
+    """Tests of all files that this run has collected, nightly ones included."""
+    return request.config.stash[COLLECTED]
 
 
 @pytest.fixture(autouse=True)

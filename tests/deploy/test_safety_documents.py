@@ -5,27 +5,16 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from documents import CODE, NAMED, NONE, ROOT, ROW, rows_of
 
 from pcmrs.campaign.catalogue import catalogue
 from pcmrs.campaign.explore.invariants import INVARIANTS
 
-ROOT = Path(__file__).parents[2]
 THREATS = ROOT / "docs" / "threat-model.md"
 SAFETY = ROOT / "docs" / "safety.md"
 SEMANTICS = ROOT / "docs" / "semantics.md"
 SUPERVISION = ROOT / "docs" / "supervision.md"
 THREAT_TABLES = ("Threats from a network", "Threats on the machine")
-NAMED = re.compile(r"`([\w/]+\.py)::(test_\w+)`")
-NONE = re.compile(r"none: .+")
-CODE = re.compile(r"`(\w+)`")
-ROW = re.compile(r"\b[OSBNPTCA]\d{1,2}\b")
-
-
-def rows_of(text: str, heading: str) -> list[list[str]]:
-    """Cells of the tables under a heading, without their heads."""
-    section = text.partition(f"## {heading}\n")[2].partition("\n## ")[0]
-    lines = [line for line in section.splitlines() if line.startswith("|") and not line.startswith("| ---")]
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[1:]]
 
 
 def all_threats() -> list[list[str]]:
@@ -50,7 +39,7 @@ def invariants() -> set[str]:
 
 def mutants() -> set[str]:
     """Names of the guards that are taken out of the product, by the tests and by the explorer's."""
-    tables = [tomllib.loads(path.read_text()) for path in (ROOT / "tests" / "mutants").glob("*.toml")]
+    tables = [tomllib.loads(path.read_text()) for path in (ROOT / "tests" / "mutants").rglob("*.toml")]
     exploring = (ROOT / "tests" / "simulation").glob("*mutants*.py")
     found = {name for path in exploring for name in re.findall(r"^def (\w+)\(", path.read_text(), re.MULTILINE)}
     return found | {each["name"] for table in tables for each in table["mutant"]}

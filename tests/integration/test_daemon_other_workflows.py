@@ -42,7 +42,6 @@ async def test_a_journal_is_taken_up_under_a_changed_workflow_only_by_a_declared
     shipped = find_workflow("ratms").blueprint.read_text()
     workflow.write_text(shipped)
     settings = [*own_settings(tmp_path / "cell"), f"workflow={workflow}"]
-    (tmp_path / "cell").mkdir()
     with running_daemon(settings, tmp_path) as daemon:
         async with daemon.client() as client:
             await register(client)

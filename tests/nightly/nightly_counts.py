@@ -1,0 +1,82 @@
+"""How many of a part passed, failed and were skipped, from what its command left."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import msgspec
+from nightly_parts import Counted
+
+
+class Counts(msgspec.Struct, frozen=True, kw_only=True):
+    """Results of a part.
+
+    Attributes:
+        skipped: Reason to how many.
+        failures: Names of what failed.
+    """
+
+    passed: int
+    failed: int
+    skipped: dict[str, int]
+    failures: list[str]
+
+
+def counted(how: Counted, report: Path, output: str, code: int) -> Counts:
+    """Counts of a part that has ended.
+
+    Args:
+        how: As the table says.
+        report: Where pytest has written its report.
+        output: What the command printed.
+        code: Its exit code. Nothing is taken for passed where a command ended without a report.
+    """
+    try:
+        if how == "pytest":
+            found = _of_pytest(report)
+        elif how == "exit":
+            return _counts([] if code == 0 else [f"exit code {code}"], Counter(), 1 if code == 0 else 0)
+        else:
+            found = {"faults": _of_faults, "explore": _of_sessions, "mutants": _of_mutants}[how](json.loads(output))
+    except (OSError, ValueError, KeyError, TypeError, ElementTree.ParseError) as error:
+        return _counts([f"no report: {type(error).__name__}, exit code {code}"], Counter(), 0)
+    if code != 0 and not found.failures:
+        return _counts([f"exit code {code}"], Counter(found.skipped), found.passed)
+    return found
+
+
+def _counts(failures: list[str], skipped: Counter[str], passed: int) -> Counts:
+    return Counts(passed=passed, failed=len(failures), skipped=dict(sorted(skipped.items())), failures=failures)
+
+
+def _of_pytest(report: Path) -> Counts:
+    failures, skipped, passed = [], Counter[str](), 0
+    for case in ElementTree.parse(report).iter("testcase"):
+        skip = case.find("skipped")
+        if case.find("failure") is not None or case.find("error") is not None:
+            failures.append(f"{case.get('classname', '').replace('.', '/')}.py::{case.get('name')}")
+        elif skip is not None:
+            skipped[skip.get("message", "")] += 1
+        else:
+            passed += 1
+    return _counts(failures, skipped, passed)
+
+
+def _of_faults(said: dict[str, Any]) -> Counts:
+    skipped = Counter(f"{each['id']}: {each['response']}" for each in said["faults"] if each["outcome"] == "not_run")
+    failures = [each["id"] for each in said["faults"] if each["outcome"] not in ("passed", "not_run")]
+    return _counts(failures, skipped, sum(each["outcome"] == "passed" for each in said["faults"]))
+
+
+def _of_sessions(said: dict[str, Any]) -> Counts:
+    broken = [f"seed {each['seed']}: {each['invariant']}" for each in said["broken"]]
+    return _counts(broken, Counter(), said["sessions"] - len(broken))
+
+
+def _of_mutants(said: dict[str, Any]) -> Counts:
+    missed = [each["name"] for each in said["mutants"] if each["outcome"] != "caught"]
+    return _counts(missed, Counter(), len(said["mutants"]) - len(missed))

@@ -1,0 +1,78 @@
+"""The page of evidence is up to date, and a document that cites a test says whether that is nightly only."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import make_evidence
+import msgspec
+import pytest
+from documents import ROOT, SOURCES, cited, documents, promises
+from make_evidence import PAGE, page, parts_of
+from nightly_parts import parts
+from nightly_results import Result, this_machine
+
+
+def test_the_page_is_up_to_date() -> None:
+    assert PAGE.read_text() == page(), "make evidence"
+
+
+@pytest.mark.parametrize("document", documents(), ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_a_document_says_of_a_test_that_it_is_nightly_only(document: Path, collected: list[Any]) -> None:
+    """Of tests whose files this run has collected: in `make test` all."""
+    instances = defaultdict(list)
+    for each in collected:
+        instances[each.file, each.name].append(each.nightly)
+    files = {each.file for each in collected}
+
+    for each in cited(document.read_text()):
+        if each.file in files:
+            assert instances[each.file, each.test], f"{each.file}::{each.test} does not exist."
+            assert each.nightly is all(instances[each.file, each.test]), each
+
+
+def test_every_promise_has_an_id_of_its_own_and_something_that_proves_it() -> None:
+    found = [promise for source in SOURCES for promise in promises(source)]
+
+    assert len({promise.id for promise in found}) == len(found)
+    assert [promise.id for promise in found if not (promise.tests or promise.rows)] == []
+
+
+def test_the_parts_that_prove_a_promise_are_named() -> None:
+    stop = next(promise for source in SOURCES for promise in promises(source) if promise.id == "SR2")
+
+    found = parts_of(stop)
+
+    assert {"faults-operator", "faults-adversary", "sham-1", "explore-ratms"} <= set(found)
+    assert "faults-sensor" not in found
+
+
+def test_parts_that_failed_or_were_never_run_are_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = Result(
+        part="faults-operator",
+        commit="1" * 40,
+        machine=this_machine(),
+        begun="2026-01-02T03:04:05+00:00",
+        seconds=90.0,
+        passed=12,
+        failed=1,
+        skipped={"C1: no faketime": 1},
+        failures=["O11"],
+        exit_code=1,
+    )
+    green = msgspec.structs.replace(result, part="explore-ratms", failed=0, failures=[], exit_code=0)
+    monkeypatch.setattr(make_evidence, "published", lambda: [result, green])
+
+    text = page()
+
+    assert f"2 of {len(parts())} parts were run" in text
+    assert "| `faults-operator` | **red** | 1111111 | 2026-01-02 03:04 | 12 | 1 | 1 | 1.5 | 1 |" in text
+    assert "| `explore-ratms` | green |" in text
+    assert "| `sham-1` | not run |" in text
+    assert "- faults-operator: failed: `O11`" in text
+    assert "- faults-operator: skipped 1: C1: no faketime" in text
+    (line,) = (line for line in text.splitlines() if line.startswith("| SR2 |"))
+    assert "**red**: faults-operator" in line
+    assert "green: explore-ratms" in line

@@ -1,0 +1,41 @@
+"""The hosted workflows run what is run by hand, and every part of a nightly run."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import yaml
+from nightly_parts import ROOT, parts
+
+WORKFLOWS = ROOT / ".github" / "workflows"
+
+
+def test_every_part_is_run_each_night() -> None:
+    """The matrix is what the runner answers to the command in the workflow."""
+    told = yaml.safe_load((WORKFLOWS / "nightly.yml").read_text())
+    asking, running = told["jobs"]["parts"], told["jobs"]["part"]
+    (step,) = (step for step in asking["steps"] if step.get("id") == "names")
+
+    assert told[True]["schedule"]  # YAML reads `on` so
+    assert asking["outputs"]["names"] == "${{ steps.names.outputs.names }}"
+    assert running["strategy"]["matrix"]["name"] == "${{ fromJSON(needs.parts.outputs.names) }}"
+    assert any("make nightly PART=${{ matrix.name }}" in step.get("run", "") for step in running["steps"])
+    assert "tests/nightly/run.py --names" in step["run"]
+    command = [sys.executable, str(ROOT / "tests" / "nightly" / "run.py"), "--names"]
+    names = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    assert names == [part.name for part in parts()]
+
+
+def test_a_change_passes_what_it_passes_by_hand() -> None:
+    told = yaml.safe_load((WORKFLOWS / "ci.yml").read_text())
+
+    assert any(".ci/run" in step.get("run", "") for step in told["jobs"]["run"]["steps"])
+
+
+def test_nothing_is_repeated_by_ci() -> None:
+    for file in (ROOT / ".ci" / "run", ROOT / "Makefile", *WORKFLOWS.iterdir()):
+        for word in ("again", "--last-failed", "--lf", "--reruns", "retry"):
+            lines = [line for line in file.read_text().splitlines() if word in line.split() or f".ci/{word}" in line]
+            assert [line for line in lines if "## " not in line] == [], file

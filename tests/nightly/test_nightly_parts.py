@@ -1,0 +1,137 @@
+"""The parts of a nightly run hold every nightly test once, and a part counts as green only when it is."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import nightly_results
+import pytest
+import run
+from nightly_counts import counted
+from nightly_parts import ROOT, Part, chosen, command_of, holders, parts
+from nightly_results import Result, publish, published, this_machine
+
+MOST_HOURS = 6
+REPORT = """<testsuites><testsuite>
+<testcase classname="tests.fsm.test_walk" name="test_a[1]"/>
+<testcase classname="tests.fsm.test_walk" name="test_b"><failure message="x"/></testcase>
+<testcase classname="tests.fsm.test_walk" name="test_c"><error message="x"/></testcase>
+<testcase classname="tests.fsm.test_walk" name="test_d"><skipped message="no spin"/></testcase>
+</testsuite></testsuites>"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Results go there."""
+    monkeypatch.setattr(nightly_results, "FOLDER", tmp_path)
+    monkeypatch.setattr(run, "FOLDER", tmp_path)
+    return tmp_path
+
+
+def test_every_nightly_test_is_in_one_part(collected: list[Any]) -> None:
+    """Of those that this run has collected: in `make test` all."""
+    table = {part.name: part for part in parts()}
+    files = {each.file for each in collected if each.nightly}
+
+    assert {file: found for file in sorted(files) if len(found := holders(file, table)) != 1} == {}
+
+
+def test_parts_are_unique_there_and_together_not_too_long() -> None:
+    names = [part.name for part in parts()]
+
+    assert len(set(names)) == len(names)
+    assert [file for part in parts() for file in part.tests if not (ROOT / "tests" / file).exists()] == []
+    assert [part.name for part in parts() if bool(part.tests) == bool(part.command)] == []
+    assert sum(part.minutes for part in parts()) <= 60 * MOST_HOURS
+
+
+def test_a_part_is_chosen_by_its_name_or_its_first_word() -> None:
+    assert [part.name for part in chosen("sham")] == ["sham-1", "sham-2", "sham-3"]
+    assert [part.name for part in chosen("faults-clock")] == ["faults-clock"]
+    assert chosen("fault") == []
+    assert chosen("") == parts()
+    assert "--sham --part 2/3 " in command_of(chosen("sham-2")[0], Path("unused"), 0)[-1]
+
+
+def test_results_of_pytest_are_counted(tmp_path: Path) -> None:
+    report = tmp_path / "report.xml"
+    report.write_text(REPORT)
+
+    found = counted("pytest", report, "", 1)
+
+    assert (found.passed, found.failed, found.skipped) == (1, 2, {"no spin": 1})
+    assert found.failures == ["tests/fsm/test_walk.py::test_b", "tests/fsm/test_walk.py::test_c"]
+
+
+def test_faults_that_are_not_proved_have_failed() -> None:
+    outcomes = ("passed", "failed", "not_proved", "not_run")
+    faults = [{"id": each, "outcome": each, "response": "seen"} for each in outcomes]
+
+    found = counted("faults", Path("unused"), json.dumps({"faults": faults}), 1)
+
+    assert (found.passed, found.failures, found.skipped) == (1, ["failed", "not_proved"], {"not_run: seen": 1})
+
+
+def test_broken_sessions_and_missed_mutants_have_failed() -> None:
+    sessions = {"sessions": 9, "broken": [{"seed": 4, "invariant": "stop_holds"}]}
+    mutants = {"mutants": [{"name": "a", "outcome": "caught"}, {"name": "b", "outcome": "broken"}]}
+
+    assert counted("explore", Path("unused"), json.dumps(sessions), 1).failures == ["seed 4: stop_holds"]
+    assert counted("mutants", Path("unused"), json.dumps(mutants), 1).failures == ["b"]
+
+
+@pytest.mark.parametrize("how", ["pytest", "faults", "explore", "mutants", "exit"])
+@pytest.mark.parametrize(("output", "code"), [("", 1), ("{", -9), ("[]", 2), ('{"faults": []}', 139)])
+def test_what_ended_badly_or_without_a_report_has_failed(tmp_path: Path, how: str, output: str, code: int) -> None:
+    found = counted(how, tmp_path / "none.xml", output, code)  # type: ignore[arg-type]
+
+    assert found.failed > 0
+
+
+@pytest.mark.parametrize(("code", "green"), [(0, True), (3, False)])
+def test_a_part_is_run_and_its_result_kept(folder: Path, code: int, green: bool) -> None:
+    part = Part(name="short", minutes=1, command=f"exit {code}")
+
+    result = run.run_part(part, "0123456789")
+
+    assert result.green is green
+    assert nightly_results.result_of(part) == result
+    assert (result.part, result.commit, result.exit_code) == ("short", "0123456789", code)
+    assert result.machine == this_machine()
+
+
+def test_a_part_that_hangs_is_ended_with_what_it_started(folder: Path) -> None:
+    part = Part(name="hangs", minutes=0.2 / 60, command="sleep 600 & sleep 600")
+
+    result = run.run_part(part, "0123456789")
+
+    assert (result.green, result.exit_code) == (False, 124)
+    assert result.seconds < 60
+
+
+def test_a_part_that_tried_nothing_is_not_green(folder: Path) -> None:
+    part = Part(name="none", minutes=1, command="echo '{{\"faults\": []}}'", counted="faults")
+
+    assert not run.run_part(part, "0123456789").green
+
+
+def test_publishing_replaces_only_parts_that_were_run(folder: Path) -> None:
+    first, second = parts()[:2]
+    kept = run.run_part(msgspec.structs.replace(first, tests=(), command="true", counted="exit"), "1" * 40)
+    before = [msgspec.structs.replace(kept, part=name, commit="2" * 40) for name in (first.name, second.name, "gone")]
+    path = folder / "last.json"
+    path.write_bytes(msgspec.json.encode(before))
+
+    publish(path)
+
+    assert [(each.part, each.commit[0]) for each in published(path)] == [(first.name, "1"), (second.name, "2")]
+
+
+def test_what_is_published_is_readable() -> None:
+    for result in published():
+        assert isinstance(result, Result)
+        assert re.fullmatch(r"[0-9a-f]{40}\+?", result.commit)
