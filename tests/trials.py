@@ -17,4 +17,4 @@ def examples(number: int, **options: Any) -> settings:
         number: In `make test`.
         options: Others of `hypothesis.settings`.
     """
-    return settings(max_examples=max(1, number * settings.default.max_examples // USUAL), **options)
+    return settings(max_examples=max(1, number * settings().max_examples // USUAL), **options)
