@@ -59,7 +59,8 @@ def command_of(part: Part, results: Path, seed: int) -> list[str]:
     if part.tests:
         files = " ".join(f"tests/{each}" for each in part.tests)
         jobs = f"-n {part.jobs}" if part.jobs > 1 else ""
-        line = f"{python} -m pytest -m '{part.marker}' --hypothesis-profile=nightly {jobs} --junitxml={shlex.quote(str(results))} -q {files}"
+        options = f"-m '{part.marker}' --hypothesis-profile=nightly {jobs} --junitxml={shlex.quote(str(results))} -q"
+        line = f"{python} -m pytest {options} {files}"
     else:
         bin_folder = Path(sys.executable).parent
         line = part.command.format(python=python, pcmrs=shlex.quote(str(bin_folder / "pcmrs")), commit=seed)
