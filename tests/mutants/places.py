@@ -72,8 +72,8 @@ def find(tree: Path, module: str, function: str, text: str) -> Place:
     if len(places) != 1:
         where = ", ".join(str(place.file) for place in places) or "nowhere"
         raise ValueError(
-            f"The text {text!r} must occur once in {function or 'the module'} of {module}; it occurs {len(places)} times"
-            f" ({where}). If the function was renamed or its text changed, correct the entry."
+            f"The text {text!r} must occur once in {function or 'the module'} of {module}; it occurs {len(places)}"
+            f" times: {where}. If the function was renamed or its text changed, correct the entry."
         )
     return places[0]
 
