@@ -26,8 +26,9 @@ demo: install ## Run a procedure on the simulated cell and print its errors; WOR
 test: install ## Run the whole test suite; a running daemon does not disturb it
 	$(BIN)/pytest -n auto
 
-mutants: install ## Take guards out of the product, one at a time, and count how many the tests miss; tens of minutes
-	$(BIN)/python tests/mutants/run_removed_guards.py
+mutants: install ## Take guards out of the product, one at a time, and count how many the tests miss; hours
+	$(BIN)/python tests/mutants/run_mutants.py map
+	$(BIN)/python tests/mutants/run_mutants.py listed
 
 fuzz: install ## Fuzz every parser of bytes from outside, SECONDS=30 each; TARGETS="kst ndi" for some of them
 	@export TMPDIR=$$(mktemp -d); trap 'rm -rf "$$TMPDIR"' EXIT; log=$$TMPDIR/log; \
@@ -70,7 +71,7 @@ lock: install ## Remake requirements.lock from pyproject.toml; keeps the version
 	    $(EXTRAS:%=--extra %) --output-file requirements.lock pyproject.toml
 
 clean: ## Remove .venv, caches and what was built
-	rm -rf $(VENV) dist site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) build dist site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(INSTALLED): requirements.lock pyproject.toml

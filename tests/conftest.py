@@ -7,15 +7,11 @@ from collections.abc import AsyncIterator, Iterator
 
 import pytest
 import structlog
-from hypothesis import Phase, settings
+from hypothesis import settings
 
-# How long an example takes says how busy the machine is. `--hypothesis-profile=thorough` tries more of them; `mutants`
-# the same ones every time, and does not look for the smallest one that fails.
+# How long an example takes says how busy the machine is. `--hypothesis-profile=thorough` tries more of them.
 settings.register_profile("pcmrs", deadline=None, max_examples=25)
 settings.register_profile("thorough", deadline=None, max_examples=1000)
-settings.register_profile(
-    "mutants", deadline=None, max_examples=40, derandomize=True, phases=(Phase.explicit, Phase.generate)
-)
 settings.load_profile("pcmrs")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 
 import msgspec
@@ -31,8 +32,9 @@ class Place(msgspec.Struct, frozen=True):
         return source[: self.start] + text + source[self.start + len(self.text) :]
 
 
-def definitions(source: str) -> Iterator[tuple[str, int, int]]:
-    """Yield the qualified name of every class and function, its first line (of its decorators) and its last one."""
+@lru_cache
+def definitions(source: str) -> tuple[tuple[str, int, int], ...]:
+    """Return the qualified name of every class and function, its first line (of its decorators) and its last one."""
 
     def below(node: ast.AST, outer: str) -> Iterator[tuple[str, int, int]]:
         for child in ast.iter_child_nodes(node):
@@ -43,7 +45,7 @@ def definitions(source: str) -> Iterator[tuple[str, int, int]]:
             else:
                 yield from below(child, outer)
 
-    yield from below(ast.parse(source), "")
+    return tuple(below(ast.parse(source), ""))
 
 
 def find(tree: Path, module: str, function: str, text: str) -> Place:
