@@ -28,7 +28,9 @@ test: install ## Run the whole test suite; a running daemon does not disturb it
 
 mutants: install ## Take guards out of the product, one at a time, and count how many the tests miss; hours
 	$(BIN)/python tests/mutants/run_mutants.py map
+	$(BIN)/python tests/mutants/run_mutants.py uncovered
 	$(BIN)/python tests/mutants/run_mutants.py listed
+	$(BIN)/python tests/mutants/run_mutants.py generated
 
 fuzz: install ## Fuzz every parser of bytes from outside, SECONDS=30 each; TARGETS="kst ndi" for some of them
 	@export TMPDIR=$$(mktemp -d); trap 'rm -rf "$$TMPDIR"' EXIT; log=$$TMPDIR/log; \

@@ -1,12 +1,15 @@
 """Takes guards out of the product, one at a time, and counts how many of them the tests miss.
 
     python tests/mutants/run_mutants.py map [TESTS ...] [--workers 2]
+    python tests/mutants/run_mutants.py uncovered
     python tests/mutants/run_mutants.py listed [NAME ...] [--part 1/4] [--jobs 2]
+    python tests/mutants/run_mutants.py generated [--sample 200] [--seed 0] [--part 1/4] [--jobs 2]
 
 `map` runs the suite once under coverage and writes down which test runs which line; the others choose their tests by
-it. `listed` tries the mutants that are written down in tests/mutants/listed, each with the harm that it could do. All
-of them must be caught, except those in allowed.toml. Each command prints a table, or with --json the same as JSON, and
-ends with 0 when all is well.
+it. `uncovered` lists the guards of which no test runs both sides. `listed` tries the mutants that are written down in
+tests/mutants/listed, each with the harm that it could do; all of them must be caught, except those in allowed.toml.
+`generated` tries a sample of those that are made by rule, of which 95 % must be caught. Each command prints a table, or
+with --json the same as JSON, and ends with 0 when all is well.
 """
 
 from __future__ import annotations
@@ -20,16 +23,21 @@ from pathlib import Path
 
 import msgspec
 from coverage_map import MapError, read_map, write_map
+from generated_mutants import generated, guards, sample
 from listed_guards import listed
 from places import TREE
 from rich.console import Console
 from rich.table import Table
 from selecting_tests import Limits
 from trying import Allowed, Candidate, Found, Report, try_mutants
+from uncovered_guards import excuses, uncovered
 
 from pcmrs.cli.progress import progress_bar
 
 LISTED = Limits(tests=100, seconds=300.0)
+GENERATED = Limits(tests=25, seconds=90.0)
+GENERATED_WANTED = 0.95
+"""Share of the generated mutants that must be caught: some of them change nothing that could be noticed."""
 
 _ALLOWED = Path(__file__).with_name("allowed.toml")
 
@@ -75,6 +83,26 @@ def _map(options: argparse.Namespace) -> int:
 
 def _listed(options: argparse.Namespace) -> int:
     return _print_report(options, _part(options.part, candidates(options.names)), LISTED, 1.0, allowed())
+
+
+def _generated(options: argparse.Namespace) -> int:
+    mutants = sample(generated(), options.sample, options.seed)
+    return _print_report(options, _part(options.part, mutants), GENERATED, GENERATED_WANTED, {})
+
+
+def _uncovered(options: argparse.Namespace) -> int:
+    found = uncovered(guards(), read_map(), excuses())
+    if options.json:
+        sys.stdout.write(msgspec.json.encode(found).decode() + "\n")
+    else:
+        left = [each for each in found if not each.reason]
+        table = Table(title=f"{len(found)} guards of which one side was never run, {len(left)} without a reason")
+        for name in ("function", "guard", "side", "reason"):
+            table.add_column(name, overflow="fold")
+        for each in found:
+            table.add_row(f"{each.module}:{each.function}", each.guard, each.side, each.reason)
+        Console().print(table)
+    return 0 if all(each.reason for each in found) else 1
 
 
 def _print_report(
@@ -135,10 +163,16 @@ def main() -> int:
     trying_listed = commands.add_parser("listed", help="try the listed mutants")
     trying_listed.add_argument("names", nargs="*", metavar="NAME", help="mutants to try; all when none is given")
     trying_listed.set_defaults(run=_listed)
-    for each in (trying_listed,):
+    trying_generated = commands.add_parser("generated", help="try mutants that are made by rule")
+    trying_generated.add_argument("--sample", type=int, default=200, help="so many of them")
+    trying_generated.add_argument("--seed", type=int, default=0, help="which ones")
+    trying_generated.set_defaults(run=_generated)
+    reading = commands.add_parser("uncovered", help="list the guards of which no test runs both sides")
+    reading.set_defaults(run=_uncovered)
+    for each in (trying_listed, trying_generated):
         each.add_argument("--part", default="1/1", metavar="K/N", help="only part K of N")
         each.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="so many at a time")
-    for each in (mapping, trying_listed):
+    for each in (mapping, reading, trying_listed, trying_generated):
         each.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args()
     try:
