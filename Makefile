@@ -34,8 +34,11 @@ nightly: install ## Run what `make test` leaves out, in parts; PART=faults for s
 evidence: install ## Make docs/evidence.md from the documents' promises and the last nightly runs
 	PYTHONPATH=tests $(BIN)/python tests/nightly/make_evidence.py
 
-mutants: install ## Take guards out of the product, one at a time, and count how many the tests miss; tens of minutes
-	$(BIN)/python tests/mutants/run_removed_guards.py
+mutants: install ## Take guards out of the product, one at a time, and count how many the tests miss; hours
+	$(BIN)/python tests/mutants/run_mutants.py map
+	$(BIN)/python tests/mutants/run_mutants.py uncovered
+	$(BIN)/python tests/mutants/run_mutants.py listed
+	$(BIN)/python tests/mutants/run_mutants.py generated
 
 fuzz: install ## Fuzz every parser of bytes from outside, SECONDS=30 each; TARGETS="kst ndi" for some of them
 	@export TMPDIR=$$(mktemp -d); trap 'rm -rf "$$TMPDIR"' EXIT; log=$$TMPDIR/log; \
@@ -79,7 +82,7 @@ lock: install ## Remake requirements.lock from pyproject.toml; keeps the version
 	    $(EXTRAS:%=--extra %) --output-file requirements.lock pyproject.toml
 
 clean: ## Remove .venv, caches and what was built
-	rm -rf $(VENV) dist site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) build dist site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(INSTALLED): requirements.lock pyproject.toml

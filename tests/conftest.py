@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import pytest
 import structlog
-from hypothesis import Phase, settings
+from hypothesis import settings
 from skip_budget import OPTION, SkipBudget
 from trials import USUAL
 
@@ -20,14 +20,10 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # How long an example takes says how busy the machine is. `make nightly` tries properties with the profile `nightly`,
-# `--hypothesis-profile=thorough` tries more; both scale what `trials.examples` says. `mutants` tries the same ones
-# every time, and does not look for the smallest one that fails.
+# `--hypothesis-profile=thorough` tries more; both scale what `trials.examples` says.
 settings.register_profile("pcmrs", deadline=None, max_examples=USUAL)
 settings.register_profile("nightly", deadline=None, max_examples=100)
 settings.register_profile("thorough", deadline=None, max_examples=1000)
-settings.register_profile(
-    "mutants", deadline=None, max_examples=40, derandomize=True, phases=(Phase.explicit, Phase.generate)
-)
 settings.load_profile("pcmrs")
 
 TESTS = Path(__file__).parent

@@ -1,6 +1,7 @@
 """Plugin of pytest: the first failure ends it, before anything is closed.
 
-What lacks a guard may wait for ever when it is closed, and after a failure no limit of time holds any more.
+What lacks a guard may wait for ever when it is closed, and after a failure no limit of time holds any more. Hypothesis
+tries the same examples as in the suite and does not look for the smallest one that fails.
 """
 
 from __future__ import annotations
@@ -9,10 +10,17 @@ import os
 import sys
 
 import pytest
+from hypothesis import Phase, settings
+
+
+def pytest_configure() -> None:
+    """Leave out the search for smaller examples."""
+    settings.register_profile("unshrunk", settings(), phases=(Phase.explicit, Phase.generate, Phase.target))
+    settings.load_profile("unshrunk")
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Names the test and ends."""
+    """Name the test and end."""
     if report.failed:
         sys.stdout.write(f"\nFAILED {report.nodeid}\n")
         sys.stdout.flush()

@@ -1,0 +1,76 @@
+"""A removed guard is caught by a test that the map names; another way to say it survives, and no program is broken."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+from coverage_map import CoverageMap, MapError, read_map, write_map
+from listed_guards import listed
+from places import TREE, find
+from run_mutants import allowed, candidates
+from selecting_tests import Limits, changed, select
+from trying import Candidate, Found, try_mutants
+
+SHOWN = ("a_series_is_planned_twice", "a_rotation_of_any_age")
+"""Mutants that are tried in every run of the suite, since their tests are quick: the way of trying them works."""
+FEW = Limits(tests=10, seconds=30.0)
+
+
+@pytest.fixture(scope="module")
+def coverage(tmp_path_factory: pytest.TempPathFactory) -> CoverageMap:
+    return write_map(["tests/gateway/test_gateway_series.py"], 0, tmp_path_factory.mktemp("map") / "map.json")
+
+
+def harmless(name: str, without: str) -> Candidate:
+    """A change of a number that is no guard."""
+    return Candidate(
+        name=name,
+        where="gateway.series:",
+        place=find(TREE, "gateway.series", "", "PAIR_WINDOW = 1.0"),
+        without=without,
+    )
+
+
+@pytest.mark.timeout(300)
+def test_a_removed_guard_is_caught_and_what_takes_none_out_is_not(coverage: CoverageMap) -> None:
+    mutants = [
+        *candidates(SHOWN),
+        harmless("another way to say it", "PAIR_WINDOW = 2.0 - 1.0"),
+        harmless("no program", "PAIR_WINDOW = no_such_name"),
+    ]
+    shown: list[Found] = []
+
+    report = try_mutants(mutants, coverage, FEW, 1.0, allowed={}, jobs=1, show=shown.append)
+
+    assert [each.outcome for each in report.mutants] == ["caught", "caught", "survived", "broken"]
+    assert {each.by.partition("::")[0] for each in report.mutants[:2]} == {"tests/gateway/test_gateway_series.py"}
+    assert (report.caught, report.share, report.unfit, report.good) == (2, 0.5, [], False)
+    assert shown == report.mutants
+
+
+def test_tests_that_reach_the_body_of_a_guard_come_first(coverage: CoverageMap) -> None:
+    place = candidates(SHOWN[1:])[0].place
+    body = {test.id for test in coverage.reaching(place.file, changed(TREE, place).body)}
+
+    tests = select(TREE, place, coverage, Limits(tests=1000, seconds=1000.0))
+
+    assert 0 < len(body) < len(tests)
+    assert set(tests[: len(body)]) == body
+
+
+def test_a_map_of_another_source_or_none_says_how_to_make_one(coverage: CoverageMap, tmp_path: Path) -> None:
+    place = candidates(SHOWN[1:])[0].place
+    file = coverage.files[str(place.file)]
+    other = msgspec.structs.replace(coverage, files={str(place.file): msgspec.structs.replace(file, digest="")})
+
+    with pytest.raises(MapError, match=r"run_mutants\.py map"):
+        select(TREE, place, other, FEW)
+    with pytest.raises(MapError, match=r"run_mutants\.py map"):
+        read_map(tmp_path / "map.json")
+
+
+def test_what_need_not_be_caught_is_listed_and_has_a_reason() -> None:
+    assert allowed().keys() <= {mutant.name for mutant in listed()}
+    assert [name for name, entry in allowed().items() if not entry.reason] == []
