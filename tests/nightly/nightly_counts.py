@@ -78,5 +78,12 @@ def _of_sessions(said: dict[str, Any]) -> Counts:
 
 
 def _of_mutants(said: dict[str, Any]) -> Counts:
-    missed = [each["name"] for each in said["mutants"] if each["outcome"] != "caught"]
-    return _counts(missed, Counter(), len(said["mutants"]) - len(missed))
+    """Of mutants that need not all be caught, survivors are named as skipped while enough of the others are."""
+    skipped = Counter(f"{each['name']}: {each['allowed']}" for each in said["mutants"] if each["allowed"])
+    missed = [each for each in said["mutants"] if each["outcome"] != "caught" and not each["allowed"]]
+    failures = [f"fails as it is: {test}" for test in said["unfit"]]
+    if said["share"] >= said["wanted"]:
+        skipped.update(f"{each['name']}: {each['outcome']}" for each in missed)
+    else:
+        failures += [f"{each['name']}: {each['outcome']}" for each in missed]
+    return _counts(failures, skipped, said["caught"])

@@ -76,12 +76,27 @@ def test_faults_that_are_not_proved_have_failed() -> None:
     assert (found.passed, found.failures, found.skipped) == (1, ["failed", "not_proved"], {"not_run: seen": 1})
 
 
-def test_broken_sessions_and_missed_mutants_have_failed() -> None:
+def test_broken_sessions_have_failed() -> None:
     sessions = {"sessions": 9, "broken": [{"seed": 4, "invariant": "stop_holds"}]}
-    mutants = {"mutants": [{"name": "a", "outcome": "caught"}, {"name": "b", "outcome": "broken"}]}
 
-    assert counted("explore", Path("unused"), json.dumps(sessions), 1).failures == ["seed 4: stop_holds"]
-    assert counted("mutants", Path("unused"), json.dumps(mutants), 1).failures == ["b"]
+    found = counted("explore", Path("unused"), json.dumps(sessions), 1)
+
+    assert (found.passed, found.failures) == (8, ["seed 4: stop_holds"])
+
+
+@pytest.mark.parametrize(("wanted", "failures"), [(1.0, ["b: survived"]), (0.5, [])])
+def test_missed_mutants_have_failed_unless_enough_are_caught(wanted: float, failures: list[str]) -> None:
+    mutants = [
+        {"name": "a", "outcome": "caught", "allowed": ""},
+        {"name": "b", "outcome": "survived", "allowed": ""},
+        {"name": "c", "outcome": "survived", "allowed": "changes nothing"},
+    ]
+    said = {"mutants": mutants, "caught": 1, "share": 0.5, "wanted": wanted, "unfit": []}
+
+    found = counted("mutants", Path("unused"), json.dumps(said), len(failures))
+
+    assert (found.passed, found.failures) == (1, failures)
+    assert found.skipped == {"c: changes nothing": 1} | ({} if failures else {"b: survived": 1})
 
 
 @pytest.mark.parametrize("how", ["pytest", "faults", "explore", "mutants", "exit"])
