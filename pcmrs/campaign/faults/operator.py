@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -30,6 +31,7 @@ from pcmrs.campaign.driving import (
 from pcmrs.campaign.every_state import walk
 from pcmrs.campaign.fault import Evidence, Unmet, fault
 from pcmrs.campaign.lab import REAL_TIME, Lab, LabCell
+from pcmrs.campaign.sham import is_sham
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.experiment.tours.arguments import Arguments, plan_arguments
@@ -129,38 +131,47 @@ async def index_out_of_range(lab: Lab) -> Evidence:
     async with lab.cell() as cell:
         await accept(cell.client, "registration.plan_landmarks", **landmarks())
         count = len(plan().landmarks)
-        indices = (-1, count, lab.random.randrange(count, 10**6))
+        indices = (0,) if is_sham() else (-1, count, lab.random.randrange(count, 10**6))
+        codes = []
         for index in indices:
             verdict = await refused(
                 cell, "digitization.digitize_one", {"index": index}, codes=("no_such_landmark", "bad_arguments")
             )
+            codes.append(f"{index}: {said(verdict)}")
         before = await cell.client.state()
         answer = await cell.planner.command("img_dig_digitize", count, timeout=30.0)
         expect(answer.decision == "rejected", f"Over UDP it was {answer.decision}.")
         expect(shape(await cell.client.state()) == shape(before), "The state changed.")
-        await accept(cell.client, "digitization.digitize_one", index=count - 1)
-    return Evidence(f"refused: {said(verdict)}", {"indices": str(indices), "control": f"index {count - 1} accepted"})
+        control = await accept(cell.client, "digitization.digitize_one", index=count - 1)
+    return Evidence(
+        f"refused: {said(verdict)}",
+        took_place={"the daemon says of each index": codes, "of the datagram": answer.decision},
+        control={f"index {count - 1}": control.decision},
+    )
 
 
-async def _displaced(cell: LabCell, offsets: dict[int, Any]) -> str:
-    """Digitizes with touches off by `offsets` (m, by index); the code with which registering is refused."""
+async def _displaced(cell: LabCell, offsets: dict[int, Any]) -> Evidence:
+    """Digitizes with touches off by `offsets` (m, by index): registering is refused, and without them it is not."""
     await accept(cell.client, "registration.plan_landmarks", **landmarks())
     for index, offset in offsets.items():
         x, y, z = map(float, offset)
-        await cell.scene.displace_touch(index, (x, y, z))
+        if not is_sham():
+            await cell.scene.displace_touch(index, (x, y, z))
     await accept(cell.client, "digitization.digitize_all")
     verdict = await refused(cell, "registration.register", codes=GATES)
     await refused(cell, "placement.approach", codes=("requirement_not_met", "invalid_in_state", "parent_refuses"))
     await digitized(cell.client)
-    await accept(cell.client, "registration.register")
-    return verdict.reason.code if verdict.reason is not None else ""
+    control = await accept(cell.client, "registration.register")
+    reason = verdict.reason
+    return Evidence(
+        f"registration refused: {reason.code if reason is not None else ''}",
+        took_place={"the daemon's fit of the touches": said(verdict)},
+        control={"the same landmarks without the error": control.decision},
+    )
 
 
 def _points() -> Any:
     return np.array([landmark.position for landmark in plan().landmarks])
-
-
-CONTROL = "the same landmarks without the error are accepted"
 
 
 @fault("O3", how="simulated person touches two landmarks in exchanged order")
@@ -170,8 +181,8 @@ async def swapped(lab: Lab) -> Evidence:
     first, second = lab.random.sample(range(len(points)), 2)
     way = points[second] - points[first]
     async with lab.cell() as cell:
-        code = await _displaced(cell, {first: way, second: -way})
-    return Evidence(f"registration refused: {code}", {"landmarks": f"{first}, {second}", "control": CONTROL})
+        evidence = await _displaced(cell, {first: way, second: -way})
+    return replace(evidence, details={"landmarks": f"{first}, {second}"})
 
 
 @fault("O4", how="simulated person touches 25 mm or more beside a landmark")
@@ -180,9 +191,8 @@ async def large_residual(lab: Lab) -> Evidence:
     index, direction = lab.random.randrange(len(_points())), np.array([lab.random.gauss(0, 1) for _ in range(3)])
     offset = lab.random.uniform(0.025, 0.050) * direction / np.linalg.norm(direction)
     async with lab.cell() as cell:
-        code = await _displaced(cell, {index: offset})
-    details = {"landmark": index, "millimetres": float(np.linalg.norm(offset) * 1e3), "control": CONTROL}
-    return Evidence(f"registration refused: {code}, never 111", details)
+        evidence = await _displaced(cell, {index: offset})
+    return replace(evidence, details={"landmark": index, "millimetres": float(np.linalg.norm(offset) * 1e3)})
 
 
 @fault("O5", how="landmarks planned on one line")
@@ -192,9 +202,14 @@ async def collinear(lab: Lab) -> Evidence:
     line = [{"name": f"p{n}", "position": [step * n, 2 * step * n, 0.0]} for n in range(6)]
     codes = ("degenerate_points", "landmarks_collinear")
     async with lab.cell() as cell:
-        verdict = await refused(cell, "registration.plan_landmarks", {"landmarks": line}, codes=codes)
-        await accept(cell.client, "registration.plan_landmarks", **landmarks())
-    return Evidence(f"refused: {said(verdict)}", {"control": "the example's landmarks are accepted"})
+        asked = landmarks() if is_sham() else {"landmarks": line}
+        verdict = await refused(cell, "registration.plan_landmarks", asked, codes=codes)
+        control = await accept(cell.client, "registration.plan_landmarks", **landmarks())
+    return Evidence(
+        f"refused: {said(verdict)}",
+        took_place={"the daemon's words": said(verdict)},
+        control={"the example's landmarks": control.decision},
+    )
 
 
 def _patient(name: str) -> tuple[str, ...]:
@@ -208,11 +223,15 @@ async def previous_patient(lab: Lab) -> Evidence:
     async with lab.daemon(*_patient("one")) as cell:
         await digitized(cell.client)
         await accept(cell.client, "registration.register")
-    async with lab.daemon(*_patient("two"), folder=cell.folder) as other:
+    async with lab.daemon(*_patient("one" if is_sham() else "two"), folder=cell.folder) as other:
         verdict = await refused(other, "registration.use_previous", codes=("other_patient",))
     async with lab.daemon(*_patient("one"), folder=cell.folder) as same:
-        await accept(same.client, "registration.use_previous")
-    return Evidence(f"refused: {said(verdict)}", {"control": "accepted for the same patient"})
+        control = await accept(same.client, "registration.use_previous")
+    return Evidence(
+        f"refused: {said(verdict)}",
+        took_place={"the daemon's words": said(verdict)},
+        control={"for the same patient": control.decision},
+    )
 
 
 @fault("O7", how="landmarks are planned again, as many as before, while the head is registered")
@@ -220,15 +239,21 @@ async def planned_again(lab: Lab) -> Evidence:
     """A new plan ends digitization and registration."""
     async with lab.cell() as cell:
         await register(cell.client)
-        await accept(cell.client, "registration.plan_landmarks", **landmarks())
+        before = (await cell.client.state()).registration
+        if not is_sham():
+            await accept(cell.client, "registration.plan_landmarks", **landmarks())
         shown = await cell.client.state()
         states = (shown.branches["registration"], shown.branches["digitization"], shown.registration)
         expect(states == ("100", "0", None), f"registration, digitization and id are {states}.")
         await refused(cell, "registration.register", codes=("invalid_in_state",))
         await refused(cell, "placement.approach", codes=("requirement_not_met", "invalid_in_state"))
         await accept(cell.client, "digitization.digitize_all")
-        await accept(cell.client, "registration.register")
-    return Evidence("digitization and registration gone, approach refused", {"control": "digitized anew: registered"})
+        control = await accept(cell.client, "registration.register")
+    return Evidence(
+        "digitization and registration gone, approach refused",
+        took_place={"registration until the new plan": before, "states after it": states},
+        control={"register, digitized anew": control.decision},
+    )
 
 
 @fault("O8", how="landmarks planned in mm; the person touches the mirror image of every landmark")
@@ -242,9 +267,14 @@ async def wrong_units(lab: Lab) -> Evidence:
     normal /= np.linalg.norm(normal)
     mirrored = points - 2.0 * np.outer((points - middle) @ normal, normal)
     async with lab.cell() as cell:
-        unit = await refused(cell, "registration.plan_landmarks", {"landmarks": in_mm}, codes=("wrong_unit",))
-        code = await _displaced(cell, dict(enumerate(mirrored - points)))
-    return Evidence(f"mm: {said(unit)}; mirror image: {code}", {"control": CONTROL})
+        asked = landmarks() if is_sham() else {"landmarks": in_mm}
+        unit = await refused(cell, "registration.plan_landmarks", asked, codes=("wrong_unit",))
+        mirror = await _displaced(cell, dict(enumerate(mirrored - points)))
+    return replace(
+        mirror,
+        response=f"mm: {said(unit)}; mirror image: {mirror.response}",
+        took_place={"the daemon's words of mm": said(unit), **mirror.took_place},
+    )
 
 
 @fault("O10", how="commands with an id that was used: at once, later, and while the first runs")
@@ -253,7 +283,8 @@ async def repeated(lab: Lab) -> Evidence:
     async with lab.cell() as cell:
         row, name = cell.last_row(), f"again-{lab.random.random()}"
         arguments = landmarks()
-        both = [cell.client.call("registration.plan_landmarks", arguments, id=name) for _ in range(2)]
+        ids = (name, f"{name}-b") if is_sham() else (name, name)
+        both = [cell.client.call("registration.plan_landmarks", arguments, id=each) for each in ids]
         first, second = await asyncio.gather(*both)
         await accept(cell.client, "digitization.digitize_all")
         third = await cell.client.call("registration.plan_landmarks", arguments, id=name)
@@ -264,7 +295,11 @@ async def repeated(lab: Lab) -> Evidence:
         expect(len(outcomes) == 1, f"The journal has {len(outcomes)} outcomes of one id.")
         other = await accept(cell.client, "registration.plan_landmarks", **arguments)
         expect(other.sequence > first.sequence, "Another id was not run.")
-    return Evidence("run once, the recorded verdict thrice", {"control": "another id is run"})
+    return Evidence(
+        "run once, the recorded verdict thrice",
+        took_place={"verdicts received for one id": sum(each.sequence == first.sequence for each in (second, third))},
+        control={"another id is run, rows later": other.sequence - first.sequence},
+    )
 
 
 STOPS = 9
