@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from pcmrs.campaign.fault import Unmet
+from pcmrs.campaign.waiting import until_true
 from pcmrs.clock import SystemClock
 from pcmrs.messages import BodyPose
 
@@ -100,10 +101,11 @@ class Poses:
 
 @asynccontextmanager
 async def poses(cell: LabCell, body: str = "*") -> AsyncIterator[Poses]:
-    """The frames of one body, or of all, that a subscriber at the cell receives during the context."""
+    """The frames of one body, or of all, that a subscriber receives during the context, from before a fault on."""
     found = Poses(cell.bus)
     end = cell.bus.subscribe(f"state/pose/{body}", BodyPose, lambda _, pose: found.take(pose))
     try:
+        await until_true(lambda: bool(found.came), "No frame of the tracker is received without the fault")
         yield found
     finally:
         await end()

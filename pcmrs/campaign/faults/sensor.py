@@ -61,7 +61,7 @@ async def no_pose(lab: Lab, name: str, *many: dict[str, Any]) -> Evidence:
 
 async def _confirm_refused(cell: LabCell, name: str, arguments: dict[str, Any]) -> tuple[str, dict[str, float]]:
     """The code of the refusal, and what a subscriber saw of the fault."""
-    async with injected(cell, name, arguments), poses(cell, arguments.get("body", "*")) as seen:
+    async with poses(cell, arguments.get("body", "*")) as seen, injected(cell, name, arguments):
         await asyncio.sleep(STALE)
         verdict = await refused(cell, "placement.confirm", codes=NOT_BELIEVED)
         took_place = shown(seen, name, arguments)
