@@ -46,6 +46,7 @@ class FakeRobot:
     """Does as told and remembers what it was told."""
 
     trouble = ""
+    dropped = 0
 
     def __init__(self) -> None:
         self.error: Exception | None = None

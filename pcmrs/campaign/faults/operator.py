@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections import Counter
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, nullcontext, suppress
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -14,6 +17,7 @@ import numpy as np
 
 from pcmrs.campaign.checks import check_refused, confirmed, expect, refused, shape, stands
 from pcmrs.campaign.driving import (
+    MOVES,
     accept,
     connect,
     digitized,
@@ -22,6 +26,7 @@ from pcmrs.campaign.driving import (
     plan,
     register,
     said,
+    state,
     to_placed,
     to_retracted,
     to_standoff,
@@ -39,6 +44,7 @@ from pcmrs.fsm import load_blueprint
 from pcmrs.fsm.behaviour import behaviour, joint_of, operations
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Denial
+from pcmrs.journal import JournalRow
 from pcmrs.workflows import find_workflow
 
 GATES = ("residual_too_large", "landmark_outlier", "swapped_landmarks", "mirrored", "tre_too_large")
@@ -59,9 +65,12 @@ async def every_state(lab: Lab) -> Evidence:
     expect(not found.wrong, f"{len(found.wrong)} of {found.forbidden}: {'; '.join(found.wrong[:3])}")
     control = await asyncio.to_thread(asyncio.run, walk(blueprint, _folder(lab), _without_guard(blueprint), 1))
     expect(bool(control.wrong), "A guard was removed, and nothing was found.")
-    counts = {"workflow": blueprint.id, "joint_states": found.joint_states, "forbidden": found.forbidden}
-    removed = f"with one guard removed this is found: {control.wrong[0]}"
-    return Evidence(f"{found.forbidden} refused in {found.joint_states} joint states", {**counts, "control": removed})
+    return Evidence(
+        f"{found.forbidden} refused in {found.joint_states} joint states",
+        took_place={"refusals that the journal has": found.recorded},
+        control={"found with one guard removed": control.wrong[0]},
+        details={"workflow": blueprint.id, "joint_states": found.joint_states, "forbidden": found.forbidden},
+    )
 
 
 def _folder(lab: Lab) -> Path:
@@ -84,13 +93,20 @@ async def all_forbidden(lab: Lab) -> Evidence:
     blueprint = load_blueprint(find_workflow("ratms").blueprint)
     rulings, asked, states = behaviour(blueprint), 0, 0
     async with lab.cell() as cell:
+        row = cell.last_row()
         for step in _way():
             if step is not None:
                 await step(cell.client)
                 await until(cell.client, lambda snapshot: not snapshot.running)
             asked += await _ask_forbidden(cell, blueprint, rulings)
             states += 1
-    return Evidence(f"{asked} refused in {states} joint states", {"control": "what leads on was accepted"})
+        decisions = Counter(stored.verdict.decision for stored in cell.rows(row) if stored.verdict is not None)
+        reached = await state(cell.client, "placement")
+    return Evidence(
+        f"{asked} refused in {states} joint states",
+        took_place={"refusals that the journal has": decisions["rejected"]},
+        control={"accepted, as the journal has it": decisions["accepted"], "reached": reached},
+    )
 
 
 def _way() -> tuple[Callable[[Client], Awaitable[object]] | None, ...]:
@@ -114,7 +130,7 @@ async def _ask_forbidden(cell: LabCell, blueprint: Blueprint, rulings: Any) -> i
         if spec.event or spec.iio or isinstance(there[f"{branch}.{name}"], Denial)
     ]
     # Whether the tool counts as aligned is for a watch to say, in these states at any time.
-    denied = [(name, payload) for name, payload in denied if not name.startswith("alignment.")]
+    denied = [(name, payload) for name, payload in denied if not name.startswith("alignment.") and not is_sham()]
     verdicts = [await cell.client.call(name, arguments.next(name, payload)) for name, payload in denied]
     after, recorded = await cell.client.state(), [stored.verdict for stored in cell.rows(row)]
     for verdict in verdicts:
@@ -313,20 +329,29 @@ PROMISE = 0.020
 async def stop_while_digitizing(lab: Lab) -> Evidence:
     """Stop ends a digitization at once."""
     took: list[float] = []
-    async with lab.daemon("sim.digitization.reach_time=60") as cell:
+    async with lab.daemon("sim.digitization.reach_time=40") as cell:
         await connect(cell.client)
         await accept(cell.client, "registration.plan_landmarks", **landmarks())
+        row = cell.last_row()
         for _ in range(STOPS):
             took.append(await _stop_digitizing(cell))
             await accept(cell.client, "robot.acknowledge")
             expect((await cell.client.state()).branches["digitization"] == "0", "Something was digitized.")
+        stops = sum((stored.kind, stored.operation) == ("device", "stopped") for stored in cell.rows(row))
+        control = await cell.client.call("digitization.digitize_one", {"index": 0}, timeout=30.0)
+        expect(control.decision == "accepted", f"Without a Stop it was {control.decision}: {said(control)}.")
     late = await _timer_lateness()
     if median(took) > PROMISE:
         raise Unmet(
             f"Cancelled after {median(took) * 1e3:.1f} ms in the median; a bare timer is {late * 1e3:.1f} ms late."
         )
     values = {"median_ms": median(took) * 1e3, "worst_ms": max(took) * 1e3, "timer_worst_ms": late * 1e3}
-    return Evidence(f"cancelled within {values['median_ms']:.1f} ms", values)
+    return Evidence(
+        f"cancelled within {values['median_ms']:.1f} ms",
+        took_place={"Stops that the journal has": stops},
+        control={"the same digitization without a Stop": control.decision},
+        details=values,
+    )
 
 
 async def _stop_digitizing(cell: LabCell) -> float:
@@ -336,10 +361,11 @@ async def _stop_digitizing(cell: LabCell) -> float:
     await until(cell.client, lambda snapshot: bool(snapshot.running))
     expect(not call.done(), "The digitization ended without a Stop.")
     begun = clock.monotonic()
-    stop = asyncio.create_task(cell.planner.stop())
+    stop = None if is_sham() else asyncio.create_task(cell.planner.stop())
     verdict = await call
     took = clock.monotonic() - begun
-    await stop
+    if stop is not None:
+        await stop
     expect(verdict.decision == "failed", f"The digitization was {verdict.decision}.")
     return took
 
@@ -361,6 +387,10 @@ async def edited_while_moving(lab: Lab) -> Evidence:
         await to_retracted(cell.client)
         before = await cell.client.state()
         async with moving(cell.client) as approach:
+            if is_sham():  # asked for after the motion, it is no fault
+                await approach
+            joints = await cell.client.request_device("robot", "joints")
+            speed = float(np.abs(joints["velocities"]).max())
             row, meanwhile = cell.last_row(), await cell.client.state()
             pose = await cell.client.call("toolplan.plan", tool_pose(1))
             await check_refused(cell, pose, meanwhile, row, ("busy",))
@@ -369,13 +399,21 @@ async def edited_while_moving(lab: Lab) -> Evidence:
             verdict = await approach
         expect(verdict.decision == "accepted", f"The approach was {verdict.decision}: {said(verdict)}.")
         expect((await cell.client.state()).plan == before.plan, "The plan was changed.")
-        await accept(cell.client, "toolplan.plan", **tool_pose(1))
+        control = await accept(cell.client, "toolplan.plan", **tool_pose(1))
         await until(cell.client, lambda snapshot: snapshot.branches["placement"] == "held")
-    details = {"control": "accepted when the tool stood at the standoff, which was revoked: held"}
-    return Evidence(f"refused: {said(pose)}", details)
+        revoked = await state(cell.client, "placement")
+    return Evidence(
+        f"refused: {said(pose)}",
+        took_place={"a joint moves, rad/s": speed if speed > MOVES else 0.0, "runs": meanwhile.running},
+        control={"planned when the tool stands": control.decision, "the standoff is": revoked},
+    )
 
 
-ABANDONED = ("procedure.abandoned_after=3", "workflow=ratms_threshold", *REAL_TIME)
+LIMIT = 3.0
+"""A session that nobody attends to for so long is made safe here, s of the machine."""
+ATTENDED = 6.0
+ABANDONED_EVENT = "session_abandoned"
+ABANDONED = (f"procedure.abandoned_after={LIMIT:g}", "workflow=ratms_threshold", *REAL_TIME)
 
 
 @fault("O13", how="the operator leaves with the stimulator armed and the tool on the head; the limit is 3 s here")
@@ -390,19 +428,47 @@ async def _leave(cell: LabCell) -> Evidence:
     await accept(cell.client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
     await accept(cell.client, "stimulation.set_intensity", percent=50.0)
     await accept(cell.client, "stimulation.arm")
-    for _ in range(4):  # somebody is there: each of these is within the limit
-        await asyncio.sleep(1.5)
-        await cell.client.call("stimulation.set_intensity", {"percent": 50.0})
+    row = cell.last_row()
+    async with _attended(cell.client):
+        await asyncio.sleep(ATTENDED)
     expect(not (await cell.client.state()).latched, "It was held although somebody was there.")
-    clock = SystemClock()
-    left = clock.monotonic()
-    shown = await until(
-        cell.client, lambda snapshot: snapshot.latched and snapshot.branches["stimulation"] == "disarmed"
-    )
-    took = clock.monotonic() - left
+    attended = _quiet(cell.rows(row))
+    async with _attended(cell.client) if is_sham() else nullcontext():
+        shown = await until(
+            cell.client, lambda snapshot: snapshot.latched and snapshot.branches["stimulation"] == "disarmed"
+        )
+    quiet = _quiet(cell.rows(row))
     stimulator = await cell.client.request_device("stimulator", "state")
     expect(not stimulator["armed"], "The stimulator itself is armed.")
     await stands(cell)
     await confirmed(cell)
-    details = {"seconds": took, "placement": shown.branches["placement"], "control": "6 s with somebody there: nothing"}
-    return Evidence("held, latched, stimulator disarmed", details)
+    return Evidence(
+        "held, latched, stimulator disarmed",
+        took_place={"nobody has asked for anything for_s": quiet if quiet >= LIMIT else 0.0},
+        control={f"{ATTENDED:g} s with somebody there, who is never silent for longer than_s": attended},
+        details={"placement": shown.branches["placement"]},
+    )
+
+
+@asynccontextmanager
+async def _attended(client: Client) -> AsyncIterator[None]:
+    """Somebody asks for something during the context, and again before the limit."""
+
+    async def ask() -> None:
+        while True:
+            await client.call("stimulation.set_intensity", {"percent": 50.0})
+            await asyncio.sleep(LIMIT / 2)
+
+    asking = asyncio.create_task(ask())
+    try:
+        yield
+    finally:
+        asking.cancel()
+        with suppress(asyncio.CancelledError):
+            await asking
+
+
+def _quiet(rows: list[JournalRow]) -> float:
+    """Longest time between two rows of a journal that tell of a command, or of its absence, s."""
+    times = [row.monotonic for row in rows if row.kind == "outcome" or row.operation == ABANDONED_EVENT]
+    return max((later - earlier for earlier, later in pairwise(times)), default=0.0)

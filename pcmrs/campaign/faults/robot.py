@@ -30,10 +30,11 @@ from pcmrs.campaign.driving import (
 )
 from pcmrs.campaign.fault import Evidence, NotRun, Unmet, fault
 from pcmrs.campaign.lab import REAL_TIME, Lab, LabCell
+from pcmrs.campaign.segments import SS, Segments, segments
+from pcmrs.campaign.setpoints import Dropped, dropped_setpoints
 from pcmrs.campaign.sham import bring_about, is_sham
-from pcmrs.campaign.waiting import until_true
 from pcmrs.clock import SystemClock
-from pcmrs.messages import DeviceEvent, DeviceHealth, JointSetpoint, Verdict
+from pcmrs.messages import DeviceEvent, JointSetpoint, Verdict
 
 HOW = "simulated arm of a running cell, in motion"
 SETTLING = 0.8
@@ -161,27 +162,75 @@ async def interrupted(lab: Lab) -> Evidence:
 VIRTUAL = (*REAL_TIME, "robot.driver=kst", "kst.reply_timeout=2.0", "kst.pose_limit=0.3")
 
 
-@fault("B4", how="virtual cabinet over TCP: replies split, merged and mixed in their segments", deadline=240.0)
+@fault(
+    "B4",
+    how="virtual cabinet over TCP: replies split, merged and mixed in their segments",
+    needs=(SS,),
+    deadline=240.0,
+)
 async def framed(lab: Lab) -> Evidence:
     """However replies are framed, motions go on."""
+    seen: dict[str, float] = {}
     async with lab.daemon(*VIRTUAL) as cell:
         await cell.scene.inject("frame_replies", {"how": "whole"})
         try:
             await to_placed(cell.client)
-            await _there_and_back(cell)
+            whole = await _polled(cell)
+            control = await _there_and_back(cell)
         except Unmet as error:
             raise NotRun(f"The virtual cabinet fails with whole replies, too, on this machine: {error.text}") from None
         for framing in ("split", "merged", "mixed"):
             async with injected(cell, "frame_replies", {"how": framing}, {"how": "whole"}):
+                seen[framing] = _framed(framing, await _polled(cell), whole)
                 await _there_and_back(cell)
-    details = {"framings": "split, merged, mixed"}
-    return Evidence("back_off and confirm accepted with every framing", details=details)  # nobody counts the segments
+    return Evidence(
+        "back_off and confirm accepted with every framing",
+        took_place={
+            "segments beside one for a reply, split": seen["split"],
+            "segments beside one for a reply, mixed": seen["mixed"],
+            "a reply is held back to be merged for_s": seen["merged"],
+        },
+        control={"confirm with whole replies": control, "segments for a reply": whole.per_request},
+    )
 
 
-async def _there_and_back(cell: LabCell) -> None:
+POLLED = 2.0
+"""For so long the segments are counted of an arm at rest, which is asked for one reply after the other, s."""
+IN_FLIGHT = 2
+"""Segments that may lie between the counts of what was sent and received."""
+HELD_BACK = 0.01
+"""By so much later than a whole reply comes one that is held back, s."""
+
+
+async def _polled(cell: LabCell) -> Segments:
+    """Segments of the driver's connection while the arm is at rest."""
+    await asyncio.sleep(SETTLING)
+    port = int(next(each for each in reversed(cell.settings) if each.startswith("kst.port=")).partition("=")[2])
+    before = await segments(port)
+    await asyncio.sleep(POLLED)
+    return (await segments(port)).since(before)
+
+
+def _framed(framing: str, seen: Segments, whole: Segments) -> float:
+    """How the replies differ from whole ones: segments more than requests, or how much later a reply comes, s.
+
+    Raises:
+        Unmet: They do not.
+    """
+    expect(min(seen.received, whole.received) > IN_FLIGHT, f"No replies are counted: {seen}, {whole}.")
+    if framing == "merged":
+        later = POLLED / seen.received - POLLED / whole.received
+        expect(later > HELD_BACK, f"Replies are not held back to be merged: {seen}, whole ones are {whole}.")
+        return later
+    more = seen.received - seen.sent
+    expect(more > IN_FLIGHT, f"Replies do not come in several segments when {framing}: {seen}.")
+    return more
+
+
+async def _there_and_back(cell: LabCell) -> str:
     await accept(cell.client, "placement.back_off")
     await asyncio.sleep(SETTLING)
-    await accept(cell.client, "placement.confirm")
+    return (await accept(cell.client, "placement.confirm")).decision
 
 
 @fault("B5", how=f"{HOW}: emergency stop")
@@ -292,11 +341,11 @@ async def dropped(lab: Lab) -> Evidence:
 
 
 @asynccontextmanager
-async def _elsewhere(cell: LabCell) -> AsyncIterator[JointSetpoint]:
+async def _elsewhere(cell: LabCell, counts: Dropped) -> AsyncIterator[tuple[JointSetpoint, int]]:
     """The arm has followed set points, and is far from the last of them; its connection is lost, then made again.
 
     Yields:
-        The last set point of the earlier connection.
+        The last set point of the earlier connection, and how many were dropped before it was lost.
     """
     heard: list[JointSetpoint] = []
     end = cell.client.listen("dev/robot/setpoint", JointSetpoint, heard.append)
@@ -307,11 +356,12 @@ async def _elsewhere(cell: LabCell) -> AsyncIterator[JointSetpoint]:
     await to_retracted(cell.client)
     away = float(np.abs(np.subtract(await _joints(cell), heard[-1].positions)).max())
     expect(away > 0.1, f"The arm is only {away:.3f} rad from the last set point: it would not show that it followed.")
+    dropped = await counts.now()
     await cell.scene.inject("drop_client", {})
     await until(cell.client, lambda shown: shown.branches["robot"] == "0")
     before = await tool_position(cell)
     await connect(cell.client)
-    yield heard[-1]
+    yield heard[-1], dropped
     await stands(cell)
     moved = math.dist(before, await tool_position(cell))
     expect(moved < 1e-3, f"The tool moved by {moved * 1e3:.1f} mm after the reconnection.")
@@ -322,28 +372,35 @@ async def _elsewhere(cell: LabCell) -> AsyncIterator[JointSetpoint]:
 @fault("B12", how="simulated arm: the last set point of the earlier connection arrives with the new one")
 async def late(lab: Lab) -> Evidence:
     """What was sent earlier arrives after a new connection."""
-    async with lab.cell(*REAL_TIME, anew=False) as cell, injected(cell, "late_set_point"), _elsewhere(cell) as setpoint:
-        details = {"session": setpoint.session, "number": setpoint.number}
-    return Evidence("dropped: the arm stands after the reconnection", details=details)  # nobody counts the late one
+    async with (
+        lab.cell(*REAL_TIME, anew=False) as cell,
+        dropped_setpoints(cell, "stale_setpoints") as counts,
+        injected(cell, "late_set_point"),
+        _elsewhere(cell, counts) as (setpoint, before),
+    ):
+        dropped = await counts.beyond(before)
+    return Evidence(
+        "dropped and counted: the arm stands after the reconnection",
+        took_place={"set points that the robot counts as late": dropped},
+        control={"set points followed in the connection that they were for": setpoint.number},
+        details={"session": setpoint.session},
+    )
 
 
 @fault("B12", how="the last set point of the earlier connection is put on the bus again after the new one")
 async def late_on_the_bus(lab: Lab) -> Evidence:
     """The node drops it, and counts that."""
-    async with lab.cell(*REAL_TIME, anew=False) as cell, _elsewhere(cell) as setpoint:
-        counts: list[int] = []
-        end = cell.client.listen(
-            "dev/robot/state", DeviceHealth, lambda health: counts.append(health.dropped.get("setpoints", 0))
-        )
-        await until_true(lambda: bool(counts), "The robot's node does not say how it is")
-        before = counts[-1]
+    async with (
+        lab.cell(*REAL_TIME, anew=False) as cell,
+        dropped_setpoints(cell, "setpoints") as counts,
+        _elsewhere(cell, counts) as (setpoint, before),
+    ):
         bring_about(lambda: cell.bus.publish("dev/robot/setpoint", setpoint))
-        await until_true(lambda: counts[-1] > before, "The robot's node has not counted the late set point")
-        await end()
-        expect(counts[-1] == before + 1, f"One set point came late, and {counts[-1] - before} were counted.")
+        dropped = await counts.beyond(before)
+        expect(dropped == 1, f"One set point came late, and {dropped} were counted.")
     return Evidence(
         "dropped and counted: the arm stands after the reconnection",
-        took_place={"set points that the node counts as late": counts[-1] - before},
+        took_place={"set points that the node counts as late": dropped},
         control={"set points followed in the connection that they were for": setpoint.number},
     )
 
@@ -372,22 +429,35 @@ async def old_command(lab: Lab) -> Evidence:
 @fault("B13", how="simulated arm: every set point arrives twice while the tool follows")
 async def doubled(lab: Lab) -> Evidence:
     """The arm follows every set point once."""
-    heard: list[JointSetpoint] = []
-    async with lab.cell(*REAL_TIME, anew=False) as cell:
+    async with lab.cell(*REAL_TIME, anew=False) as cell, dropped_setpoints(cell, "stale_setpoints") as counts:
         await to_following(cell.client)
+        once = await _setpoints(cell)
+        before = await counts.now()
         async with injected(cell, "double_commands"):
-            end = cell.client.listen("dev/robot/setpoint", JointSetpoint, heard.append)
-            await asyncio.sleep(FOLLOWED)
-            await end()
+            sent = await _setpoints(cell)
             shown = (await cell.client.state()).branches
+            repeated = await counts.now() - before
         if shown["placement"] != "following":
             await calmed(cell.client)
             await to_following(cell.client)  # not run where it does not follow without the fault, either
             raise Unmet(f"With every set point twice it does not follow: {shown}.")
         await accept(cell.client, "placement.stop_following")
-    expect(bool(heard), "No set point was sent that could have come twice.")
-    details = {"sent": len(heard), "seconds": FOLLOWED}
-    return Evidence("followed on", details=details)  # nobody counts the repeated ones
+    expect(repeated > sent / 2, f"{sent} set points were sent, and the robot has dropped {repeated} as repeated.")
+    return Evidence(
+        "followed on, every set point once",
+        took_place={"repeated set points that the robot has dropped": repeated},
+        control={"set points followed that came once": once},
+        details={"sent": sent, "seconds": FOLLOWED},
+    )
+
+
+async def _setpoints(cell: LabCell) -> int:
+    """How many a tool that follows is sent during `FOLLOWED`."""
+    heard: list[JointSetpoint] = []
+    end = cell.client.listen("dev/robot/setpoint", JointSetpoint, heard.append)
+    await asyncio.sleep(FOLLOWED)
+    await end()
+    return len(heard)
 
 
 @fault("B13", how="a motion is asked for twice with one id, the second time while the first moves")
