@@ -196,8 +196,12 @@ async def _command(cell: LabCell, branch: str = "toolplan", operation: str = "re
 
 
 def is_stopped(pid: int) -> bool:
-    """Whether the kernel has a process as stopped."""
-    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
+    """Whether the kernel has a process as stopped; one that has ended is not."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text()
+    except FileNotFoundError:
+        return False
+    return text.rpartition(")")[2].split()[0] == "T"
 
 
 def _signal(pids: Sequence[int], number: int) -> None:

@@ -30,11 +30,12 @@ from pcmrs.campaign.driving import (
 )
 from pcmrs.campaign.fault import Evidence, NotRun, Unmet, fault
 from pcmrs.campaign.lab import REAL_TIME, Lab, LabCell
+from pcmrs.campaign.robot_signs import robot_heard
 from pcmrs.campaign.segments import SS, Segments, segments
 from pcmrs.campaign.setpoints import Dropped, dropped_setpoints
 from pcmrs.campaign.sham import bring_about, is_sham
 from pcmrs.clock import SystemClock
-from pcmrs.messages import DeviceEvent, JointSetpoint, Verdict
+from pcmrs.messages import JointSetpoint, Verdict
 
 HOW = "simulated arm of a running cell, in motion"
 SETTLING = 0.8
@@ -47,11 +48,11 @@ async def braked(
     """A motion fails, the tool is held; nothing goes on when the fault has ended, until an operator confirms."""
     async with lab.cell(*REAL_TIME, anew=False) as cell:
         await to_retracted(cell.client)
-        async with robot_events(cell) as events, moving(cell.client) as approach, injected(cell, name, begin, end):
+        async with robot_heard(cell) as robot, moving(cell.client) as approach, injected(cell, name, begin, end):
             verdict = await approach
             _expect_end(verdict, ("failed", "held"))
             await held(cell)
-            told = [event.code for event in events if event.danger]
+            took_place = robot.shown(name)
         await asyncio.sleep(SETTLING)
         await held(cell)
         await confirmed(cell)
@@ -60,20 +61,9 @@ async def braked(
     expect(again.result().decision == "accepted", f"Without the fault a motion was {again.result().decision}.")
     return Evidence(
         "motion failed, held and latched until confirmed",
-        took_place={"alarms of the robot, as received": told},
+        took_place=took_place,
         control={"the next motion, without the fault": again.result().decision},
     )
-
-
-@asynccontextmanager
-async def robot_events(cell: LabCell) -> AsyncIterator[list[DeviceEvent]]:
-    """Events of the robot that a client of the cell receives during the context."""
-    found: list[DeviceEvent] = []
-    end = cell.client.listen("dev/robot/event", DeviceEvent, found.append)
-    try:
-        yield found
-    finally:
-        await end()
 
 
 async def _retracted(cell: LabCell) -> bool:
@@ -105,12 +95,12 @@ async def lost(
     async with lab.cell(*REAL_TIME, anew=False) as cell:
         await to_retracted(cell.client)
         row = cell.last_row()
-        async with robot_events(cell) as events, moving(cell.client) as approach, injected(cell, name, begin, end):
+        async with robot_heard(cell) as robot, moving(cell.client) as approach, injected(cell, name, begin, end):
             _expect_end(await approach, *endings)
             await until(cell.client, lambda shown: shown.latched and shown.branches["robot"] == "0")
             expect((await cell.client.state()).branches["placement"] == "unknown", "The placement counts as known.")
             way = await stands(cell)
-            told = [event.code for event in events]
+            took_place = robot.shown(name)
         await connect(cell.client)
         located = await until(cell.client, lambda snapshot: snapshot.branches["placement"] != "unknown")
         expect(located.latched, "The latch is gone, and nobody has confirmed.")
@@ -122,7 +112,7 @@ async def lost(
         control = await accept(cell.client, "placement.approach")
     return Evidence(
         "unknown, disconnected, latched; located anew",
-        took_place={"events of the robot, as received": told},
+        took_place=took_place,
         control={"approach without the fault": control.decision},
         details={"moved_m": way, "begun": len(intents)},
     )
