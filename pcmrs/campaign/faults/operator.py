@@ -329,7 +329,7 @@ PROMISE = 0.020
 async def stop_while_digitizing(lab: Lab) -> Evidence:
     """Stop ends a digitization at once."""
     took: list[float] = []
-    async with lab.daemon("sim.digitization.reach_time=40") as cell:
+    async with lab.daemon("sim.digitization.reach_time=25") as cell:
         await connect(cell.client)
         await accept(cell.client, "registration.plan_landmarks", **landmarks())
         row = cell.last_row()
@@ -404,7 +404,7 @@ async def edited_while_moving(lab: Lab) -> Evidence:
         revoked = await state(cell.client, "placement")
     return Evidence(
         f"refused: {said(pose)}",
-        took_place={"a joint moves, rad/s": speed if speed > MOVES else 0.0, "runs": meanwhile.running},
+        took_place={"a joint moves, rad/s": speed if speed > MOVES else 0.0, "runs": [each.operation for each in meanwhile.running]},
         control={"planned when the tool stands": control.decision, "the standoff is": revoked},
     )
 
