@@ -404,7 +404,10 @@ async def edited_while_moving(lab: Lab) -> Evidence:
         revoked = await state(cell.client, "placement")
     return Evidence(
         f"refused: {said(pose)}",
-        took_place={"a joint moves, rad/s": speed if speed > MOVES else 0.0, "runs": [each.operation for each in meanwhile.running]},
+        took_place={
+            "a joint moves, rad/s": speed if speed > MOVES else 0.0,
+            "runs": [each.operation for each in meanwhile.running],
+        },
         control={"planned when the tool stands": control.decision, "the standoff is": revoked},
     )
 
