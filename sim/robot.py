@@ -56,6 +56,10 @@ class SimRobot:
     def trouble(self) -> str:
         return "The link of the simulated robot is cut by a fault." if self.faults.cut else ""
 
+    @property
+    def dropped(self) -> int:
+        return self.sessions.dropped
+
     async def connect(self) -> JointState:
         self._check_link()
         self._check_willing()

@@ -189,6 +189,7 @@ async def to_following(client: Client) -> None:
         NotRun: It does not, and nothing was injected yet: the machine is too busy for a cell in real time.
     """
     await to_placed(client)
+    await asyncio.sleep(SEEN)
     await accept(client, "placement.follow")
     try:
         await until(client, lambda snapshot: snapshot.branches["alignment"] == "1")

@@ -14,6 +14,7 @@ from pcmrs.bus.seal import Seal
 from pcmrs.campaign.delays import Delays
 from pcmrs.campaign.driving import calmed, start_anew
 from pcmrs.campaign.fault import Unmet
+from pcmrs.campaign.sham import is_sham
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.devices.remote import RemoteScene
@@ -205,11 +206,16 @@ class Pool:
     async def borrow(
         self, overrides: tuple[str, ...], seed: int, *, anew: bool, delayed: bool = False
     ) -> AsyncIterator[LabCell]:
-        """The kept daemon, or a new one where the settings are others; ended when the context ends with an error."""
+        """The kept daemon, or a new one where the settings are others; ended when the context ends with an error.
+
+        Where no fault took place, a response that did not come breaks nothing: the daemon is kept.
+        """
         cell = await self._ready(overrides, seed, anew=anew, delayed=delayed)
         try:
             yield cell
-        except BaseException:
+        except BaseException as error:
+            if isinstance(error, Unmet) and is_sham():
+                raise
             await self.close()
             raise
 

@@ -314,6 +314,8 @@ class DeviceNode:
         """None while it is too early to say."""
         beats = {"beats": self._deadman.late, "implausible_beats": self._deadman.implausible}
         dropped = dict(self.late) | {kind: many for kind, many in beats.items() if many}
+        if name == "robot" and (stale := self._devices[name].dropped):
+            dropped["stale_setpoints"] = stale
         if name not in STREAMING:
             return DeviceHealth(device=name, connected=True, dropped=dropped)
         now = self._clock.monotonic()

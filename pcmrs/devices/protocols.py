@@ -222,6 +222,10 @@ class RobotDriver(Robot, Protocol):
     def trouble(self) -> str:
         """Why it sends no states, and what to do; empty while it does."""
 
+    @property
+    def dropped(self) -> int:
+        """Set points that were repeated, stale or of no running session."""
+
     def states(self) -> AsyncIterator[JointState]:
         """Measured joints at the driver's own rate while connected or not."""
 

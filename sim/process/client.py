@@ -53,6 +53,7 @@ class World:
         states: Of the robot.
         events: Device to what it reports.
         trouble: Device to why it sends nothing.
+        dropped: Set points that the arm has dropped.
         is_lost: Whether the world has ended by itself.
     """
 
@@ -61,6 +62,7 @@ class World:
         self.states: Stream[JointState] = Stream()
         self.events: Mapping[str, Stream[DeviceEvent]] = {"robot": Stream(), "stimulator": Stream()}
         self.trouble: dict[str, str] = {}
+        self.dropped = 0
         self.is_lost = False
         self._lost, self._machine = lost, machine
         self._opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -122,7 +124,8 @@ class World:
         match read_by_node(body):
             case Frame(poses):
                 self.frames.publish(poses)
-            case State(state):
+            case State(state, dropped):
+                self.dropped = dropped
                 self.states.publish(state)
             case Event(event):
                 self.events[event.device].publish(event)
@@ -196,6 +199,10 @@ class WorldRobot(WorldDevice):
     @property
     def trouble(self) -> str:
         return self._world.trouble.get("robot", "")
+
+    @property
+    def dropped(self) -> int:
+        return self._world.dropped
 
     def states(self) -> AsyncIterator[JointState]:
         return self._world.states.read()

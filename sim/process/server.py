@@ -103,7 +103,7 @@ class Server:
         if "tracker" in self._served:
             yield self._send_all(cell.tracker.frames(), lambda frame: Frame(list(frame)), dated=True)
         if "robot" in self._served:
-            yield self._send_all(cell.robot.states(), State, dated=True)
+            yield self._send_all(cell.robot.states(), lambda state: State(state, cell.robot.dropped), dated=True)
             yield self._send_all(cell.robot.events(), Event)
         if "stimulator" in self._served:
             yield self._send_all(cell.stimulator.events(), Event)

@@ -106,9 +106,10 @@ class Frame(msgspec.Struct, frozen=True, tag="frame"):
 
 
 class State(msgspec.Struct, frozen=True, tag="state"):
-    """Measured joints."""
+    """Measured joints, and how many set points the arm has dropped until then."""
 
     state: JointState
+    dropped: int = 0
 
 
 class Event(msgspec.Struct, frozen=True, tag="event"):

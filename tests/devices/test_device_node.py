@@ -46,6 +46,7 @@ class FakeRobot:
     """Does as told and remembers what it was told."""
 
     trouble = ""
+    dropped = 0
 
     def __init__(self) -> None:
         self.error: Exception | None = None
@@ -571,6 +572,15 @@ async def test_a_set_point_that_comes_late_is_dropped(bench: Bench) -> None:
         bench.link.hear("dev/robot/setpoint", setpoint)
     assert [setpoint.number for setpoint in bench.robot_device.setpoints] == [1, 3]
     assert bench.node.late == {"setpoints": 1}
+
+
+async def test_set_points_that_the_driver_drops_are_in_the_node_s_health(bench: Bench) -> None:
+    bench.robot_device.stream.put_nowait(STATE)
+    await bench.clock.advance(2.0)
+    assert "stale_setpoints" not in bench.link.published["dev/robot/state"][-1].dropped
+    bench.robot_device.dropped = 3
+    await bench.clock.advance(2.0)
+    assert bench.link.published["dev/robot/state"][-1].dropped["stale_setpoints"] == 3
 
 
 async def test_a_node_that_was_not_served_takes_what_has_arrived_and_reports_that(bench: Bench) -> None:

@@ -6,6 +6,8 @@ import asyncio
 import os
 import signal
 from collections.abc import Awaitable, Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from pcmrs.bus.envelope import Envelope
@@ -15,6 +17,7 @@ from pcmrs.campaign.checks import confirmed, expect, held, shape
 from pcmrs.campaign.driving import PATIENCE, moving, plan, register, state, until
 from pcmrs.campaign.fault import Evidence, NotRun, fault
 from pcmrs.campaign.lab import REAL_TIME, Lab, LabCell
+from pcmrs.campaign.sham import bring_about, is_sham
 from pcmrs.campaign.walltime import WallClock
 from pcmrs.clock import SystemClock
 from pcmrs.errors import UnknownOutcomeError
@@ -52,21 +55,26 @@ async def the_wall_clock_stands(lab: Lab) -> Evidence:
 @fault("C4", how="commands with the stamps of another host's clock, over the bus")
 async def the_clocks_of_two_hosts_differ(lab: Lab) -> Evidence:
     """A command without a stamp is taken whatever the clock says; one that is to be fresh is refused if it is not."""
-    wall = SystemClock().wall()
     decided: dict[str, str] = {}
     async with lab.cell() as cell:
         before = await cell.client.state()
         for ahead in (-10 * DAY, -HOUR, HOUR, 10 * DAY):
-            limited = await _command(cell, sent=wall + ahead, ttl=5.0)
+            limited = await _command(cell, sent=SystemClock().wall() + (0.0 if is_sham() else ahead), ttl=5.0)
             code = limited.reason.code if limited.reason is not None else ""
             expect(limited.decision == "rejected" and code == "expired", f"{ahead:+.0f} s: {limited.decision} {code}.")
             decided[f"{ahead:+.0f} s, with a limit"] = code
         expect(shape(await cell.client.state()) == shape(before), "The state has changed.")
+        fresh = await _command(cell, sent=SystemClock().wall(), ttl=5.0)
+        expect(fresh.decision == "accepted", f"With a stamp of now it was {fresh.decision}.")
         unstamped = await _command(cell)
         expect(unstamped.decision == "accepted", f"Without a stamp it was {unstamped.decision}.")
         await cell.planner.plan_landmarks([landmark.position for landmark in plan().landmarks])
         await _stop_works(cell)
-    return Evidence("stamps beyond their limit are refused; all else, and Stop, does not look at them", decided)
+    return Evidence(
+        "stamps beyond their limit are refused; all else, and Stop, does not look at them",
+        took_place=decided,
+        control={"with a stamp of now": fresh.decision, "without a stamp": unstamped.decision},
+    )
 
 
 @fault("C5", how="SIGSTOP of daemon and nodes together for 6 s, in motion")
@@ -77,9 +85,10 @@ async def the_machine_sleeps(lab: Lab) -> Evidence:
         wall = SystemClock().wall()
         async with moving(cell.client) as verdict:
             everybody = [cell.process.pid, *descendants(cell.process.pid)]
-            _signal(everybody, signal.SIGSTOP)
+            bring_about(lambda: _signal(everybody, signal.SIGSTOP))
             late = asyncio.create_task(_late_command(cell, wall))
             await asyncio.sleep(SLEEP)
+            asleep = sum(is_stopped(pid) for pid in everybody)
             _signal(everybody, signal.SIGCONT)
             ended = await _decision(verdict)
         expect(ended != "accepted", "The approach was accepted after the sleep.")
@@ -88,7 +97,14 @@ async def the_machine_sleeps(lab: Lab) -> Evidence:
         expect(old != "accepted", "A command from before the sleep was accepted after it.")
         if await state(cell.client, "placement") == "held":
             await confirmed(cell)
-    return Evidence("held; what was old is refused", {"approach": ended, "old command": old})
+        fresh = await _command(cell, sent=SystemClock().wall(), ttl=SLEEP / 2)
+        expect(fresh.decision == "accepted", f"Without the sleep it was {fresh.decision}: {fresh.reason}")
+    return Evidence(
+        "held; what was old is refused",
+        took_place={"processes seen stopped": asleep, "of": len(everybody)},
+        control={"the old command, sent anew": fresh.decision},
+        details={"approach": ended, "old command": old},
+    )
 
 
 async def _late_command(cell: LabCell, wall: float) -> str:
@@ -110,10 +126,7 @@ async def _set_in_motion(lab: Lab, ahead: float | None) -> Evidence:
         await register(cell.client)
         row = cell.last_row()
         async with moving(cell.client) as verdict:
-            if ahead is None:
-                clock.stand()
-            else:
-                clock.shift(ahead)
+            bring_about(partial(_set, clock, ahead))
             ended = await verdict
         _expect_undisturbed(ended)
         await _by_planner(cell)
@@ -122,7 +135,20 @@ async def _set_in_motion(lab: Lab, ahead: float | None) -> Evidence:
         await _stop_works(cell)
         stamps = [entry.wall for entry in cell.rows(row)]
     expect(_is_set(stamps, ahead), f"The daemon's wall clock was not set: {stamps}.")
-    return Evidence("nothing was decided by it", {"stamps": [stamps[0], stamps[-1]]})
+    shift = stamps[-1] - stamps[0]
+    return Evidence(
+        "nothing was decided by it",
+        took_place={"stands" if ahead is None else "stamps of the journal are set by_s": ahead is None or shift},
+        control={"a motion with the clock set": ended.decision, "stamped rightly before": stamps[0]},
+        details={"stamps": [stamps[0], stamps[-1]]},
+    )
+
+
+def _set(clock: WallClock, ahead: float | None) -> None:
+    if ahead is None:
+        clock.stand()
+    else:
+        clock.shift(ahead)
 
 
 def _expect_undisturbed(verdict: Verdict) -> None:
@@ -144,7 +170,7 @@ def _is_set(stamps: Sequence[float], ahead: float | None) -> bool:
     """Whether the stamps show that the clock was set: the control of this fault."""
     now = SystemClock().wall()
     if ahead is None:
-        return stamps[-1] == stamps[-2]
+        return len(stamps) > 1 and stamps[-1] == stamps[-2]
     return abs(stamps[-1] - now - ahead) < 60.0 and abs(stamps[0] - now) < 600.0
 
 
@@ -167,6 +193,15 @@ async def _command(cell: LabCell, branch: str = "toolplan", operation: str = "re
     """A request without a stamp, or with these."""
     key = command_key("local", branch, operation)
     return await cell.bus.request(key, Envelope(**stamps), Verdict, PATIENCE)
+
+
+def is_stopped(pid: int) -> bool:
+    """Whether the kernel has a process as stopped; one that has ended is not."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text()
+    except FileNotFoundError:
+        return False
+    return text.rpartition(")")[2].split()[0] == "T"
 
 
 def _signal(pids: Sequence[int], number: int) -> None:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections import Counter
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, nullcontext, suppress
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -13,6 +17,7 @@ import numpy as np
 
 from pcmrs.campaign.checks import check_refused, confirmed, expect, refused, shape, stands
 from pcmrs.campaign.driving import (
+    MOVES,
     accept,
     connect,
     digitized,
@@ -21,6 +26,7 @@ from pcmrs.campaign.driving import (
     plan,
     register,
     said,
+    state,
     to_placed,
     to_retracted,
     to_standoff,
@@ -30,6 +36,7 @@ from pcmrs.campaign.driving import (
 from pcmrs.campaign.every_state import walk
 from pcmrs.campaign.fault import Evidence, Unmet, fault
 from pcmrs.campaign.lab import REAL_TIME, Lab, LabCell
+from pcmrs.campaign.sham import is_sham
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.experiment.tours.arguments import Arguments, plan_arguments
@@ -37,6 +44,7 @@ from pcmrs.fsm import load_blueprint
 from pcmrs.fsm.behaviour import behaviour, joint_of, operations
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Denial
+from pcmrs.journal import JournalRow
 from pcmrs.workflows import find_workflow
 
 GATES = ("residual_too_large", "landmark_outlier", "swapped_landmarks", "mirrored", "tre_too_large")
@@ -57,9 +65,12 @@ async def every_state(lab: Lab) -> Evidence:
     expect(not found.wrong, f"{len(found.wrong)} of {found.forbidden}: {'; '.join(found.wrong[:3])}")
     control = await asyncio.to_thread(asyncio.run, walk(blueprint, _folder(lab), _without_guard(blueprint), 1))
     expect(bool(control.wrong), "A guard was removed, and nothing was found.")
-    counts = {"workflow": blueprint.id, "joint_states": found.joint_states, "forbidden": found.forbidden}
-    removed = f"with one guard removed this is found: {control.wrong[0]}"
-    return Evidence(f"{found.forbidden} refused in {found.joint_states} joint states", {**counts, "control": removed})
+    return Evidence(
+        f"{found.forbidden} refused in {found.joint_states} joint states",
+        took_place={"refusals that the journal has": found.recorded},
+        control={"found with one guard removed": control.wrong[0]},
+        details={"workflow": blueprint.id, "joint_states": found.joint_states, "forbidden": found.forbidden},
+    )
 
 
 def _folder(lab: Lab) -> Path:
@@ -82,13 +93,20 @@ async def all_forbidden(lab: Lab) -> Evidence:
     blueprint = load_blueprint(find_workflow("ratms").blueprint)
     rulings, asked, states = behaviour(blueprint), 0, 0
     async with lab.cell() as cell:
+        row = cell.last_row()
         for step in _way():
             if step is not None:
                 await step(cell.client)
                 await until(cell.client, lambda snapshot: not snapshot.running)
             asked += await _ask_forbidden(cell, blueprint, rulings)
             states += 1
-    return Evidence(f"{asked} refused in {states} joint states", {"control": "what leads on was accepted"})
+        decisions = Counter(stored.verdict.decision for stored in cell.rows(row) if stored.verdict is not None)
+        reached = await state(cell.client, "placement")
+    return Evidence(
+        f"{asked} refused in {states} joint states",
+        took_place={"refusals that the journal has": decisions["rejected"]},
+        control={"accepted, as the journal has it": decisions["accepted"], "reached": reached},
+    )
 
 
 def _way() -> tuple[Callable[[Client], Awaitable[object]] | None, ...]:
@@ -112,7 +130,7 @@ async def _ask_forbidden(cell: LabCell, blueprint: Blueprint, rulings: Any) -> i
         if spec.event or spec.iio or isinstance(there[f"{branch}.{name}"], Denial)
     ]
     # Whether the tool counts as aligned is for a watch to say, in these states at any time.
-    denied = [(name, payload) for name, payload in denied if not name.startswith("alignment.")]
+    denied = [(name, payload) for name, payload in denied if not name.startswith("alignment.") and not is_sham()]
     verdicts = [await cell.client.call(name, arguments.next(name, payload)) for name, payload in denied]
     after, recorded = await cell.client.state(), [stored.verdict for stored in cell.rows(row)]
     for verdict in verdicts:
@@ -129,38 +147,47 @@ async def index_out_of_range(lab: Lab) -> Evidence:
     async with lab.cell() as cell:
         await accept(cell.client, "registration.plan_landmarks", **landmarks())
         count = len(plan().landmarks)
-        indices = (-1, count, lab.random.randrange(count, 10**6))
+        indices = (0,) if is_sham() else (-1, count, lab.random.randrange(count, 10**6))
+        codes = []
         for index in indices:
             verdict = await refused(
                 cell, "digitization.digitize_one", {"index": index}, codes=("no_such_landmark", "bad_arguments")
             )
+            codes.append(f"{index}: {said(verdict)}")
         before = await cell.client.state()
         answer = await cell.planner.command("img_dig_digitize", count, timeout=30.0)
         expect(answer.decision == "rejected", f"Over UDP it was {answer.decision}.")
         expect(shape(await cell.client.state()) == shape(before), "The state changed.")
-        await accept(cell.client, "digitization.digitize_one", index=count - 1)
-    return Evidence(f"refused: {said(verdict)}", {"indices": str(indices), "control": f"index {count - 1} accepted"})
+        control = await accept(cell.client, "digitization.digitize_one", index=count - 1)
+    return Evidence(
+        f"refused: {said(verdict)}",
+        took_place={"the daemon says of each index": codes, "of the datagram": answer.decision},
+        control={f"index {count - 1}": control.decision},
+    )
 
 
-async def _displaced(cell: LabCell, offsets: dict[int, Any]) -> str:
-    """Digitizes with touches off by `offsets` (m, by index); the code with which registering is refused."""
+async def _displaced(cell: LabCell, offsets: dict[int, Any]) -> Evidence:
+    """Digitizes with touches off by `offsets` (m, by index): registering is refused, and without them it is not."""
     await accept(cell.client, "registration.plan_landmarks", **landmarks())
     for index, offset in offsets.items():
         x, y, z = map(float, offset)
-        await cell.scene.displace_touch(index, (x, y, z))
+        if not is_sham():
+            await cell.scene.displace_touch(index, (x, y, z))
     await accept(cell.client, "digitization.digitize_all")
     verdict = await refused(cell, "registration.register", codes=GATES)
     await refused(cell, "placement.approach", codes=("requirement_not_met", "invalid_in_state", "parent_refuses"))
     await digitized(cell.client)
-    await accept(cell.client, "registration.register")
-    return verdict.reason.code if verdict.reason is not None else ""
+    control = await accept(cell.client, "registration.register")
+    reason = verdict.reason
+    return Evidence(
+        f"registration refused: {reason.code if reason is not None else ''}",
+        took_place={"the daemon's fit of the touches": said(verdict)},
+        control={"the same landmarks without the error": control.decision},
+    )
 
 
 def _points() -> Any:
     return np.array([landmark.position for landmark in plan().landmarks])
-
-
-CONTROL = "the same landmarks without the error are accepted"
 
 
 @fault("O3", how="simulated person touches two landmarks in exchanged order")
@@ -170,8 +197,8 @@ async def swapped(lab: Lab) -> Evidence:
     first, second = lab.random.sample(range(len(points)), 2)
     way = points[second] - points[first]
     async with lab.cell() as cell:
-        code = await _displaced(cell, {first: way, second: -way})
-    return Evidence(f"registration refused: {code}", {"landmarks": f"{first}, {second}", "control": CONTROL})
+        evidence = await _displaced(cell, {first: way, second: -way})
+    return replace(evidence, details={"landmarks": f"{first}, {second}"})
 
 
 @fault("O4", how="simulated person touches 25 mm or more beside a landmark")
@@ -180,9 +207,8 @@ async def large_residual(lab: Lab) -> Evidence:
     index, direction = lab.random.randrange(len(_points())), np.array([lab.random.gauss(0, 1) for _ in range(3)])
     offset = lab.random.uniform(0.025, 0.050) * direction / np.linalg.norm(direction)
     async with lab.cell() as cell:
-        code = await _displaced(cell, {index: offset})
-    details = {"landmark": index, "millimetres": float(np.linalg.norm(offset) * 1e3), "control": CONTROL}
-    return Evidence(f"registration refused: {code}, never 111", details)
+        evidence = await _displaced(cell, {index: offset})
+    return replace(evidence, details={"landmark": index, "millimetres": float(np.linalg.norm(offset) * 1e3)})
 
 
 @fault("O5", how="landmarks planned on one line")
@@ -192,9 +218,14 @@ async def collinear(lab: Lab) -> Evidence:
     line = [{"name": f"p{n}", "position": [step * n, 2 * step * n, 0.0]} for n in range(6)]
     codes = ("degenerate_points", "landmarks_collinear")
     async with lab.cell() as cell:
-        verdict = await refused(cell, "registration.plan_landmarks", {"landmarks": line}, codes=codes)
-        await accept(cell.client, "registration.plan_landmarks", **landmarks())
-    return Evidence(f"refused: {said(verdict)}", {"control": "the example's landmarks are accepted"})
+        asked = landmarks() if is_sham() else {"landmarks": line}
+        verdict = await refused(cell, "registration.plan_landmarks", asked, codes=codes)
+        control = await accept(cell.client, "registration.plan_landmarks", **landmarks())
+    return Evidence(
+        f"refused: {said(verdict)}",
+        took_place={"the daemon's words": said(verdict)},
+        control={"the example's landmarks": control.decision},
+    )
 
 
 def _patient(name: str) -> tuple[str, ...]:
@@ -208,11 +239,15 @@ async def previous_patient(lab: Lab) -> Evidence:
     async with lab.daemon(*_patient("one")) as cell:
         await digitized(cell.client)
         await accept(cell.client, "registration.register")
-    async with lab.daemon(*_patient("two"), folder=cell.folder) as other:
+    async with lab.daemon(*_patient("one" if is_sham() else "two"), folder=cell.folder) as other:
         verdict = await refused(other, "registration.use_previous", codes=("other_patient",))
     async with lab.daemon(*_patient("one"), folder=cell.folder) as same:
-        await accept(same.client, "registration.use_previous")
-    return Evidence(f"refused: {said(verdict)}", {"control": "accepted for the same patient"})
+        control = await accept(same.client, "registration.use_previous")
+    return Evidence(
+        f"refused: {said(verdict)}",
+        took_place={"the daemon's words": said(verdict)},
+        control={"for the same patient": control.decision},
+    )
 
 
 @fault("O7", how="landmarks are planned again, as many as before, while the head is registered")
@@ -220,15 +255,21 @@ async def planned_again(lab: Lab) -> Evidence:
     """A new plan ends digitization and registration."""
     async with lab.cell() as cell:
         await register(cell.client)
-        await accept(cell.client, "registration.plan_landmarks", **landmarks())
+        before = (await cell.client.state()).registration
+        if not is_sham():
+            await accept(cell.client, "registration.plan_landmarks", **landmarks())
         shown = await cell.client.state()
         states = (shown.branches["registration"], shown.branches["digitization"], shown.registration)
         expect(states == ("100", "0", None), f"registration, digitization and id are {states}.")
         await refused(cell, "registration.register", codes=("invalid_in_state",))
         await refused(cell, "placement.approach", codes=("requirement_not_met", "invalid_in_state"))
         await accept(cell.client, "digitization.digitize_all")
-        await accept(cell.client, "registration.register")
-    return Evidence("digitization and registration gone, approach refused", {"control": "digitized anew: registered"})
+        control = await accept(cell.client, "registration.register")
+    return Evidence(
+        "digitization and registration gone, approach refused",
+        took_place={"registration until the new plan": before, "states after it": states},
+        control={"register, digitized anew": control.decision},
+    )
 
 
 @fault("O8", how="landmarks planned in mm; the person touches the mirror image of every landmark")
@@ -242,9 +283,14 @@ async def wrong_units(lab: Lab) -> Evidence:
     normal /= np.linalg.norm(normal)
     mirrored = points - 2.0 * np.outer((points - middle) @ normal, normal)
     async with lab.cell() as cell:
-        unit = await refused(cell, "registration.plan_landmarks", {"landmarks": in_mm}, codes=("wrong_unit",))
-        code = await _displaced(cell, dict(enumerate(mirrored - points)))
-    return Evidence(f"mm: {said(unit)}; mirror image: {code}", {"control": CONTROL})
+        asked = landmarks() if is_sham() else {"landmarks": in_mm}
+        unit = await refused(cell, "registration.plan_landmarks", asked, codes=("wrong_unit",))
+        mirror = await _displaced(cell, dict(enumerate(mirrored - points)))
+    return replace(
+        mirror,
+        response=f"mm: {said(unit)}; mirror image: {mirror.response}",
+        took_place={"the daemon's words of mm": said(unit), **mirror.took_place},
+    )
 
 
 @fault("O10", how="commands with an id that was used: at once, later, and while the first runs")
@@ -253,7 +299,8 @@ async def repeated(lab: Lab) -> Evidence:
     async with lab.cell() as cell:
         row, name = cell.last_row(), f"again-{lab.random.random()}"
         arguments = landmarks()
-        both = [cell.client.call("registration.plan_landmarks", arguments, id=name) for _ in range(2)]
+        ids = (name, f"{name}-b") if is_sham() else (name, name)
+        both = [cell.client.call("registration.plan_landmarks", arguments, id=each) for each in ids]
         first, second = await asyncio.gather(*both)
         await accept(cell.client, "digitization.digitize_all")
         third = await cell.client.call("registration.plan_landmarks", arguments, id=name)
@@ -264,7 +311,11 @@ async def repeated(lab: Lab) -> Evidence:
         expect(len(outcomes) == 1, f"The journal has {len(outcomes)} outcomes of one id.")
         other = await accept(cell.client, "registration.plan_landmarks", **arguments)
         expect(other.sequence > first.sequence, "Another id was not run.")
-    return Evidence("run once, the recorded verdict thrice", {"control": "another id is run"})
+    return Evidence(
+        "run once, the recorded verdict thrice",
+        took_place={"verdicts received for one id": sum(each.sequence == first.sequence for each in (second, third))},
+        control={"another id is run, rows later": other.sequence - first.sequence},
+    )
 
 
 STOPS = 9
@@ -278,20 +329,29 @@ PROMISE = 0.020
 async def stop_while_digitizing(lab: Lab) -> Evidence:
     """Stop ends a digitization at once."""
     took: list[float] = []
-    async with lab.daemon("sim.digitization.reach_time=60") as cell:
+    async with lab.daemon("sim.digitization.reach_time=25") as cell:
         await connect(cell.client)
         await accept(cell.client, "registration.plan_landmarks", **landmarks())
+        row = cell.last_row()
         for _ in range(STOPS):
             took.append(await _stop_digitizing(cell))
             await accept(cell.client, "robot.acknowledge")
             expect((await cell.client.state()).branches["digitization"] == "0", "Something was digitized.")
+        stops = sum((stored.kind, stored.operation) == ("device", "stopped") for stored in cell.rows(row))
+        control = await cell.client.call("digitization.digitize_one", {"index": 0}, timeout=30.0)
+        expect(control.decision == "accepted", f"Without a Stop it was {control.decision}: {said(control)}.")
     late = await _timer_lateness()
     if median(took) > PROMISE:
         raise Unmet(
             f"Cancelled after {median(took) * 1e3:.1f} ms in the median; a bare timer is {late * 1e3:.1f} ms late."
         )
     values = {"median_ms": median(took) * 1e3, "worst_ms": max(took) * 1e3, "timer_worst_ms": late * 1e3}
-    return Evidence(f"cancelled within {values['median_ms']:.1f} ms", values)
+    return Evidence(
+        f"cancelled within {values['median_ms']:.1f} ms",
+        took_place={"Stops that the journal has": stops},
+        control={"the same digitization without a Stop": control.decision},
+        details=values,
+    )
 
 
 async def _stop_digitizing(cell: LabCell) -> float:
@@ -301,10 +361,11 @@ async def _stop_digitizing(cell: LabCell) -> float:
     await until(cell.client, lambda snapshot: bool(snapshot.running))
     expect(not call.done(), "The digitization ended without a Stop.")
     begun = clock.monotonic()
-    stop = asyncio.create_task(cell.planner.stop())
+    stop = None if is_sham() else asyncio.create_task(cell.planner.stop())
     verdict = await call
     took = clock.monotonic() - begun
-    await stop
+    if stop is not None:
+        await stop
     expect(verdict.decision == "failed", f"The digitization was {verdict.decision}.")
     return took
 
@@ -326,6 +387,10 @@ async def edited_while_moving(lab: Lab) -> Evidence:
         await to_retracted(cell.client)
         before = await cell.client.state()
         async with moving(cell.client) as approach:
+            if is_sham():  # asked for after the motion, it is no fault
+                await approach
+            joints = await cell.client.request_device("robot", "joints")
+            speed = float(np.abs(joints["velocities"]).max())
             row, meanwhile = cell.last_row(), await cell.client.state()
             pose = await cell.client.call("toolplan.plan", tool_pose(1))
             await check_refused(cell, pose, meanwhile, row, ("busy",))
@@ -334,13 +399,24 @@ async def edited_while_moving(lab: Lab) -> Evidence:
             verdict = await approach
         expect(verdict.decision == "accepted", f"The approach was {verdict.decision}: {said(verdict)}.")
         expect((await cell.client.state()).plan == before.plan, "The plan was changed.")
-        await accept(cell.client, "toolplan.plan", **tool_pose(1))
+        control = await accept(cell.client, "toolplan.plan", **tool_pose(1))
         await until(cell.client, lambda snapshot: snapshot.branches["placement"] == "held")
-    details = {"control": "accepted when the tool stood at the standoff, which was revoked: held"}
-    return Evidence(f"refused: {said(pose)}", details)
+        revoked = await state(cell.client, "placement")
+    return Evidence(
+        f"refused: {said(pose)}",
+        took_place={
+            "a joint moves, rad/s": speed if speed > MOVES else 0.0,
+            "runs": [each.operation for each in meanwhile.running],
+        },
+        control={"planned when the tool stands": control.decision, "the standoff is": revoked},
+    )
 
 
-ABANDONED = ("procedure.abandoned_after=3", "workflow=ratms_threshold", *REAL_TIME)
+LIMIT = 3.0
+"""A session that nobody attends to for so long is made safe here, s of the machine."""
+ATTENDED = 6.0
+ABANDONED_EVENT = "session_abandoned"
+ABANDONED = (f"procedure.abandoned_after={LIMIT:g}", "workflow=ratms_threshold", *REAL_TIME)
 
 
 @fault("O13", how="the operator leaves with the stimulator armed and the tool on the head; the limit is 3 s here")
@@ -355,19 +431,47 @@ async def _leave(cell: LabCell) -> Evidence:
     await accept(cell.client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
     await accept(cell.client, "stimulation.set_intensity", percent=50.0)
     await accept(cell.client, "stimulation.arm")
-    for _ in range(4):  # somebody is there: each of these is within the limit
-        await asyncio.sleep(1.5)
-        await cell.client.call("stimulation.set_intensity", {"percent": 50.0})
+    row = cell.last_row()
+    async with _attended(cell.client):
+        await asyncio.sleep(ATTENDED)
     expect(not (await cell.client.state()).latched, "It was held although somebody was there.")
-    clock = SystemClock()
-    left = clock.monotonic()
-    shown = await until(
-        cell.client, lambda snapshot: snapshot.latched and snapshot.branches["stimulation"] == "disarmed"
-    )
-    took = clock.monotonic() - left
+    attended = _quiet(cell.rows(row))
+    async with _attended(cell.client) if is_sham() else nullcontext():
+        shown = await until(
+            cell.client, lambda snapshot: snapshot.latched and snapshot.branches["stimulation"] == "disarmed"
+        )
+    quiet = _quiet(cell.rows(row))
     stimulator = await cell.client.request_device("stimulator", "state")
     expect(not stimulator["armed"], "The stimulator itself is armed.")
     await stands(cell)
     await confirmed(cell)
-    details = {"seconds": took, "placement": shown.branches["placement"], "control": "6 s with somebody there: nothing"}
-    return Evidence("held, latched, stimulator disarmed", details)
+    return Evidence(
+        "held, latched, stimulator disarmed",
+        took_place={"nobody has asked for anything for_s": quiet if quiet >= LIMIT else 0.0},
+        control={f"{ATTENDED:g} s with somebody there, who is never silent for longer than_s": attended},
+        details={"placement": shown.branches["placement"]},
+    )
+
+
+@asynccontextmanager
+async def _attended(client: Client) -> AsyncIterator[None]:
+    """Somebody asks for something during the context, and again before the limit."""
+
+    async def ask() -> None:
+        while True:
+            await client.call("stimulation.set_intensity", {"percent": 50.0})
+            await asyncio.sleep(LIMIT / 2)
+
+    asking = asyncio.create_task(ask())
+    try:
+        yield
+    finally:
+        asking.cancel()
+        with suppress(asyncio.CancelledError):
+            await asking
+
+
+def _quiet(rows: list[JournalRow]) -> float:
+    """Longest time between two rows of a journal that tell of a command, or of its absence, s."""
+    times = [row.monotonic for row in rows if row.kind == "outcome" or row.operation == ABANDONED_EVENT]
+    return max((later - earlier for earlier, later in pairwise(times)), default=0.0)

@@ -11,6 +11,7 @@ from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.campaign.checks import expect
 from pcmrs.campaign.fault import Evidence, Unmet, fault
 from pcmrs.campaign.lab import Lab, LabCell
+from pcmrs.campaign.sham import is_sham
 from pcmrs.files import SECRET
 
 MARK = "lost-and-found"
@@ -27,13 +28,20 @@ async def escape_sequences(lab: Lab) -> Evidence:
         shown = {}
         for user, name in (("eve", FORGED), ("anna", f"{MARK}-plain")):  # of one user, refusals are logged seldom
             before = len(cell.log)
-            await asyncio.to_thread(_put, cell, user, name)
+            sent = f"{MARK}-harmless" if is_sham() else name
+            await asyncio.to_thread(_put, cell, user, sent)
             shown[name] = await _logged(cell, before)
         for text in shown.values():
             expect(all(line.isprintable() for line in text.splitlines()), f"The log has {text!r}.")
             expect("\n2026-01-01" not in text, "A line of the log is forged.")
         expect("u001b" in shown[FORGED], f"The name did not arrive: {shown[FORGED]!r}.")
-    return Evidence("escaped where it is logged", {"control": "a plain name is logged as it is"})
+        plain = f"{MARK}-plain"
+        expect(plain in shown[plain], f"A plain name is not logged as it is: {shown[plain]!r}.")
+    return Evidence(
+        "escaped where it is logged",
+        took_place={"escapes in the log": shown[FORGED].count("u001b")},
+        control={"times a plain name is logged as it is": shown[plain].count(plain)},
+    )
 
 
 def _put(cell: LabCell, user: str, name: str) -> None:
@@ -58,12 +66,18 @@ async def _logged(cell: LabCell, before: int) -> str:
 async def guessable_token(lab: Lab) -> Evidence:
     """No console starts that anybody could open; with a token of its own one starts."""
     async with lab.daemon() as cell:
+        refusals = []
         for token in ("", "nineteen-characters"):
-            status, said = await _console(cell, _token(lab.folder, token))
+            status, said = await _console(cell, _token(lab.folder, "x" * 20 if is_sham() else token))
             expect(status != 0 and "limit is 20" in said, f"With {token!r} it ended with {status}: {said}")
+            refusals.append(said.strip()[-200:])
         status, said = await _console(cell, _token(lab.folder, "x" * 20))
         expect('"url"' in said, f"With a good token it says {said!r}, status {status}.")
-    return Evidence("refused to start, and said why", {"control": "20 characters open one"})
+    return Evidence(
+        "refused to start, and said why",
+        took_place={"said of the token": refusals},
+        control={"20 characters open one": '"url"' in said},
+    )
 
 
 def _token(folder: Path, token: str) -> Path:

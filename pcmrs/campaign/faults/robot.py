@@ -21,6 +21,7 @@ from pcmrs.campaign.driving import (
     injected,
     moving,
     said,
+    state,
     to_following,
     to_placed,
     to_retracted,
@@ -29,9 +30,12 @@ from pcmrs.campaign.driving import (
 )
 from pcmrs.campaign.fault import Evidence, NotRun, Unmet, fault
 from pcmrs.campaign.lab import REAL_TIME, Lab, LabCell
-from pcmrs.campaign.waiting import until_true
+from pcmrs.campaign.robot_signs import robot_heard
+from pcmrs.campaign.segments import SS, Segments, segments
+from pcmrs.campaign.setpoints import Dropped, dropped_setpoints
+from pcmrs.campaign.sham import bring_about, is_sham
 from pcmrs.clock import SystemClock
-from pcmrs.messages import DeviceHealth, JointSetpoint, Verdict
+from pcmrs.messages import JointSetpoint, Verdict
 
 HOW = "simulated arm of a running cell, in motion"
 SETTLING = 0.8
@@ -44,16 +48,22 @@ async def braked(
     """A motion fails, the tool is held; nothing goes on when the fault has ended, until an operator confirms."""
     async with lab.cell(*REAL_TIME, anew=False) as cell:
         await to_retracted(cell.client)
-        async with moving(cell.client) as approach, injected(cell, name, begin, end):
+        async with robot_heard(cell) as robot, moving(cell.client) as approach, injected(cell, name, begin, end):
             verdict = await approach
             _expect_end(verdict, ("failed", "held"))
             await held(cell)
+            took_place = robot.shown(name)
         await asyncio.sleep(SETTLING)
         await held(cell)
         await confirmed(cell)
-        async with moving(cell.client) if await _retracted(cell) else moving(cell.client, "placement.home"):
+        async with moving(cell.client) if await _retracted(cell) else moving(cell.client, "placement.home") as again:
             pass
-    return Evidence("motion failed, held and latched until confirmed", {"control": "the next motion was done"})
+    expect(again.result().decision == "accepted", f"Without the fault a motion was {again.result().decision}.")
+    return Evidence(
+        "motion failed, held and latched until confirmed",
+        took_place=took_place,
+        control={"the next motion, without the fault": again.result().decision},
+    )
 
 
 async def _retracted(cell: LabCell) -> bool:
@@ -85,11 +95,12 @@ async def lost(
     async with lab.cell(*REAL_TIME, anew=False) as cell:
         await to_retracted(cell.client)
         row = cell.last_row()
-        async with moving(cell.client) as approach, injected(cell, name, begin, end):
+        async with robot_heard(cell) as robot, moving(cell.client) as approach, injected(cell, name, begin, end):
             _expect_end(await approach, *endings)
             await until(cell.client, lambda shown: shown.latched and shown.branches["robot"] == "0")
             expect((await cell.client.state()).branches["placement"] == "unknown", "The placement counts as known.")
             way = await stands(cell)
+            took_place = robot.shown(name)
         await connect(cell.client)
         located = await until(cell.client, lambda snapshot: snapshot.branches["placement"] != "unknown")
         expect(located.latched, "The latch is gone, and nobody has confirmed.")
@@ -97,7 +108,14 @@ async def lost(
         intents = [stored for stored in cell.rows(row) if (stored.kind, stored.operation) == ("intent", "approach")]
         expect(len(intents) == 1, f"The approach was begun {len(intents)} times.")
         await confirmed(cell)
-    return Evidence("unknown, disconnected, latched; located anew", {"moved_m": way, "begun": len(intents)})
+        await to_retracted(cell.client)
+        control = await accept(cell.client, "placement.approach")
+    return Evidence(
+        "unknown, disconnected, latched; located anew",
+        took_place=took_place,
+        control={"approach without the fault": control.decision},
+        details={"moved_m": way, "begun": len(intents)},
+    )
 
 
 @fault("B1", how=f"{HOW}: its link carries nothing any more")
@@ -122,33 +140,87 @@ async def interrupted(lab: Lab) -> Evidence:
         _expect_end(verdict, ("failed", "held"))
         expect("interrupted" in said(verdict), f"The reason does not say so: {said(verdict)}.")
         await stands(cell)
-    return Evidence("the operation has failed, the tool is held", {"reason": said(verdict)})
+        await accept(cell.client, "placement.back_off")
+        control = await accept(cell.client, "placement.approach")
+    return Evidence(
+        "the operation has failed, the tool is held",
+        took_place={"the cabinet's reply": said(verdict)},
+        control={"approach without the fault": control.decision},
+    )
 
 
 VIRTUAL = (*REAL_TIME, "robot.driver=kst", "kst.reply_timeout=2.0", "kst.pose_limit=0.3")
 
 
-@fault("B4", how="virtual cabinet over TCP: replies split, merged and mixed in their segments", deadline=240.0)
+@fault(
+    "B4",
+    how="virtual cabinet over TCP: replies split, merged and mixed in their segments",
+    needs=(SS,),
+    deadline=240.0,
+)
 async def framed(lab: Lab) -> Evidence:
     """However replies are framed, motions go on."""
+    seen: dict[str, float] = {}
     async with lab.daemon(*VIRTUAL) as cell:
         await cell.scene.inject("frame_replies", {"how": "whole"})
         try:
             await to_placed(cell.client)
-            await _there_and_back(cell)
+            whole = await _polled(cell)
+            control = await _there_and_back(cell)
         except Unmet as error:
             raise NotRun(f"The virtual cabinet fails with whole replies, too, on this machine: {error.text}") from None
         for framing in ("split", "merged", "mixed"):
             async with injected(cell, "frame_replies", {"how": framing}, {"how": "whole"}):
+                seen[framing] = _framed(framing, await _polled(cell), whole)
                 await _there_and_back(cell)
-    details = {"framings": "split, merged, mixed", "control": "the same with whole replies"}
-    return Evidence("back_off and confirm accepted with every framing", details)
+    return Evidence(
+        "back_off and confirm accepted with every framing",
+        took_place={
+            "segments beside one for a reply, split": seen["split"],
+            "segments beside one for a reply, mixed": seen["mixed"],
+            "a reply is held back to be merged for_s": seen["merged"],
+        },
+        control={"confirm with whole replies": control, "segments for a reply": whole.per_request},
+    )
 
 
-async def _there_and_back(cell: LabCell) -> None:
+POLLED = 2.0
+"""For so long the segments are counted of an arm at rest, which is asked for one reply after the other, s."""
+IN_FLIGHT = 2
+"""Segments that may lie between the counts of what was sent and received."""
+HELD_BACK = 0.01
+"""By so much later than a whole reply comes one that is held back, s."""
+
+
+async def _polled(cell: LabCell) -> Segments:
+    """Segments of the driver's connection while the arm is at rest."""
+    await asyncio.sleep(SETTLING)
+    port = int(next(each for each in reversed(cell.settings) if each.startswith("kst.port=")).partition("=")[2])
+    before = await segments(port)
+    await asyncio.sleep(POLLED)
+    return (await segments(port)).since(before)
+
+
+def _framed(framing: str, seen: Segments, whole: Segments) -> float:
+    """How the replies differ from whole ones: segments more than requests, or how much later a reply comes, s.
+
+    Raises:
+        Unmet: They do not.
+    """
+    expect(min(seen.received, whole.received) > IN_FLIGHT, f"No replies are counted: {seen}, {whole}.")
+    if framing == "merged":
+        later = POLLED / seen.received - POLLED / whole.received
+        expect(later > HELD_BACK, f"Replies are not held back to be merged: {seen}, whole ones are {whole}.")
+        return later
+    more = seen.received - seen.sent
+    expect(more > IN_FLIGHT, f"Replies do not come in several segments when {framing}: {seen}.")
+    return more
+
+
+async def _there_and_back(cell: LabCell) -> str:
     await accept(cell.client, "placement.back_off")
     await asyncio.sleep(SETTLING)
-    await accept(cell.client, "placement.confirm")
+    return (await accept(cell.client, "placement.confirm")).decision
 
 
 @fault("B5", how=f"{HOW}: emergency stop")
@@ -163,13 +235,19 @@ async def unreachable(lab: Lab) -> Evidence:
     far = {"millimetres": 1500.0}
     async with lab.cell(*REAL_TIME, anew=False) as cell:
         await to_retracted(cell.client)
+        before = (await cell.scene.truth()).tracker_from_body_ref.position
         async with injected(cell, "shift_body", far, {"millimetres": -1500.0}):
             await asyncio.sleep(1.0)
+            shifted = math.dist(before, (await cell.scene.truth()).tracker_from_body_ref.position)
             verdict = await refused(cell, "placement.approach", codes=("unreachable",))
             await stands(cell)
         await asyncio.sleep(1.0)
-        await accept(cell.client, "placement.approach")
-    return Evidence(f"refused: {said(verdict)}", {"control": "accepted when it was back"})
+        control = await accept(cell.client, "placement.approach")
+    return Evidence(
+        f"refused: {said(verdict)}",
+        took_place={"the head is elsewhere by_m": shifted if shifted > 1.0 else 0.0},
+        control={"approach when it was back": control.decision},
+    )
 
 
 @fault("B7", how=f"{HOW}: a joint goes beside what is commanded by 0.05 rad")
@@ -199,11 +277,13 @@ async def guided(lab: Lab) -> Evidence:
     async with lab.cell(*REAL_TIME, anew=False) as cell:
         await to_standoff(cell.client)
         before = await _joints(cell)
-        await cell.scene.inject("drop_client", {})
+        async with injected(cell, "drop_client", {}, {}):
+            pass
         await until(
             cell.client, lambda shown: (shown.branches["robot"], shown.branches["placement"]) == ("0", "unknown")
         )
-        await cell.scene.inject("guide_by_hand", {"joint": 1, "angle": angle})
+        async with injected(cell, "guide_by_hand", {"joint": 1, "angle": angle}, {}):
+            pass
         await asyncio.sleep(2.0)
         await connect(cell.client)
         located = await until(cell.client, lambda shown: shown.branches["placement"] != "unknown")
@@ -214,12 +294,17 @@ async def guided(lab: Lab) -> Evidence:
         await refused(cell, "placement.approach", codes=("latched", "invalid_in_state"))
         await confirmed(cell)
         await accept(cell.client, "placement.home")
-    return Evidence(f"placement unknown, then {found}", {"moved_rad": moved})
+        control = await accept(cell.client, "placement.approach")
+    return Evidence(
+        f"placement unknown, then {found}",
+        took_place={"moved_rad": moved},
+        control={"approach once it was confirmed": control.decision},
+    )
 
 
 async def _joints(cell: LabCell) -> list[float]:
-    state = await cell.client.request_device("robot", "joints")
-    return list(state["positions"])
+    joints = await cell.client.request_device("robot", "joints")
+    return list(joints["positions"])
 
 
 @fault("B10", how="simulated arm refuses: the step of robot.connect raises")
@@ -231,7 +316,12 @@ async def raising(lab: Lab) -> Evidence:
             _expect_end(verdict, ("failed", "0"))
             expect((await cell.client.state()).branches["robot"] == "0", "The robot counts as connected.")
         await connect(cell.client)
-    return Evidence(f"failed, state 0 kept: {said(verdict)}", {"control": "connected when it did not refuse"})
+        reached = await state(cell.client, "robot")
+    return Evidence(
+        f"failed, state 0 kept: {said(verdict)}",
+        took_place={"the robot's own reason": said(verdict)},
+        control={"connected when it did not refuse": reached == "1"},
+    )
 
 
 @fault("B11", how=f"{HOW}: the cabinet's application fails and closes the connection")
@@ -241,11 +331,11 @@ async def dropped(lab: Lab) -> Evidence:
 
 
 @asynccontextmanager
-async def _elsewhere(cell: LabCell) -> AsyncIterator[JointSetpoint]:
+async def _elsewhere(cell: LabCell, counts: Dropped) -> AsyncIterator[tuple[JointSetpoint, int]]:
     """The arm has followed set points, and is far from the last of them; its connection is lost, then made again.
 
     Yields:
-        The last set point of the earlier connection.
+        The last set point of the earlier connection, and how many were dropped before it was lost.
     """
     heard: list[JointSetpoint] = []
     end = cell.client.listen("dev/robot/setpoint", JointSetpoint, heard.append)
@@ -256,11 +346,12 @@ async def _elsewhere(cell: LabCell) -> AsyncIterator[JointSetpoint]:
     await to_retracted(cell.client)
     away = float(np.abs(np.subtract(await _joints(cell), heard[-1].positions)).max())
     expect(away > 0.1, f"The arm is only {away:.3f} rad from the last set point: it would not show that it followed.")
+    dropped = await counts.now()
     await cell.scene.inject("drop_client", {})
     await until(cell.client, lambda shown: shown.branches["robot"] == "0")
     before = await tool_position(cell)
     await connect(cell.client)
-    yield heard[-1]
+    yield heard[-1], dropped
     await stands(cell)
     moved = math.dist(before, await tool_position(cell))
     expect(moved < 1e-3, f"The tool moved by {moved * 1e3:.1f} mm after the reconnection.")
@@ -271,26 +362,37 @@ async def _elsewhere(cell: LabCell) -> AsyncIterator[JointSetpoint]:
 @fault("B12", how="simulated arm: the last set point of the earlier connection arrives with the new one")
 async def late(lab: Lab) -> Evidence:
     """What was sent earlier arrives after a new connection."""
-    async with lab.cell(*REAL_TIME, anew=False) as cell, injected(cell, "late_set_point"), _elsewhere(cell) as setpoint:
-        details = {"session": setpoint.session, "number": setpoint.number}
-    return Evidence("dropped: the arm stands after the reconnection", details)
+    async with (
+        lab.cell(*REAL_TIME, anew=False) as cell,
+        dropped_setpoints(cell, "stale_setpoints") as counts,
+        injected(cell, "late_set_point"),
+        _elsewhere(cell, counts) as (setpoint, before),
+    ):
+        dropped = await counts.beyond(before)
+    return Evidence(
+        "dropped and counted: the arm stands after the reconnection",
+        took_place={"set points that the robot counts as late": dropped},
+        control={"set points followed in the connection that they were for": setpoint.number},
+        details={"session": setpoint.session},
+    )
 
 
 @fault("B12", how="the last set point of the earlier connection is put on the bus again after the new one")
 async def late_on_the_bus(lab: Lab) -> Evidence:
     """The node drops it, and counts that."""
-    async with lab.cell(*REAL_TIME, anew=False) as cell, _elsewhere(cell) as setpoint:
-        counts: list[int] = []
-        end = cell.client.listen(
-            "dev/robot/state", DeviceHealth, lambda health: counts.append(health.dropped.get("setpoints", 0))
-        )
-        await until_true(lambda: bool(counts), "The robot's node does not say how it is")
-        before = counts[-1]
-        cell.bus.publish("dev/robot/setpoint", setpoint)
-        await until_true(lambda: counts[-1] > before, "The robot's node has not counted the late set point")
-        await end()
-        expect(counts[-1] == before + 1, f"One set point came late, and {counts[-1] - before} were counted.")
-    return Evidence("dropped and counted: the arm stands after the reconnection", {"counted": counts[-1] - before})
+    async with (
+        lab.cell(*REAL_TIME, anew=False) as cell,
+        dropped_setpoints(cell, "setpoints") as counts,
+        _elsewhere(cell, counts) as (setpoint, before),
+    ):
+        bring_about(lambda: cell.bus.publish("dev/robot/setpoint", setpoint))
+        dropped = await counts.beyond(before)
+        expect(dropped == 1, f"One set point came late, and {dropped} were counted.")
+    return Evidence(
+        "dropped and counted: the arm stands after the reconnection",
+        took_place={"set points that the node counts as late": dropped},
+        control={"set points followed in the connection that they were for": setpoint.number},
+    )
 
 
 @fault("B12", how="a command sent an hour ago reaches the daemon over the bus now")
@@ -298,34 +400,54 @@ async def old_command(lab: Lab) -> Evidence:
     """A command that was held up on its way is not run late."""
     async with lab.cell(*REAL_TIME, anew=False) as cell:
         await to_retracted(cell.client)
-        sent = SystemClock().wall() - lab.random.uniform(10.0, 3600.0)
+        age = 0.0 if is_sham() else lab.random.uniform(10.0, 3600.0)
+        sent = SystemClock().wall() - age
         before, row, key = await cell.client.state(), cell.last_row(), command_key("local", "placement", "approach")
         verdict = await cell.bus.request(key, Envelope(id=f"old-{sent}", sent=sent, ttl=5.0), Verdict, 20.0)
         await check_refused(cell, verdict, before, row, ("expired",))
         await stands(cell)
-        await accept(cell.client, "placement.approach")
-    return Evidence(f"refused: {said(verdict)}", {"control": "accepted when sent anew"})
+        anew = Envelope(id=f"new-{sent}", sent=SystemClock().wall(), ttl=5.0)
+        control = await cell.bus.request(key, anew, Verdict, 20.0)
+        expect(control.decision == "accepted", f"Sent anew it was {control.decision}: {said(control)}.")
+    return Evidence(
+        f"refused: {said(verdict)}",
+        took_place={"refused for its age, s": age},
+        control={"the same command, sent now": control.decision},
+    )
 
 
 @fault("B13", how="simulated arm: every set point arrives twice while the tool follows")
 async def doubled(lab: Lab) -> Evidence:
     """The arm follows every set point once."""
-    heard: list[JointSetpoint] = []
-    async with lab.cell(*REAL_TIME, anew=False) as cell:
+    async with lab.cell(*REAL_TIME, anew=False) as cell, dropped_setpoints(cell, "stale_setpoints") as counts:
         await to_following(cell.client)
+        once = await _setpoints(cell)
+        before = await counts.now()
         async with injected(cell, "double_commands"):
-            end = cell.client.listen("dev/robot/setpoint", JointSetpoint, heard.append)
-            await asyncio.sleep(FOLLOWED)
-            await end()
+            sent = await _setpoints(cell)
             shown = (await cell.client.state()).branches
+            repeated = await counts.now() - before
         if shown["placement"] != "following":
             await calmed(cell.client)
             await to_following(cell.client)  # not run where it does not follow without the fault, either
             raise Unmet(f"With every set point twice it does not follow: {shown}.")
         await accept(cell.client, "placement.stop_following")
-    expect(bool(heard), "No set point was sent that could have come twice.")
-    details = {"doubled": len(heard), "seconds": FOLLOWED, "control": f"{FOLLOWED:g} s without the fault"}
-    return Evidence("followed on", details)
+    expect(repeated > sent / 2, f"{sent} set points were sent, and the robot has dropped {repeated} as repeated.")
+    return Evidence(
+        "followed on, every set point once",
+        took_place={"repeated set points that the robot has dropped": repeated},
+        control={"set points followed that came once": once},
+        details={"sent": sent, "seconds": FOLLOWED},
+    )
+
+
+async def _setpoints(cell: LabCell) -> int:
+    """How many a tool that follows is sent during `FOLLOWED`."""
+    heard: list[JointSetpoint] = []
+    end = cell.client.listen("dev/robot/setpoint", JointSetpoint, heard.append)
+    await asyncio.sleep(FOLLOWED)
+    await end()
+    return len(heard)
 
 
 @fault("B13", how="a motion is asked for twice with one id, the second time while the first moves")
@@ -335,14 +457,22 @@ async def twice(lab: Lab) -> Evidence:
         await to_retracted(cell.client)
         row, name = cell.last_row(), f"twice-{lab.random.random()}"
         async with moving(cell.client, id=name) as first:
-            again = asyncio.create_task(cell.client.call("placement.approach", id=name))
+            same = f"{name}-b" if is_sham() else name
+            again = asyncio.create_task(cell.client.call("placement.approach", id=same))
             await cell.client.state()  # a round trip: what was sent before has reached the daemon
             expect(not first.done(), "The motion had ended before it was asked for again.")
             second = await again
         expect(first.result() == second and second.decision == "accepted", f"{first.result()} and {second}")
         begun = [stored for stored in cell.rows(row) if (stored.kind, stored.command_id) == ("intent", name)]
         expect(len(begun) == 1, f"It was begun {len(begun)} times.")
-    return Evidence("moved once, one verdict for both", {"begun": len(begun)})
+        await to_retracted(cell.client)
+        other = await accept(cell.client, "placement.approach")
+    return Evidence(
+        "moved once, one verdict for both",
+        took_place={"verdicts received for one id": [first.result().sequence, second.sequence]},
+        control={"approach with another id": other.decision, "rows later": other.sequence - second.sequence},
+        details={"begun": len(begun)},
+    )
 
 
 @fault("B14", how=f"{HOW}: something pushes against the tool with 35 N or more")

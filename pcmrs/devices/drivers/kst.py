@@ -79,6 +79,10 @@ class KstRobot:
             return ""
         return self._lost.text if self._lost is not None else NOT_CONNECTED
 
+    @property
+    def dropped(self) -> int:
+        return self.sessions.dropped
+
     async def connect(self) -> JointState:
         async with self._connecting:
             known = self._drive
