@@ -20,6 +20,7 @@ from pcmrs.bus import Bus, BusSettings
 from pcmrs.campaign.driving import PATIENCE
 from pcmrs.campaign.fault import Unmet
 from pcmrs.campaign.lab import LabCell
+from pcmrs.campaign.sham import bring_about
 from pcmrs.messages import BodyPose
 
 POSES = "state/pose/coil"
@@ -71,7 +72,7 @@ async def slow_consumer(cell: LabCell, *, frozen: bool) -> AsyncIterator[Callabl
     try:
         await _line(process, b"")
         if frozen:
-            os.kill(process.pid, signal.SIGSTOP)
+            bring_about(lambda: os.kill(process.pid, signal.SIGSTOP))
         yield go_on
     finally:
         with suppress(ProcessLookupError):

@@ -121,11 +121,18 @@ async def _cut_in_motion(lab: Lab, *, towards: bool, back: bool) -> Evidence:
         expect(ended.state in ("held", "unknown"), f"The tool counts as {ended.state}.")
         way = await _stands_when_back(cell)
         await held(cell, ("held", "unknown"))
+        await start_anew(cell.client)
+        await register(cell.client)
+        control = await accept(cell.client, "placement.approach")
         log = (lab.folder / "remote" / "node.log").read_text(errors="replace")
         by_node = "held_by_node" in log
         expect(back or by_node, "The node did not hold the arm by itself.")
-    details = {"found_after_s": round(found, 3), "held_by_node": by_node, "latched": shown.latched, "way_m": way}
-    return Evidence(f"held, {ended.state}; nothing moved when the wire was back", details)
+    return Evidence(
+        f"held, {ended.state}; nothing moved when the wire was back",
+        took_place={"approach": ended.decision, "found_after_s": round(found, 3)},
+        control={"approach": control.decision, "reached": control.state},
+        details={"held_by_node": by_node, "latched": shown.latched, "way_m": way},
+    )
 
 
 async def _stands_when_back(cell: LabCell) -> float:
