@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pcmrs.campaign import loopdisk, recorded, syscalls
 from pcmrs.campaign.checks import expect
-from pcmrs.campaign.cuts import cut_and_flip, cut_power
+from pcmrs.campaign.cuts import CutReport, cut_and_flip, cut_power
 from pcmrs.campaign.driving import accept, landmarks
 from pcmrs.campaign.durable import Asked
 from pcmrs.campaign.fault import Evidence, Unmet, fault
@@ -129,7 +129,14 @@ async def the_power_is_cut_at_any_write(lab: Lab) -> Evidence:
     """At instants between any two writes, with torn and reordered sectors."""
     found = await asyncio.to_thread(cut_power, 60, lab.seed, SystemClock())
     expect(not found.violated, f"{found.lost} acknowledged rows are lost; {found.silent[:3]} {found.broken[:3]}")
-    return Evidence("acknowledged rows kept", {"cuts": found.tried, "acknowledged": found.acknowledged})
+    careless = await asyncio.to_thread(cut_power, 60, lab.seed, SystemClock(), durable=False)
+    expect(careless.violated, "A writer that waits for no disk has lost nothing, either.")
+    return Evidence(
+        "acknowledged rows kept",
+        took_place={"cuts_that_changed_files": found.changed},
+        control={"careless_writer_lost_or_broke": careless.lost + len(careless.broken)},
+        details={"cuts": found.tried, "acknowledged": found.acknowledged},
+    )
 
 
 @fault("T6", how="bits of the files of a journal are flipped")
@@ -137,7 +144,7 @@ async def a_bit_flips(lab: Lab) -> Evidence:
     """Database, write-ahead log and head, at random places."""
     found = await asyncio.to_thread(cut_and_flip, 0, 120, lab.seed, SystemClock())
     expect(not found.violated, f"silent: {found.silent[:3]}; broken: {found.broken[:3]}")
-    return Evidence("reported, or without effect", {"flips": found.tried, "reported": found.reported})
+    return _damage_reported("reported, or without effect", found)
 
 
 @fault("T7", how="the files of a journal are cut")
@@ -145,7 +152,7 @@ async def the_tail_is_cut(lab: Lab) -> Evidence:
     """Database, write-ahead log and head, at random places."""
     found = await asyncio.to_thread(cut_and_flip, 120, 0, lab.seed, SystemClock())
     expect(not found.violated, f"silent: {found.silent[:3]}; broken: {found.broken[:3]}")
-    return Evidence("reported, never silent", {"cuts": found.tried, "reported": found.reported})
+    return _damage_reported("reported, never silent", found)
 
 
 @fault("T8", how="strace: fsync of the journal's files takes 2 s", needs=syscalls.NEEDS)
@@ -247,6 +254,16 @@ async def _with_failing(lab: Lab, calls: Sequence[str], error: str) -> Evidence:
         async with injected(cell.process.pid, calls, f"error={error}", files=_files(cell)):
             details = await _refused_sooner_or_later(asked)
         return await _afterwards(lab, asked, details)
+
+
+def _damage_reported(response: str, found: CutReport) -> Evidence:
+    """Files were others when read back, and that was reported; the same journals without damage are taken up."""
+    return Evidence(
+        response,
+        took_place={"changed": found.changed, "reported": found.reported},
+        control={"undamaged_taken_up": found.whole},
+        details={"tried": found.tried, "unaffected": found.unaffected},
+    )
 
 
 async def _refused_sooner_or_later(asked: Asked) -> dict[str, object]:
