@@ -29,6 +29,7 @@ async def remote_cell(lab: Lab, weather: Weather) -> AsyncIterator[LabCell]:
             f"cell.endpoint=tcp/{host}:{proxied}",
             f"access.device_key={place / DEVICE_KEY}",
             "cell.rate=1",
+            "robot.deadman=0.5",  # as the daemon's: a busy machine is no partition
             f"sim.seed={lab.seed}",
         )
         starting = asyncio.create_task(_node_when_router(port, far, place / "node.log"))

@@ -6,7 +6,7 @@ import asyncio
 import resource
 import signal
 import sys
-from collections.abc import AsyncIterator, Collection
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from pcmrs.campaign.kills import OF_JOURNAL, KillReport, kill_writers
 from pcmrs.campaign.lab import Lab, LabCell
 from pcmrs.campaign.older import as_version_1
 from pcmrs.campaign.saboteur import order, sabotaged
+from pcmrs.campaign.sham import is_sham
 from pcmrs.campaign.waiting import until_said, until_true
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
@@ -257,7 +258,7 @@ async def a_second_daemon(lab: Lab) -> Evidence:
 @fault("P11", how="a subscriber to everything whose callback never returns, in a process of its own")
 async def a_callback_that_never_returns(lab: Lab) -> Evidence:
     """Nobody but that process is held up."""
-    async with lab.cell() as cell, _blocked_subscriber(cell):
+    async with lab.cell() as cell, _blocked_subscriber(cell) as messages:
         await register(cell.client)
         clock = asyncio.get_running_loop().time
         begun = clock()
@@ -267,9 +268,18 @@ async def a_callback_that_never_returns(lab: Lab) -> Evidence:
         async with moving(cell.client):
             await cell.client.stop()
         await held(cell)
+        blocked = await messages()
         await start_anew(cell.client)
+    async with lab.cell() as cell, _blocked_subscriber(cell, blocks=False) as messages:
+        heard = await messages(more=True)
+        expect(heard > 1, "A subscriber whose callback returns has not heard more than one message, either.")
     expect(taken < 0.5, f"A command took {taken:.2f} s.")
-    return Evidence("the bus is unaffected", {"command_s": round(taken, 4)})
+    return Evidence(
+        "the bus is unaffected",
+        took_place={"alive_with_one_message": blocked == 1},
+        control={"messages_where_it_returns": heard},
+        details={"command_s": round(taken, 4)},
+    )
 
 
 @fault("P12", how="wrong settings on the command line and in a file")
@@ -349,8 +359,9 @@ config = zenoh.Config()
 for key, value in {"mode": "client", "connect/endpoints": [sys.argv[1]], "scouting/multicast/enabled": False}.items():
     config.insert_json5(key, json.dumps(value))
 def never(sample):
-    print("blocked", flush=True)
-    time.sleep(3600)
+    print("heard", flush=True)
+    if sys.argv[3] == "blocks":
+        time.sleep(3600)
 session = zenoh.open(config)
 subscriber = session.declare_subscriber(sys.argv[2] + "/**", never)
 time.sleep(3600)
@@ -358,15 +369,31 @@ time.sleep(3600)
 
 
 @asynccontextmanager
-async def _blocked_subscriber(cell: LabCell) -> AsyncIterator[None]:
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, "-c", BLOCKED, cell.ready.endpoint, cell.ready.prefix, stdout=asyncio.subprocess.PIPE
-    )
-    try:
+async def _blocked_subscriber(cell: LabCell, *, blocks: bool = True) -> AsyncIterator[Callable[..., Awaitable[int]]]:
+    """A subscriber to everything; yields how many messages its callback was given until now, if it is alive."""
+    word = "blocks" if blocks and not is_sham() else "returns"
+    words = (sys.executable, "-c", BLOCKED, cell.ready.endpoint, cell.ready.prefix, word)
+    process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE)
+    heard = 0
+
+    async def count() -> None:
+        nonlocal heard
         if process.stdout is not None:
-            await asyncio.wait_for(process.stdout.readline(), PATIENCE)
-        yield
+            async for _ in process.stdout:
+                heard += 1
+
+    async def messages(*, more: bool = False) -> int:
+        if more:
+            await until_true(lambda: heard > 1, "The subscriber has not heard two messages")
+        expect(process.returncode is None, "The subscriber has ended.")
+        return heard
+
+    counting = asyncio.create_task(count())
+    try:
+        await until_true(lambda: heard > 0, "The subscriber has heard nothing")
+        yield messages
     finally:
         with suppress(ProcessLookupError):
             process.kill()
         await process.wait()
+        await counting
