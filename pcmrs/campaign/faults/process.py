@@ -309,7 +309,7 @@ async def a_crash_loop(lab: Lab) -> Evidence:
     )
 
 
-@fault("P10", how="a second daemon on the same folder, and one on the same bus")
+@fault("P10", how="a second daemon on the same folder, and one on the same bus", deadline=300.0)
 async def a_second_daemon(lab: Lab) -> Evidence:
     """It is refused with its reason, and the first one works on."""
     async with lab.daemon() as cell:
@@ -356,7 +356,7 @@ async def a_callback_that_never_returns(lab: Lab) -> Evidence:
     )
 
 
-@fault("P12", how="wrong settings on the command line and in a file")
+@fault("P12", how="wrong settings on the command line and in a file", deadline=300.0)
 async def bad_configuration(lab: Lab) -> Evidence:
     """Each is refused with exit status 4, and by name; nothing is left in the folder."""
     right = ("robot.model=iiwa14", "cell.rate=5", "robot.driver=sim", "gateway.planner={port=0}", "workflow=ratms")

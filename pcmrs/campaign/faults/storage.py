@@ -108,7 +108,7 @@ async def synchronising_fails(lab: Lab) -> Evidence:
     )
 
 
-@fault("T4", how="kill -9, then the end of the write-ahead log is cut within its last frame")
+@fault("T4", how="kill -9, then the end of the write-ahead log is cut within its last frame", deadline=SEVERAL)
 async def a_torn_write(lab: Lab) -> Evidence:
     """Acknowledged rows are lost by that, and the next daemon says so."""
     cell = await _killed_with_rows(lab)
@@ -180,7 +180,7 @@ async def the_tail_is_cut(lab: Lab) -> Evidence:
     return _damage_reported("reported, never silent", found)
 
 
-@fault("T8", how="strace: fsync of the journal's files takes 2 s", needs=syscalls.NEEDS)
+@fault("T8", how="strace: fsync of the journal's files takes 2 s", needs=syscalls.NEEDS, deadline=SEVERAL)
 async def the_disk_stalls(lab: Lab) -> Evidence:
     """Commands wait or are refused; Stop and status do not wait for the disk."""
     async with lab.daemon() as cell:
@@ -229,7 +229,7 @@ async def the_disk_is_read_only(lab: Lab) -> Evidence:
         )
 
 
-@fault("T10", how="half-written files beside the journal and among the records")
+@fault("T10", how="half-written files beside the journal and among the records", deadline=SEVERAL)
 async def a_half_written_file(lab: Lab) -> Evidence:
     """What a crash can leave of files that are written as a whole is not read."""
     async with lab.daemon() as cell:
@@ -256,7 +256,7 @@ async def a_half_written_file(lab: Lab) -> Evidence:
     )
 
 
-@fault("T11", how="kill -9, then the write-ahead log is deleted")
+@fault("T11", how="kill -9, then the write-ahead log is deleted", deadline=SEVERAL)
 async def the_log_is_lost(lab: Lab) -> Evidence:
     """Rows that were only there are missing, and the next daemon says so."""
     cell = await _killed_with_rows(lab)
