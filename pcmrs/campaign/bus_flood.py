@@ -25,6 +25,7 @@ from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.qos import REQUESTS
 from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.bus.stop import Stopping
+from pcmrs.campaign.sham import is_sham
 from pcmrs.errors import DeviceError, PcmrsError
 from pcmrs.messages import Verdict
 
@@ -87,6 +88,9 @@ async def bus_flood(
     Raises:
         DeviceError: It does not begin.
     """
+    if is_sham():
+        yield Flooding()
+        return
     words = [kind, "--endpoint", endpoint, "--cell", cell, "--user", user, "--most", str(most)]
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(sys.executable, "-m", __name__, *words, stdin=pipe, stdout=pipe)

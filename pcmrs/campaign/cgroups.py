@@ -3,36 +3,49 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 from pcmrs.campaign.fault import NotRun
 from pcmrs.campaign.needs import ROOT, Need
+from pcmrs.campaign.sham import is_sham
 
 MOUNTED = Path("/sys/fs/cgroup")
 PERIOD_US = 100_000
 
 
 @contextmanager
-def processor_quota(pids: Sequence[int], share: float) -> Iterator[None]:
-    """The processes together get `share` of one processor, in periods of 0.1 s."""
+def processor_quota(pids: Sequence[int], share: float) -> Iterator[Callable[[], int]]:
+    """The processes together get `share` of one processor, in periods of 0.1 s.
+
+    Yields:
+        In how many periods the kernel has kept them waiting until now.
+    """
     quota = max(1000, int(share * PERIOD_US))
     first = {"cpu.cfs_period_us": str(PERIOD_US), "cpu.cfs_quota_us": str(quota)}
-    with _group("cpu", first, {"cpu.max": f"{quota} {PERIOD_US}"}, pids):
-        yield
+    with _group("cpu", first, {"cpu.max": f"{quota} {PERIOD_US}"}, pids) as folder:
+        yield partial(_counted, folder, ("cpu.stat",), "nr_throttled")
 
 
 @contextmanager
-def memory_limit(pids: Sequence[int], limit: int) -> Iterator[None]:
-    """The processes together may not take more than `limit` bytes from now on; one that does is killed."""
-    with _group("memory", {"memory.limit_in_bytes": str(limit)}, {"memory.max": str(limit)}, pids):
-        yield
+def memory_limit(pids: Sequence[int], limit: int) -> Iterator[Callable[[], int]]:
+    """The processes together may not take more than `limit` bytes from now on; one that does is killed.
+
+    Yields:
+        How many the kernel has killed for that until now.
+    """
+    with _group("memory", {"memory.limit_in_bytes": str(limit)}, {"memory.max": str(limit)}, pids) as folder:
+        yield partial(_counted, folder, ("memory.events", "memory.oom_control"), "oom_kill")
 
 
 @contextmanager
-def _group(controller: str, first: dict[str, str], second: dict[str, str], pids: Sequence[int]) -> Iterator[None]:
-    """A group of its own with its settings, those of version 1 or those of version 2; empty and gone at the end."""
+def _group(controller: str, first: dict[str, str], second: dict[str, str], pids: Sequence[int]) -> Iterator[Path]:
+    """A group of its own with its settings, those of version 1 or those of version 2; empty and gone at the end.
+
+    In a sham campaign nobody is in it. Yields its folder.
+    """
     own = MOUNTED / controller
     parent, settings = (own, first) if own.is_dir() else (MOUNTED, second)
     folder = parent / f"pcmrs-{uuid.uuid4().hex[:8]}"
@@ -40,13 +53,22 @@ def _group(controller: str, first: dict[str, str], second: dict[str, str], pids:
         folder.mkdir()
         for name, value in settings.items():
             (folder / name).write_text(value)
-        for pid in pids:
+        for pid in () if is_sham() else pids:
             (folder / "cgroup.procs").write_text(str(pid))
-        yield
+        yield folder
     except PermissionError as error:
         raise NotRun(f"Control groups cannot be written here: {error}.") from None
     finally:
         _dissolve(folder, parent)
+
+
+def _counted(folder: Path, files: Sequence[str], name: str) -> int:
+    """What the kernel has counted under a name, in the first of the files that is there; 0 where it does not count."""
+    for file in files:
+        if (folder / file).exists():
+            lines = (line.split() for line in (folder / file).read_text().splitlines())
+            return next((int(value) for key, value in lines if key == name), 0)
+    return 0
 
 
 def _dissolve(folder: Path, parent: Path) -> None:

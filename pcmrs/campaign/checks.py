@@ -60,8 +60,10 @@ async def refused_at_edge(cell: LabCell, name: str, arguments: dict[str, Any], *
     await _check_rejected(cell, verdict, before, [code])
 
 
-async def reported(cell: LabCell, after: int, *, edge: str, code: str, count: int) -> None:
-    """The journal's reports of what an edge has refused with `code` come to `count`; they come at a bounded rate.
+async def reported(cell: LabCell, after: int, *, edge: str, code: str, count: int) -> int:
+    """The journal's reports of what an edge has refused with `code` come to `count`, which is returned.
+
+    They come at a bounded rate.
 
     Raises:
         Unmet: They did not within `PATIENCE`.
@@ -72,7 +74,7 @@ async def reported(cell: LabCell, after: int, *, edge: str, code: str, count: in
             while True:
                 found = sum(_refused_by(row, edge, code) for row in cell.rows(after))
                 if found == count:
-                    return
+                    return found
                 await asyncio.sleep(0.5)
     raise Unmet(f"The journal tells of {found} commands that the {edge} has refused as {code}, not {count}.")
 

@@ -1,8 +1,9 @@
 """A slow consumer: a process of its own that hears the poses of a cell, and takes none for as long as it is told.
 
-    python -m pcmrs.campaign.consumer ENDPOINT CELL
+    python -m pcmrs.campaign.consumer ENDPOINT CELL busy|idle
 
-It prints a line when the first pose has come, keeps its event loop busy until it is sent a line, and prints `Heard`.
+It prints a line when the first pose has come, keeps its event loop busy or idle until it is sent a line, and prints
+`Heard`.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import signal
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
+from typing import Literal
 
 import msgspec
 
@@ -20,7 +22,12 @@ from pcmrs.bus import Bus, BusSettings
 from pcmrs.campaign.driving import PATIENCE
 from pcmrs.campaign.fault import Unmet
 from pcmrs.campaign.lab import LabCell
+from pcmrs.campaign.proc import process_state
+from pcmrs.campaign.sham import bring_about, is_sham
 from pcmrs.messages import BodyPose
+
+Manner = Literal["frozen", "busy", "idle"]
+"""Nothing of a consumer runs, so that it does not even read its socket; its event loop is busy; or it has time."""
 
 POSES = "state/pose/coil"
 SETTLING = 0.2
@@ -34,11 +41,13 @@ class Heard(msgspec.Struct, frozen=True):
         sent: By their frame numbers, from the first that was heard to the last.
         heard: Of these.
         counted: As dropped, by the bus of the consumer.
+        was: State of its process before it was let go on, as the kernel has it; T is stopped.
     """
 
     sent: int
     heard: int
     counted: int
+    was: str = ""
 
     @property
     def lost(self) -> int:
@@ -47,12 +56,12 @@ class Heard(msgspec.Struct, frozen=True):
 
 
 @asynccontextmanager
-async def slow_consumer(cell: LabCell, *, frozen: bool) -> AsyncIterator[Callable[[], Awaitable[Heard]]]:
-    """A consumer that takes nothing from now on.
+async def consumer(cell: LabCell, manner: Manner) -> AsyncIterator[Callable[[], Awaitable[Heard]]]:
+    """A consumer that takes nothing from now on, or everything where it is idle; in a sham campaign it is always idle.
 
     Args:
         cell: Whose poses it hears.
-        frozen: Nothing of it runs, so that it does not even read its socket; otherwise its event loop is busy.
+        manner: What keeps it.
 
     Yields:
         Lets it go on, and returns what it has heard.
@@ -62,16 +71,19 @@ async def slow_consumer(cell: LabCell, *, frozen: bool) -> AsyncIterator[Callabl
     """
     pipe = asyncio.subprocess.PIPE
     words = (sys.executable, "-m", "pcmrs.campaign.consumer", cell.ready.endpoint, cell.name)
+    words += ("busy" if manner == "busy" and not is_sham() else "idle",)
     process = await asyncio.create_subprocess_exec(*words, stdin=pipe, stdout=pipe)
 
     async def go_on() -> Heard:
+        was = process_state(process.pid)
         process.send_signal(signal.SIGCONT)
-        return msgspec.json.decode(await _line(process, b"\n"), type=Heard)
+        heard = msgspec.json.decode(await _line(process, b"\n"), type=Heard)
+        return msgspec.structs.replace(heard, was=was)
 
     try:
         await _line(process, b"")
-        if frozen:
-            os.kill(process.pid, signal.SIGSTOP)
+        if manner == "frozen":
+            bring_about(lambda: os.kill(process.pid, signal.SIGSTOP))
         yield go_on
     finally:
         with suppress(ProcessLookupError):
@@ -90,8 +102,8 @@ async def _line(process: asyncio.subprocess.Process, told: bytes) -> bytes:
     return line
 
 
-async def consume(endpoint: str, cell: str) -> Heard:
-    """Hears poses, none while nobody has sent a line, and then what is left of them."""
+async def consume(endpoint: str, cell: str, manner: str) -> Heard:
+    """Hears poses, none while nobody has sent a line unless it is idle, and then what is left of them."""
     bus = await Bus.open(BusSettings(endpoint=endpoint, cell=cell))
     frames: list[int] = []
     hears = asyncio.Event()
@@ -104,7 +116,10 @@ async def consume(endpoint: str, cell: str) -> Heard:
     await hears.wait()
     before, first = bus.counters()["bus.replaced"], len(frames) - 1
     _tell(b"hears")
-    sys.stdin.readline()  # in the event loop, for that very reason: it has no time for anything else
+    if manner == "idle":
+        await asyncio.to_thread(sys.stdin.readline)
+    else:
+        sys.stdin.readline()  # in the event loop, for that very reason: it has no time for anything else
     await asyncio.sleep(SETTLING)
     await end()
     counted = bus.counters()["bus.replaced"] - before

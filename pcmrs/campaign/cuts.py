@@ -15,7 +15,8 @@ from pcmrs.campaign.damage import damages
 from pcmrs.campaign.fault import Unmet
 from pcmrs.campaign.powerless import power_cuts
 from pcmrs.campaign.recorded import record
-from pcmrs.campaign.taking_up import NAME, check_sound, missing_rows, place, taken_up
+from pcmrs.campaign.sham import is_sham
+from pcmrs.campaign.taking_up import NAME, check_sound, contents, missing_rows, place, taken_up
 from pcmrs.campaign.writing import row
 from pcmrs.clock import Clock
 from pcmrs.journal import Journal, JournalReader, StoredRow
@@ -41,6 +42,8 @@ class CutReport(msgspec.Struct, frozen=True):
         lost: Acknowledged rows that were missing after power cuts.
         silent: Damage that nobody reported: rows were missing or others.
         broken: Errors that were none of the journal's.
+        changed: Journals whose files, read back, were others than before.
+        whole: Undamaged journals, opened for the control, that had all rows.
         seconds: s of the machine.
     """
 
@@ -52,6 +55,8 @@ class CutReport(msgspec.Struct, frozen=True):
     lost: int
     silent: list[str]
     broken: list[str]
+    changed: int
+    whole: int
     seed: int
     seconds: float
 
@@ -90,12 +95,17 @@ def cut_and_flip(
             for whole, damage in damages((killed, closed), count, generator, flips=flips_bits)
         ]
         tally = _Tally("cut or bent", seed, len(rows))
+        for whole in (killed, closed):
+            copy = shutil.copytree(whole, Path(name) / "control")
+            tally.whole += taken_up(copy / NAME, rows)
+            shutil.rmtree(copy)
         for number, (whole, damage) in enumerate(chosen):
             if minutes is not None and clock.monotonic() - begun >= minutes * 60.0:
                 break
             scratch = Path(name) / "scratch"
             shutil.copytree(whole, scratch)
             damage.apply(scratch)
+            tally.changed += contents(scratch) != contents(whole)
             tally.judge(f"{whole.name}: {damage}", scratch, rows)
             shutil.rmtree(scratch)
             progress(str(damage), number + 1, len(chosen))
@@ -139,7 +149,8 @@ def cut_power(
             if minutes is not None and clock.monotonic() - begun >= minutes * 60.0:
                 break
             scratch = Path(name) / "scratch"
-            place(cut.files, scratch)
+            place(contents(written) if is_sham() else cut.files, scratch)
+            tally.changed += contents(scratch) != contents(written)
             acknowledged = [rows[sequence] for sequence in cut.acknowledged]
             tally.judge_power_cut(f"cut {number} before call {cut.call}", scratch, acknowledged)
             shutil.rmtree(scratch)
@@ -155,6 +166,7 @@ class _Tally:
         self._tried = self._reported = self._unaffected = self._lost = 0
         self._silent: list[str] = []
         self._broken: list[str] = []
+        self.changed = self.whole = 0
 
     def judge(self, what: str, folder: Path, rows: Sequence[StoredRow]) -> None:
         """A damaged journal: reported, or without effect."""
@@ -185,7 +197,7 @@ class _Tally:
     def report(self, seconds: float) -> CutReport:
         return CutReport(
             self._what, self._tried, self._acknowledged, self._reported, self._unaffected, self._lost,
-            self._silent, self._broken, self._seed, seconds,
+            self._silent, self._broken, self.changed, self.whole, self._seed, seconds,
         )  # fmt: skip
 
 

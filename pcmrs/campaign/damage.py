@@ -8,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 
+from pcmrs.campaign.sham import is_sham
 from pcmrs.campaign.taking_up import HEAD, NAME, contents
 
 TAIL = 2048
@@ -30,7 +31,9 @@ class Damage(msgspec.Struct, frozen=True):
     flip: int | None = None
 
     def apply(self, folder: Path) -> None:
-        """Changes the file in the folder."""
+        """Changes the file in the folder; in a sham campaign nothing."""
+        if is_sham():
+            return
         path = folder / self.file
         content = bytearray(path.read_bytes())
         if self.flip is not None:

@@ -12,6 +12,7 @@ import msgspec
 
 from pcmrs.campaign.fault import Unmet
 from pcmrs.campaign.lab import LabCell
+from pcmrs.campaign.sham import bring_about
 from pcmrs.campaign.waiting import until_true
 from pcmrs.gateway.refusals import REFUSED
 from pcmrs.messages import Snapshot
@@ -44,6 +45,10 @@ class Raw(asyncio.DatagramProtocol):
     def send(self, datagram: bytes) -> None:
         """Sends one datagram."""
         self._transport.sendto(datagram)
+
+    def attack(self, datagram: bytes) -> None:
+        """Sends one datagram that is the fault."""
+        bring_about(lambda: self.send(datagram))
 
     async def fence(self) -> list[bytes]:
         """Waits until everything sent before has been looked at; returns the answers to that.
@@ -103,7 +108,7 @@ async def refused_all(cell: LabCell, datagrams: Sequence[bytes], *, refusals: in
     answers: list[bytes] = []
     async with raw_socket(cell.ready.links["planner"]) as raw:
         for datagram in datagrams:
-            raw.send(datagram)
+            raw.attack(datagram)
         answers = await raw.fence()
     accepted = [answer for answer in answers if b"_accepted_" in answer]
     if accepted:
@@ -114,7 +119,33 @@ async def refused_all(cell: LabCell, datagrams: Sequence[bytes], *, refusals: in
         raise Unmet(f"The journal has an accepted {decided[0].branch}.{decided[0].operation}.")
     wanted = len(datagrams) if refusals is None else refusals
     await until_true(lambda: _refused(cell, rows) >= wanted, f"The journal does not have {wanted} refusals")
-    return {"sent": len(datagrams), "answers": [answer.decode(errors="replace") for answer in answers][:8]}
+    return {
+        "refused": _refused(cell, rows),
+        "sent": len(datagrams),
+        "answers": [answer.decode(errors="replace") for answer in answers][:8],
+    }
+
+
+async def taken(cell: LabCell, command: bytes) -> str:
+    """Sends a command by itself that must be accepted, and returns its answer: a control.
+
+    Args:
+        cell: Whose planner link takes it.
+        command: As it is on the wire, with an id.
+
+    Raises:
+        Unmet: It was not accepted within `ANSWERS_WITHIN`.
+    """
+    async with raw_socket(cell.ready.links["planner"]) as raw:
+        raw.send(command)
+        try:
+            async with asyncio.timeout(ANSWERS_WITHIN):
+                answer = await raw.answers.get()
+        except TimeoutError:
+            raise Unmet(f"{command!r} by itself is not answered.") from None
+    if b"_accepted_" not in answer:
+        raise Unmet(f"{command!r} by itself was answered {answer!r}.")
+    return answer.decode(errors="replace")
 
 
 def _refused(cell: LabCell, after: int) -> int:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import msgspec
 
+from pcmrs.campaign.sham import is_sham
 from pcmrs.campaign.writing import REFUSED, SEQUENCE, write
 from pcmrs.clock import Clock
 from pcmrs.errors import JournalError
@@ -98,7 +99,7 @@ def kill_writers(
 
 
 class Tally:
-    """What has been found so far."""
+    """What has been found so far; in a sham campaign nothing is killed."""
 
     def __init__(self, clock: Clock, seed: int, times: int, minutes: float | None, progress: ShowProgress) -> None:
         self.clock = clock
@@ -107,7 +108,7 @@ class Tally:
         self.not_reached: Counter[str] = Counter()
         self.acknowledged = self.lost = 0
         self.refused: list[str] = []
-        self._seed, self._times, self._progress = seed, times, progress
+        self._seed, self._times, self._progress = seed, 0 if is_sham() else times, progress
         self._begun = clock.monotonic()
         self._end = math.inf if minutes is None else self._begun + minutes * 60.0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import fcntl
 import os
 import struct
@@ -13,6 +14,7 @@ from pathlib import Path
 
 from pcmrs.campaign.fault import NotRun
 from pcmrs.campaign.needs import ROOT, Need, program
+from pcmrs.campaign.sham import bring_about, is_sham
 from pcmrs.campaign.tools import tool
 
 NEEDS = (
@@ -29,7 +31,7 @@ SHUTDOWN = 0x8004587D
 WITHOUT_FLUSHING = 2
 """EXT4_GOING_FLAGS_NOLOGFLUSH: what no fsync has waited for is lost, as in a power cut."""
 
-RESERVE = "reserve"
+RESERVE, PROBE = "reserve", "probe"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,9 @@ class LoopDisk:
     image: Path
 
     def fill(self, leaving: int = 0) -> None:
-        """Takes all the space that is left but for some bytes; `release` gives it back."""
+        """Takes all the space that is left but for some bytes; `release` gives it back; nothing in a sham campaign."""
+        if is_sham():
+            return
         with (self.path / RESERVE).open("wb", buffering=0) as reserve:
             for size in (1 << 20, 1 << 12, 1):
                 with suppress(OSError):
@@ -57,7 +61,7 @@ class LoopDisk:
 
     def release(self) -> None:
         """Gives back what `fill` has taken."""
-        (self.path / RESERVE).unlink()
+        (self.path / RESERVE).unlink(missing_ok=True)
         folder = os.open(self.path, os.O_RDONLY)
         try:
             os.fsync(folder)
@@ -68,7 +72,7 @@ class LoopDisk:
         """Nothing reaches the disk any more, and what was not synchronised never will; until `power_on`."""
         folder = os.open(self.path, os.O_RDONLY)
         try:
-            fcntl.ioctl(folder, SHUTDOWN, struct.pack("I", WITHOUT_FLUSHING))
+            bring_about(lambda: fcntl.ioctl(folder, SHUTDOWN, struct.pack("I", WITHOUT_FLUSHING)))
         finally:
             os.close(folder)
 
@@ -79,7 +83,27 @@ class LoopDisk:
 
     async def make_read_only(self) -> None:
         """The file system goes read-only by itself, as it does when it finds itself damaged."""
-        await tool(["mount", "-o", "remount,abort", str(self.path)])
+        if not is_sham():
+            await tool(["mount", "-o", "remount,abort", str(self.path)])
+
+    def error(self) -> str:
+        """What another program that writes to the disk is told, such as ``ENOSPC``; empty where it can write."""
+        file = self.path / PROBE
+        try:
+            with file.open("wb", buffering=0) as probe:
+                probe.write(bytes(1 << 12))
+                os.fsync(probe.fileno())
+        except OSError as error:
+            return errno.errorcode.get(error.errno or 0, str(error))
+        finally:
+            with suppress(OSError):
+                file.unlink()
+        return ""
+
+    def taken(self) -> float:
+        """Share of the disk's space that nobody can have any more, as the kernel counts it."""
+        counted = os.statvfs(self.path)
+        return 1.0 - counted.f_bavail / counted.f_blocks
 
 
 @asynccontextmanager

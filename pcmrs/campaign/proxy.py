@@ -6,12 +6,13 @@ import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 from pcmrs.campaign.weather import Weather
 from pcmrs.clock import SystemClock
 
 Address = tuple[str, int]
+Direction = Literal["towards", "back"]
 
 SLICE = 0.02
 """A narrow stream is passed on in pieces of so many seconds, and a cut one is looked at as often."""
@@ -53,7 +54,11 @@ async def tcp_proxy(server: Address, weather: Weather) -> AsyncIterator[Address]
         except OSError:
             writer.close()
             return
-        for source, sink, direction in ((reader, far_writer, "towards"), (far_reader, writer, "back")):
+        ways: list[tuple[asyncio.StreamReader, asyncio.StreamWriter, Direction]] = [
+            (reader, far_writer, "towards"),
+            (far_reader, writer, "back"),
+        ]
+        for source, sink, direction in ways:
             pipe = asyncio.get_running_loop().create_task(_pass_on(source, sink, weather, direction))
             pipes.add(pipe)
             pipe.add_done_callback(pipes.discard)
@@ -68,7 +73,9 @@ async def tcp_proxy(server: Address, weather: Weather) -> AsyncIterator[Address]
         await asyncio.gather(*pipes, return_exceptions=True)
 
 
-async def _pass_on(source: asyncio.StreamReader, sink: asyncio.StreamWriter, weather: Weather, direction: str) -> None:
+async def _pass_on(
+    source: asyncio.StreamReader, sink: asyncio.StreamWriter, weather: Weather, direction: Direction
+) -> None:
     """Each piece arrives after its delay, and none before an earlier one."""
     on_the_way: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue(ON_THE_WAY)
     arrives = 0.0
@@ -77,8 +84,8 @@ async def _pass_on(source: asyncio.StreamReader, sink: asyncio.StreamWriter, wea
             pipe.create_task(_deliver(on_the_way, sink, weather, direction))
             while True:
                 data = await source.read(_most(weather))
-                if weather.rate is not None:
-                    await CLOCK.sleep(len(data) / weather.rate)
+                if (rate := weather.narrow) is not None:
+                    await CLOCK.sleep(len(data) / rate)
                 now = CLOCK.monotonic()
                 arrives = max(arrives, now + weather.wait(now))
                 await on_the_way.put((arrives, data))
@@ -91,13 +98,13 @@ async def _pass_on(source: asyncio.StreamReader, sink: asyncio.StreamWriter, wea
 
 
 async def _deliver(
-    on_the_way: asyncio.Queue[tuple[float, bytes]], sink: asyncio.StreamWriter, weather: Weather, direction: str
+    on_the_way: asyncio.Queue[tuple[float, bytes]], sink: asyncio.StreamWriter, weather: Weather, direction: Direction
 ) -> None:
     """Writes what arrives, until the piece without data that ends a stream."""
     while True:
         arrives, data = await on_the_way.get()
         await CLOCK.sleep(max(0.0, arrives - CLOCK.monotonic()))
-        while not getattr(weather, direction):
+        while not weather.passes(direction):
             await CLOCK.sleep(SLICE)
         if not data:
             return
@@ -106,7 +113,7 @@ async def _deliver(
 
 
 def _most(weather: Weather) -> int:
-    return CHUNK if weather.rate is None else max(1, int(weather.rate * SLICE))
+    return CHUNK if (rate := weather.narrow) is None else max(1, int(rate * SLICE))
 
 
 class _Front(asyncio.DatagramProtocol):
@@ -124,7 +131,7 @@ class _Front(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
         client: Address = addr[:2]
-        if not self._weather.towards:
+        if not self._weather.passes("towards"):
             return
         if client not in self._carriers:
             self._waiting[client] = asyncio.Queue()
@@ -133,7 +140,7 @@ class _Front(asyncio.DatagramProtocol):
 
     def back(self, data: bytes, client: Address) -> None:
         """Passes an answer on to its client."""
-        if self._weather.back:
+        if self._weather.passes("back"):
             self._later(lambda: self._transport.sendto(data, client))
 
     async def close(self) -> None:

@@ -20,6 +20,8 @@ from pathlib import Path
 
 import uvloop
 
+from pcmrs.campaign.sham import is_sham
+
 PROGRAM = "pcmrs.campaign.saboteur"
 ANSWERS_WITHIN = 10.0
 """A saboteur has done what it was told within this, s of the machine."""
@@ -31,12 +33,12 @@ def sabotaged(orders: Path) -> tuple[str, ...]:
 
 
 async def order(orders: Path, text: str) -> str:
-    """Tells the saboteur what to do, and waits until it has done that.
+    """Tells the saboteur what to do, and waits until it has done that; in a sham campaign it does nothing.
 
     Raises:
         TimeoutError: It has not within `ANSWERS_WITHIN`.
     """
-    return await asyncio.to_thread(_order, orders, text)
+    return "" if is_sham() else await asyncio.to_thread(_order, orders, text)
 
 
 def _order(orders: Path, text: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 
 from pcmrs.campaign.driving import PATIENCE
@@ -30,6 +31,18 @@ async def until_true(condition: Callable[[], bool], missing: str, within: float 
             raise Unmet(f"{missing} within {within:g} s.")
         await clock.sleep(PERIOD)
     return clock.monotonic() - begun
+
+
+async def until_ended(cell: LabCell) -> int:
+    """Waits until a daemon has ended; returns its exit status.
+
+    Raises:
+        Unmet: It runs on.
+    """
+    try:
+        return await asyncio.wait_for(cell.process.wait(), PATIENCE)
+    except TimeoutError:
+        raise Unmet(f"The daemon has not ended within {PATIENCE:g} s.") from None
 
 
 async def until_said(cell: LabCell, words: str) -> float:

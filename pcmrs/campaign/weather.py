@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from dataclasses import dataclass, field
+from typing import Literal
 
 from pcmrs.campaign.sham import is_sham
 
@@ -37,6 +38,15 @@ class Weather:
         self._random = random.Random(self.seed)
         self._latest = 0.0
 
+    @property
+    def narrow(self) -> float | None:
+        """`rate`; in a sham campaign everything gets through."""
+        return None if is_sham() else self.rate
+
+    def passes(self, direction: Literal["towards", "back"]) -> bool:
+        """Whether anything gets through in this direction; in a sham campaign it does."""
+        return is_sham() or (self.towards if direction == "towards" else self.back)
+
     def delays(self, now: float) -> list[float]:
         """After how many seconds a datagram of this moment arrives: never when it is lost, twice when it is doubled."""
         self.counted["sent"] += 1
@@ -51,7 +61,7 @@ class Weather:
 
     def wait(self, now: float) -> float:
         """How long what is sent at this moment takes, s, if it arrives."""
-        delay = self.delay + self.jitter * self._random.random()
+        delay = 0.0 if is_sham() else self.delay + self.jitter * self._random.random()
         self.counted["overtaken"] += now + delay < self._latest
         self._latest = max(self._latest, now + delay)
         return delay

@@ -12,7 +12,7 @@ from pcmrs.campaign.outside import WITHOUT_NODES, outside_node
 from pcmrs.campaign.proxy import tcp_proxy
 from pcmrs.campaign.weather import Weather
 from pcmrs.errors import PcmrsError
-from pcmrs.experiment.process import free_port
+from pcmrs.experiment.process import DEVICE_KEY, device_key, free_port
 
 
 @asynccontextmanager
@@ -23,7 +23,15 @@ async def remote_cell(lab: Lab, weather: Weather) -> AsyncIterator[LabCell]:
     place.mkdir()
     async with tcp_proxy(("127.0.0.1", port), weather) as (host, proxied):
         near = f"cell.endpoint=tcp/127.0.0.1:{port}"
-        far = (f"cell.name={place.name}", f"cell.endpoint=tcp/{host}:{proxied}", "cell.rate=1", f"sim.seed={lab.seed}")
+        device_key(place)
+        far = (
+            f"cell.name={place.name}",
+            f"cell.endpoint=tcp/{host}:{proxied}",
+            f"access.device_key={place / DEVICE_KEY}",
+            "cell.rate=1",
+            "robot.deadman=0.5",  # as the daemon's: a busy machine is no partition
+            f"sim.seed={lab.seed}",
+        )
         starting = asyncio.create_task(_node_when_router(port, far, place / "node.log"))
         try:
             settings = (near, "cell.rate=1", "procedure.max_pose_age=0.5", *WITHOUT_NODES)

@@ -10,7 +10,7 @@ import pytest
 
 from pcmrs.campaign import daemonkills
 from pcmrs.campaign.checks import held, refused
-from pcmrs.campaign.consumer import slow_consumer
+from pcmrs.campaign.consumer import consumer
 from pcmrs.campaign.driving import accept, injected, landmarks
 from pcmrs.campaign.fault import Unmet, injections
 from pcmrs.campaign.faults.network_bus import BURST
@@ -60,7 +60,7 @@ async def test_faults_of_a_cell_are_found_and_its_checks_fail_without_them(tmp_p
 
 
 async def test_a_consumer_that_has_no_time_counts_what_it_does_not_hear(tmp_path: Path, pool: Pool) -> None:
-    async with Lab(1, tmp_path, pool).cell() as cell, slow_consumer(cell, frozen=False) as go_on:
+    async with Lab(1, tmp_path, pool).cell() as cell, consumer(cell, "busy") as go_on:
         await asyncio.sleep(1.0)
         found = await go_on()
     assert found.lost > 10 * BURST

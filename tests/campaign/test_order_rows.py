@@ -60,7 +60,7 @@ async def test_a_request_that_arrives_after_the_hold_moves_nothing(
 ) -> None:
     part = await inject("Q1", "delivered_late", tmp_path, pool)
     assert part.outcome == "passed", part
-    assert part.details["delayed"] == 1
+    assert part.details["took_place"]["delayed"] == 1
     assert part.details["overtaken_by"] >= 1
     inject_nothing(monkeypatch)
     expect_not_taken_place(await inject("Q1", "delivered_late", tmp_path, pool))

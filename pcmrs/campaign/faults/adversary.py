@@ -15,12 +15,13 @@ import msgspec
 
 from pcmrs.campaign.appended import append_without_key, leave_unnamed
 from pcmrs.campaign.checks import confirmed, expect, held, refused, refused_at_edge, reported, shape, unmoved
-from pcmrs.campaign.datagrams import Raw, raw_socket, refused_all
-from pcmrs.campaign.driving import PATIENCE, accept, digitized, moving, register, start_anew, until
+from pcmrs.campaign.datagrams import Raw, raw_socket, refused_all, taken
+from pcmrs.campaign.driving import PATIENCE, accept, digitized, moving, register, start_anew, tool_pose, until
 from pcmrs.campaign.fault import Evidence, fault
 from pcmrs.campaign.flood import flood
 from pcmrs.campaign.lab import Lab, LabCell
 from pcmrs.campaign.lateness import percentile, timer_lateness
+from pcmrs.campaign.sham import bring_about, is_sham
 from pcmrs.dispatcher.events import PRESSED_AGAIN
 from pcmrs.gateway.authentication import FRESH_FOR
 from pcmrs.gateway.keys import new_key, read_key
@@ -39,6 +40,9 @@ SPAM = 2_000
 BATCH = 50
 """So many Stops are sent before their answers are waited for: more would not fit into the socket's buffer."""
 
+POINTS = 25
+"""Of a surface that is digitized: enough to refine a registration."""
+
 SILENT = 1_100
 """Connections at once: more than a process may have descriptors, by the usual limit of 1,024."""
 
@@ -55,7 +59,8 @@ from pcmrs.console.planning.confined import confine
 file = os.open(sys.argv[2], os.O_WRONLY | os.O_CREAT)
 if sys.argv[1] == "confined":
     confine(2**30, 60)
-for act, *words in ((socket.socket,), (subprocess.run, ["true"]), (bytes, 2**31), (os.write, file, b"x")):
+acts = ((socket.socket,), (subprocess.run, ["true"]), (bytes, 2**31), (os.write, file, b"x"))
+for act, *words in acts[: int(sys.argv[3])]:
     try:
         act(*words)
         print("done")
@@ -74,14 +79,21 @@ async def stop_under_a_flood(lab: Lab) -> Evidence:
             await cell.client.stop()
             await until(cell.client, lambda shown: shown.latched)
         await held(cell)
+        quiet, before = await stop_times(cell, STOPS), (await cell.client.health()).datagrams
         async with flood(cell.ready.links["planner"], FLOOD, lab.seed) as sent, timer_lateness() as timer:
             taken = await stop_times(cell, STOPS)
+        arrived = (await cell.client.health()).datagrams - before
         await confirmed(cell)
         await start_anew(cell.client)
     details = {"rate_hz": round(sent.rate), **in_ms("stop", taken), **in_ms("timer", timer.late)}
     late = percentile(taken, 0.5) - percentile(timer.late, 0.99)
     expect(late < STOP_WITHIN, f"Stop took {late * 1e3:.1f} ms longer than a bare timer is late: {details}.")
-    return Evidence(f"Stop begun after {percentile(taken, 0.5) * 1e3:.1f} ms in the median", details)
+    return Evidence(
+        f"Stop begun after {percentile(taken, 0.5) * 1e3:.1f} ms in the median",
+        took_place={"arrived_at_the_gateway": arrived},
+        control=in_ms("stop_without_flood", quiet),
+        details=details,
+    )
 
 
 @fault("A5", how="raw datagrams")
@@ -89,9 +101,14 @@ async def magic_texts(lab: Lab) -> Evidence:
     """Words that might end a receiver, whole and as a part of a datagram."""
     async with lab.cell() as cell:
         await digitized(cell.client)
-        return Evidence(
-            "refused, the receiver goes on", await refused_all(cell, [*MAGIC, *(b"x" * 16 + m for m in MAGIC)])
-        )
+        details = await refused_all(cell, [*MAGIC, *(b"x" * 16 + m for m in MAGIC)])
+        control = await taken(cell, b"stop_visualizexx_#1;")
+    return Evidence(
+        "refused, the receiver goes on",
+        took_place={"refused_in_the_journal": details.pop("refused")},
+        control={"a_command_instead": control},
+        details=details,
+    )
 
 
 @fault("A6", how="raw datagrams and requests on the bus")
@@ -111,7 +128,14 @@ async def unknown_commands_and_bad_numbers(lab: Lab) -> Evidence:
             ):
                 await refused(cell, name, arguments, codes=(code,))
                 details[f"{name} {arguments}"] = code
-    return Evidence("refused, nothing changed", details)
+        control = await taken(cell, b"target_tslxxxxxx_%b_%b_%b_#1;" % ((RIGHT.encode(),) * 3))
+        planned = await accept(cell.client, "toolplan.plan", **tool_pose())
+    return Evidence(
+        "refused, nothing changed",
+        took_place={"refused_in_the_journal": details.pop("refused")},
+        control={"right_number": control, "right_plan": planned.decision},
+        details=details,
+    )
 
 
 @fault("A7", how="raw datagrams and requests on the bus")
@@ -128,8 +152,15 @@ async def numbers_that_only_some_parsers_read(lab: Lab) -> Evidence:
                 await refused_at_edge(cell, "toolplan.plan", _pose(number), code="malformed")
             for text in ("1", None):
                 await refused(cell, "toolplan.plan", _pose(text), codes=("bad_arguments",))
-            await reported(cell, row, edge="bus", code="malformed", count=2)
-    return Evidence("refused, nothing changed", details)
+            malformed = await reported(cell, row, edge="bus", code="malformed", count=2)
+        control = await taken(cell, b"target_tslxxxxxx_%b_%b_%b_#1;" % ((RIGHT.encode(),) * 3))
+        planned = await accept(cell.client, "toolplan.plan", **tool_pose())
+    return Evidence(
+        "refused, nothing changed",
+        took_place={"refused_in_the_journal": details.pop("refused"), "malformed_on_the_bus": malformed},
+        control={"right_number": control, "right_plan": planned.decision},
+        details=details,
+    )
 
 
 def _pose(number: object) -> dict[str, Any]:
@@ -151,14 +182,24 @@ async def paths_from_the_network(lab: Lab) -> Evidence:
     async with lab.cell() as cell:
         await digitized(cell.client)
         before, files = await cell.client.state(), set(cell.folder.rglob("*"))
-        verdicts = {path: await cell.planner.command("icp_registerxxxx", path) for path in paths}
+        row = cell.last_row()
+        verdicts = {path: await cell.planner.command("icp_registerxxxx", path) for path in paths if not is_sham()}
+        stored = [each.verdict.decision for each in cell.rows(row) if each.operation == "refine" and each.verdict]
         after = await until(cell.client, lambda shown: not shown.running)
         new = set(cell.folder.rglob("*")) - files
+        await accept(cell.client, "digitization.digitize_surface", points=POINTS)
+        control = await cell.planner.command("icp_registerxxxx", "/home/lab/skin_of_head/head_phantom.ply")
+        expect(control.decision == "accepted", f"A path to the configured surface was {control.decision}.")
     accepted = [path for path, verdict in verdicts.items() if verdict.decision == "accepted"]
     expect(not accepted, f"Accepted was {accepted}.")
     expect(shape(before) == shape(after), f"The state has changed: {before} became {after}.")
     expect(not new, f"Files were made: {new}.")
-    return Evidence("refused, no file was touched", {path: verdict.reason for path, verdict in verdicts.items()})
+    return Evidence(
+        "refused, no file was touched",
+        took_place={"decided_in_the_journal": stored},
+        control={"configured_surface": control.decision},
+        details={path: verdict.reason for path, verdict in verdicts.items()},
+    )
 
 
 @fault("A10", how="raw datagrams")
@@ -171,8 +212,9 @@ async def stop_spam(lab: Lab) -> Evidence:
             answers: list[bytes] = []
             for first in range(1, SPAM, BATCH):
                 for number in range(first, first + BATCH):
-                    raw.send(f"stop_now_xxxxxxx_#{number};".encode())
+                    raw.attack(f"stop_now_xxxxxxx_#{number};".encode())
                 answers += await _answers(raw, BATCH)
+                expect(len(answers) == first + BATCH - 1, f"Of {first + BATCH - 1} Stops {len(answers)} were answered.")
         await held(cell)
         await confirmed(cell)
         honoured = sum(b"_accepted_" in answer for answer in answers)
@@ -182,7 +224,16 @@ async def stop_spam(lab: Lab) -> Evidence:
         expect(honoured == SPAM, f"Of {SPAM} Stops {honoured} were confirmed.")
         expect(stops == SPAM, f"Of {SPAM} Stops the journal counts {stops}.")
         await start_anew(cell.client)
-    return Evidence("all honoured, held until confirmed", {"sent": SPAM, "honoured": honoured, "rows": stops})
+        await register(cell.client)
+        async with moving(cell.client) as approach:
+            alone = await approach
+        expect(alone.decision == "accepted", f"Without a Stop the approach was {alone.decision}.")
+    return Evidence(
+        "all honoured, held until confirmed",
+        took_place={"counted_in_the_journal": stops},
+        control={"approach_without_stop": alone.decision},
+        details={"sent": SPAM, "honoured": honoured},
+    )
 
 
 @fault("A19", how="the bytes that a browser sends, and pieces of them")
@@ -194,12 +245,16 @@ async def a_web_page(lab: Lab) -> Evidence:
     async with lab.daemon() as cell:
         row = cell.last_row()
         async with unmoved(cell):
-            answers = [await _told(cell, request) for request in requests]
-            await reported(cell, row, edge="gateway", code="malformed", count=len(requests))
+            answers = [await _told(cell, request) for request in requests if not is_sham()]
+            malformed = await reported(cell, row, edge="gateway", code="malformed", count=len(requests))
         expect(not any(answers), f"Answered was {answers}.")
         control = await _told(cell, command)
         expect(control.startswith(b"1_accepted"), f"The command by itself was answered {control!r}.")
-    return Evidence("ended at the first wrong byte", {"requests": len(requests), "control": control.decode()})
+    return Evidence(
+        "ended at the first wrong byte",
+        took_place={"malformed_in_the_journal": malformed},
+        control={"the_command_by_itself": control.decode()},
+    )
 
 
 @fault("A20", how="TCP connections that send nothing")
@@ -208,9 +263,11 @@ async def silent_connections(lab: Lab) -> Evidence:
     async with lab.daemon() as cell:
         await register(cell.client)
         row, (host, port) = cell.last_row(), cell.ready.links["tcp"]
-        opened = [await asyncio.open_connection(host, port) for _ in range(SILENT)]
+        opened = [await asyncio.open_connection(host, port) for _ in range(0 if is_sham() else SILENT)]
         try:
-            await reported(cell, row, edge="gateway", code="too_many_connections", count=SILENT - MOST_OF_A_HOST)
+            turned_away = await reported(
+                cell, row, edge="gateway", code="too_many_connections", count=SILENT - MOST_OF_A_HOST
+            )
             async with moving(cell.client):
                 await cell.client.stop()
             await held(cell)
@@ -223,7 +280,12 @@ async def silent_connections(lab: Lab) -> Evidence:
             while not (control := await _told(cell, b"get_jnt_angsxxxx_#2;")):
                 pass  # the daemon learns of the closed ones one after the other
         await confirmed(cell)
-    return Evidence("bounded, and Stop works", {"connections": SILENT, "control": control.decode()})
+    return Evidence(
+        "bounded, and Stop works",
+        took_place={"turned_away_in_the_journal": turned_away},
+        control={"one_more_when_they_are_closed": control.decode()},
+        details={"connections": SILENT},
+    )
 
 
 @fault("A25", how="a signed command that is kept back; at a peer with the time in its counters, and at one without")
@@ -238,17 +300,23 @@ async def held_back(lab: Lab) -> Evidence:
         settings += [f"gateway.peers.{name}.{setting}={json.dumps(value)}" for setting, value in table.items()]
     async with lab.daemon(*settings) as cell, raw_socket(cell.ready.links["planner"]) as raw:
         held = {name: signer.sign(command) for name, signer in peers.items()}
-        await asyncio.sleep(FRESH_FOR + 0.5)
+        if not is_sham():
+            await asyncio.sleep(FRESH_FOR + 0.5)
         row = cell.last_row()
         async with unmoved(cell):
             (answer,) = await _asked(raw, held["timed"])
-            await reported(cell, row, edge="gateway", code="too_old", count=1)
+            too_old = await reported(cell, row, edge="gateway", code="too_old", count=1)
         expect(b"_rejected_" in answer and b"too_old;" in answer, f"The peer with the time was answered {answer!r}.")
         (control,) = await _asked(raw, held["growing"])
         expect(b"_accepted_" in control, f"The peer without the time was answered {control!r}.")
         (fresh,) = await _asked(raw, peers["timed"].sign(b"rob_conn_offxxxx_#2;"))
         expect(b"_accepted_" in peers["timed"].check(fresh), f"What was fresh was answered {fresh!r}.")
-    return Evidence("refused as too old", {"answer": answer.decode(), "control": control.decode()})
+    return Evidence(
+        "refused as too old",
+        took_place={"too_old_in_the_journal": too_old},
+        control={"without_the_time": control.decode(), "fresh": fresh.decode()},
+        details={"answer": answer.decode()},
+    )
 
 
 @fault("A26", how="a program in place of the one that reads uploaded files, with its limits and without")
@@ -256,13 +324,19 @@ async def a_reader_is_taken_over(lab: Lab) -> Evidence:
     """A file makes its reader open a connection, start a program, take memory and write; each is tried."""
     tries = {}
     for how in ("confined", "free"):
-        words = (sys.executable, "-c", TAKEN_OVER, how, str(lab.folder / how))
+        words = (sys.executable, "-c", TAKEN_OVER, how, str(lab.folder / how), "0" if is_sham() else "4")
         process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE)
         said, _ = await process.communicate()
         tries[how] = said.decode().split()
     expect(tries["free"] == ["done"] * 4, f"Without limits came {tries['free']}: the attack did not take place.")
     expect(len(tries["confined"]) == 4 and "done" not in tries["confined"], f"With limits came {tries['confined']}.")
-    return Evidence("each is refused by the kernel", tries)
+    written = {how: (lab.folder / how).stat().st_size for how in tries}
+    expect(written == {"confined": 0, "free": 1}, f"Bytes were written: {written}.")
+    return Evidence(
+        "each is refused by the kernel",
+        took_place={"refused_by_the_kernel": tries["confined"]},
+        control={"without_limits": tries["free"], "bytes_written": written["free"]},
+    )
 
 
 async def _asked(raw: Raw, sent: bytes) -> list[bytes]:
@@ -289,14 +363,22 @@ async def the_journal_is_edited(lab: Lab) -> Evidence:
     async with lab.daemon() as cell:
         await accept(cell.client, "registration.reinit")
         journal = Path(cell.ready.journal)
+    whole = await asyncio.to_thread(verify, journal)
+    expect(whole.sound, f"What was not edited is verified as {whole}.")
     with closing(sqlite3.connect(journal)) as connection:
         (guard,) = connection.execute("SELECT sql FROM sqlite_master WHERE name = 'no_update'").fetchone()
-        connection.executescript(
-            f"DROP TRIGGER no_update; UPDATE journal SET body = zeroblob(20) WHERE sequence = 2; {guard};"  # noqa: S608  # of the file itself
-        )
+        edit = f"DROP TRIGGER no_update; UPDATE journal SET body = zeroblob(20) WHERE sequence = 2; {guard};"  # noqa: S608  # of the file itself
+        bring_about(lambda: connection.executescript(edit))
+        (body,) = connection.execute("SELECT body FROM journal WHERE sequence = 2").fetchone()
     verified = await asyncio.to_thread(verify, journal)
     expect(not verified.sound and verified.first_bad == 2, f"Verified as {verified}.")
-    return Evidence("found by pcmrs journal verify", {"first_bad": 2, "problems": list(verified.problems)})
+    expect(body == bytes(20), "The row is as it was.")
+    return Evidence(
+        "found by pcmrs journal verify",
+        took_place={"body_of_the_row": body.hex()},
+        control={"sound_before": whole.sound},
+        details={"first_bad": verified.first_bad, "problems": list(verified.problems)},
+    )
 
 
 @fault("A16", how="an older copy of the database in place of the newer one", deadline=300.0)
@@ -310,10 +392,33 @@ async def the_journal_is_rolled_back(lab: Lab) -> Evidence:
             connection.backup(older)
         for _ in range(5):
             await accept(cell.client, "registration.reinit")
+    whole = lab.folder / "whole.sqlite"
+    with closing(sqlite3.connect(journal)) as connection, closing(sqlite3.connect(whole)) as kept:
+        connection.backup(kept)
+    before = _last(journal)
+    bring_about(lambda: _put(copy, journal))
+    gone = before - _last(journal)
+    text = await _detected(lab, cell, "rolled back")
+    _put(whole, journal)
+    async with lab.daemon(folder=cell.folder) as successor:
+        control = await accept(successor.client, "registration.reinit")
+    return Evidence(
+        DETECTED,
+        took_place={"rows_gone": gone},
+        control={"accepted_with_the_newer_one": control.decision},
+        details={"text": text},
+    )
+
+
+def _put(database: Path, journal: Path) -> None:
     for beside in journal.parent.glob(f"{journal.name}-*"):
         beside.unlink()
-    shutil.copyfile(copy, journal)
-    return await _detected(lab, cell, "rolled back")
+    shutil.copyfile(database, journal)
+
+
+def _last(journal: Path) -> int:
+    with JournalReader(journal) as reader:
+        return reader.last_sequence()
 
 
 @fault("A29", how="an accepted verdict added to the database after the daemon has ended", deadline=300.0)
@@ -327,13 +432,12 @@ async def rows_are_added_without_the_key(lab: Lab) -> Evidence:
         end, verdict = reader.last_sequence(), next(reader.read(kind="outcome", last=1)).row
     added = msgspec.structs.replace(verdict, command_id="added")
     shutil.copyfile(journal, whole)
-    append_without_key(journal, [added])
+    bring_about(lambda: append_without_key(journal, [added]))
     with JournalReader(journal) as reader:
         chained = [stored.sequence for stored in reader.read_whole()]
         found = reader.outcome_of(added.source or "", "added")
     expect(chained[-1:] == [end + 1] and found == added, "The added row is not chained, or not found by its command.")
-    refusal = await _detected(lab, cell, "added to")
-    text = str(refusal.details["text"])
+    text = await _detected(lab, cell, "added to")
     expect(f"row {end + 1} follows the last one" in text, f"The first row that was added is not named: {text}")
 
     shutil.copyfile(whole, journal)
@@ -345,15 +449,24 @@ async def rows_are_added_without_the_key(lab: Lab) -> Evidence:
                 next(reader.read(after=end + 1)).row.operation,
             )
     expect((found, noted) == (added, "head_behind"), f"The row of a crash was not taken up: {noted}.")
-    return Evidence(refusal.response, {**refusal.details, "control": "the row is taken up where a crash has left it"})
+    return Evidence(
+        DETECTED,
+        took_place={"chained_row": chained[-1]},
+        control={"taken_up_after_a_crash": noted},
+        details={"text": text},
+    )
 
 
-async def _detected(lab: Lab, cell: LabCell, how: str) -> Evidence:
+DETECTED = "refused to start, and said why"
+
+
+async def _detected(lab: Lab, cell: LabCell, how: str) -> str:
+    """What a daemon says that refuses to start with the journal of another."""
     status, errors = await lab.ending(folder=cell.folder)
     expect(status != 0, f"The daemon took the journal that was {how}.")
     text = errors.strip().splitlines()[-1] if errors.strip() else ""
     expect(Path(cell.ready.journal).name in text and "Traceback" not in errors, f"It ended with: {text}")
-    return Evidence("refused to start, and said why", {"status": status, "text": text})
+    return text
 
 
 async def _answers(raw: Raw, most: int) -> list[bytes]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
+import time
 from collections import Counter
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 from pcmrs.campaign.checks import expect
-from pcmrs.campaign.datagrams import raw_socket, refused_all
+from pcmrs.campaign.datagrams import raw_socket, refused_all, taken
 from pcmrs.campaign.driving import PATIENCE, digitized, plan, register, state
 from pcmrs.campaign.fault import Evidence, Unmet, fault
 from pcmrs.campaign.lab import Lab, LabCell
@@ -19,23 +21,30 @@ from pcmrs.campaign.waiting import until_true
 from pcmrs.campaign.weather import Weather
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.gateway.commands import Value
-from pcmrs.planner import Planner
+from pcmrs.journal import JournalRow
+from pcmrs.planner import REPEAT_AFTER, Planner, PlannerVerdict
 
 PROXY = "userspace proxy between planner and daemon, UDP"
 RECEIVING = ("recvmsg", "recvmmsg", "recvfrom")
 COMMANDS_SENT = 12
+IMPATIENT = 0.4
+"""A sender that waits so long for a verdict has given up before a late one comes, s of the machine."""
 
 
 @fault("N1", how=PROXY)
 async def datagrams_are_lost(lab: Lab) -> Evidence:
     """A fifth of the datagrams is lost, in both directions."""
-    return await _once_each(lab, Weather(seed=lab.seed, loss=0.2), "lost")
+    weather = Weather(seed=lab.seed, loss=0.2)
+    return await _once_each(lab, weather, "lost", lambda sent: {"commands_sent_again": sent.repeated})
 
 
 @fault("N2", how=PROXY)
 async def datagrams_are_doubled(lab: Lab) -> Evidence:
     """Half of the datagrams come twice."""
-    return await _once_each(lab, Weather(seed=lab.seed, doubled=0.5), "doubled")
+    weather = Weather(seed=lab.seed, doubled=0.5)
+    return await _once_each(
+        lab, weather, "doubled", lambda sent: {"more_than_were_sent": max(0, sent.arrived - sent.done - sent.repeated)}
+    )
 
 
 @fault("N3", how=PROXY)
@@ -48,7 +57,7 @@ async def datagrams_overtake_each_other(lab: Lab) -> Evidence:
         sent: list[tuple[str, tuple[Value, ...]]] = [("img_fid_numxxxxx", (len(points),))]
         sent += [("img_fid_pntxxxxx", (index, *map(float, point))) for index, point in enumerate(points)]
         sent += [("img_fid_lastrecv", ())]
-        verdicts = await asyncio.gather(*(planner.command(name, *values) for name, values in sent))
+        verdicts = await _at_once(planner, sent)
         planned = [entry for entry in cell.rows(row) if entry.kind == "outcome" and entry.operation == "plan_landmarks"]
         if verdicts[-1].decision == "accepted":
             (only,) = planned
@@ -58,16 +67,29 @@ async def datagrams_overtake_each_other(lab: Lab) -> Evidence:
             expect(verdicts[-1].decision == "rejected" and not planned, f"The series was {verdicts[-1].decision}.")
         expect(weather.counted["overtaken"] > 0, "No datagram overtook another one: choose another seed.")
         await planner.reinitiate()
-        in_order = await _run_series(planner, cell)
-    seen = {"decision": verdicts[-1].decision, "reason": verdicts[-1].reason, **weather.counted, **in_order}
-    return Evidence("the series whole or refused; single commands exactly once", seen)
+        row = cell.last_row()
+        await _at_once(planner, [("session_reinitxx", ())] * COMMANDS_SENT)
+        done = _check_once(cell, row, COMMANDS_SENT, "toolplan")
+        out_of_order = _out_of_order(cell, row)
+        control = (await _at_once(cell.planner, sent))[-1]
+        expect(control.decision == "accepted", f"In order the series was {control.decision}: {control.reason}.")
+    return Evidence(
+        "the series whole or refused; single commands exactly once",
+        {"decision": verdicts[-1].decision, "reason": verdicts[-1].reason, "commands": done, **weather.counted},
+        took_place={"done_after_one_sent_later": out_of_order},
+        control={"in_order": control.decision},
+    )
 
 
-async def _run_series(planner: Planner, cell: LabCell) -> dict[str, int]:
-    """Commands that do not wait for each other, each of which must be done once."""
-    row = cell.last_row()
-    await asyncio.gather(*(planner.command("session_reinitxx") for _ in range(COMMANDS_SENT)))
-    return {"commands": _check_once(cell, row, COMMANDS_SENT, "toolplan")}
+async def _at_once(planner: Planner, sent: Sequence[tuple[str, tuple[Value, ...]]]) -> list[PlannerVerdict]:
+    """Sends commands that do not wait for each other; returns their verdicts in the order in which they were sent."""
+    return await asyncio.gather(*(planner.command(name, *values) for name, values in sent))
+
+
+def _out_of_order(cell: LabCell, row: int) -> int:
+    """How many of the commands since a row were done after one that was sent later; ids grow as they are sent."""
+    ids = [int(entry.command_id or 0) for entry in cell.rows(row) if _is_outcome(entry, "toolplan")]
+    return sum(later < earlier for earlier, later in itertools.pairwise(ids))
 
 
 @fault("N4", how=PROXY)
@@ -75,17 +97,26 @@ async def answers_take_half_a_second(lab: Lab) -> Evidence:
     """Half a second each way: every command is done once, also one whose sender has given up waiting."""
     weather = Weather(seed=lab.seed, delay=0.5)
     async with lab.cell() as cell, _proxied(cell, weather) as planner:
+        control = await cell.planner.command("session_reinitxx", timeout=IMPATIENT)
         row = cell.last_row()
         given_up = 0
+        begun = time.time()
         for number in range(6):
             try:
-                await planner.command("session_reinitxx", timeout=0.4 if number % 2 else 10.0)
+                await planner.command("session_reinitxx", timeout=IMPATIENT if number % 2 else 10.0)
             except UnknownOutcomeError:
                 given_up += 1
         expect(given_up == 3, f"{given_up} of 3 impatient commands ended in a typed timeout.")
         await _until_rows(cell, row, 6, "toolplan")
         _check_once(cell, row, 6, "toolplan")
-    return Evidence("exactly once, or a typed timeout", {"timeouts": given_up, **weather.counted})
+        late = next(entry.wall for entry in cell.rows(row) if _is_outcome(entry, "toolplan")) - begun
+        expect(late >= weather.delay, f"The first command was done {late:.3f} s after it was sent.")
+    return Evidence(
+        "exactly once, or a typed timeout",
+        {"timeouts": given_up, **weather.counted},
+        took_place={"first_done_after_s": round(late, 3)},
+        control={"as_impatient_without_the_delay": control.decision},
+    )
 
 
 @fault("N5", how="raw datagrams")
@@ -94,7 +125,11 @@ async def an_old_buffer_completes_nothing(lab: Lab) -> Evidence:
     long = b"target_tslxxxxxx_0.101_0.202_0.303;"
     async with lab.cell() as cell:
         cuts = [piece for end in range(1, len(long)) for piece in (b"adjust_tranxxxxx_0.101_0.202_0.303;", long[:end])]
-        return Evidence("refused, nothing changed", await refused_all(cell, cuts))
+        details = await refused_all(cell, cuts)
+        turned = await taken(cell, b"target_rotxxxxxx_0.0_0.0_0.0_1.0_#51;")
+        whole = await taken(cell, long[:-1] + b"_#52;")
+        await cell.planner.reinitiate()
+    return _refused_and_taken(details, {"rotation": turned, "whole": whole})
 
 
 @fault("N6", how="raw datagrams")
@@ -105,7 +140,8 @@ async def no_terminator_and_oversize(lab: Lab) -> Evidence:
         await digitized(cell.client)
         wrong = [whole, whole + b";;", whole + b";" + whole + b";", whole + b"\0;", b";", b"\xff" * 300]
         wrong += [whole + b"_" * size + b";" for size in (256, 1500, 9000, 60_000)]
-        return Evidence("refused, nothing changed", await refused_all(cell, wrong))
+        details = await refused_all(cell, wrong)
+        return _refused_and_taken(details, {"whole": await taken(cell, whole + b"_#61;")})
 
 
 @fault("N7", how="raw datagrams of two planners")
@@ -115,20 +151,29 @@ async def rotation_and_translation_of_two_plans(lab: Lab) -> Evidence:
     async with lab.cell() as cell, raw_socket(cell.ready.links["planner"]) as other:
         await register(cell.client)
         before = await cell.client.state()
-        other.send(turned + b";")
+        other.attack(turned + b";")
         await other.fence()
         details = await refused_all_with_reasons(cell, [moved + b"_#77;"], {"no_rotation"})
-        other.send(turned + b";")
+        other.attack(turned + b";")
         await asyncio.sleep(1.2)
-        other.send(moved + b"_#78;")
+        other.attack(moved + b"_#78;")
         late = b"".join(await _answers(other))
         expect(b"rotation_too_old" in late, f"The late translation was answered {late!r}.")
         expect((await cell.client.state()).plan == before.plan, "The planned pose has changed.")
         approach = await cell.planner.command("execute_motionxx")
         expect(approach.decision == "rejected", f"The approach was {approach.decision}.")
+        other.send(turned + b";")
+        other.send(moved + b"_#79;")
+        control = b"".join(await _answers(other))
+        expect(b"79_accepted_" in control, f"A translation right after its rotation was answered {control!r}.")
         pose = plan().poses[0]
         await cell.planner.plan_pose(pose.position, pose.quat_xyzw)
-    return Evidence("refused with their reasons", {**details, "late": late.decode(), "approach": approach.reason})
+    return Evidence(
+        "refused with their reasons",
+        {**details, "late": late.decode(), "approach": approach.reason},
+        took_place={"refused": details["refused"]},
+        control={"of_one_plan_in_time": control.decode()},
+    )
 
 
 @fault("N8", how="raw datagrams")
@@ -147,7 +192,15 @@ async def a_series_with_gaps(lab: Lab) -> Evidence:
         for number, (name, (code, datagrams)) in enumerate(series.items()):
             end = f"img_fid_lastrecv_#{1000 + number};".encode()
             details[name] = await refused_all_with_reasons(cell, [*datagrams, end], {code})
-    return Evidence("refused with their reasons", details)
+        begun = cell.last_row()
+        await cell.planner.plan_landmarks([landmark.position for landmark in plan().landmarks])
+        (control,) = (row for row in cell.rows(begun) if row.operation == "plan_landmarks" and row.kind == "outcome")
+    return Evidence(
+        "refused with their reasons",
+        details,
+        took_place={name: refused["refused"] for name, refused in details.items()},
+        control={"a_whole_series": control.verdict.decision if control.verdict is not None else ""},
+    )
 
 
 @fault("N14", how="strace: recvmsg of the daemon fails", needs=NEEDS)
@@ -155,6 +208,7 @@ async def a_socket_error(lab: Lab) -> Evidence:
     """The kernel reports errors at the receiving socket; the receiver goes on."""
     failed: dict[str, int] = {}
     async with lab.daemon() as cell:
+        control = await cell.planner.command("stop_visualizexx", timeout=PATIENCE)
         for error in ("ECONNREFUSED", "ENETDOWN", "ENOBUFS"):
             action = f"error={error}:when=1"
             async with injected(cell.process.pid, RECEIVING, action, threads=False) as tampered:
@@ -166,7 +220,11 @@ async def a_socket_error(lab: Lab) -> Evidence:
             failed[error] = tampered.calls
         await cell.planner.plan_landmarks([landmark.position for landmark in plan().landmarks])
         expect(await state(cell.client, "registration") == "100", "The planner's link is dead.")
-    return Evidence("the receiver goes on", failed)
+    return Evidence("the receiver goes on", took_place=failed, control={"without_an_error": control.decision})
+
+
+def _refused_and_taken(details: dict[str, Any], control: dict[str, str]) -> Evidence:
+    return Evidence("refused, nothing changed", details, took_place={"refused": details["refused"]}, control=control)
 
 
 async def refused_all_with_reasons(cell: LabCell, datagrams: Sequence[bytes], codes: set[str]) -> dict[str, Any]:
@@ -183,16 +241,47 @@ async def _answers(raw: Any) -> list[bytes]:
     return answers
 
 
-async def _once_each(lab: Lab, weather: Weather, counted: str) -> Evidence:
-    """Commands through bad weather: each is done exactly once, and its verdict comes."""
-    async with lab.cell() as cell, _proxied(cell, weather) as planner:
-        row = cell.last_row()
-        for _ in range(COMMANDS_SENT):
-            await planner.command("session_reinitxx", timeout=30.0)
-        done = _check_once(cell, row, COMMANDS_SENT, "toolplan")
-        await planner.plan_landmarks([landmark.position for landmark in plan().landmarks])
-        expect(weather.counted[counted] > 0, f"Nothing was {counted}: choose another seed.")
-    return Evidence("every command exactly once", {"commands": done, **weather.counted})
+class _Sent(NamedTuple):
+    """Commands that were sent one after the other.
+
+    Attributes:
+        done: By the journal.
+        arrived: Datagrams, as the daemon counts them.
+        repeated: Had no answer for so long that their sender sent them again.
+    """
+
+    done: int
+    arrived: int
+    repeated: int
+
+
+async def _once_each(lab: Lab, weather: Weather, counted: str, measured: Callable[[_Sent], dict[str, int]]) -> Evidence:
+    """Commands through bad weather: each is done exactly once, and its verdict comes; then the same in good weather."""
+    async with lab.cell() as cell:
+        async with _proxied(cell, weather) as planner:
+            sent = await _one_by_one(cell, planner)
+            await planner.plan_landmarks([landmark.position for landmark in plan().landmarks])
+            expect(weather.counted[counted] > 0, f"Nothing was {counted}: choose another seed.")
+        async with _proxied(cell, Weather()) as planner:
+            control = await _one_by_one(cell, planner)
+    return Evidence(
+        "every command exactly once",
+        {**sent._asdict(), **weather.counted},
+        took_place=measured(sent),
+        control={"done_in_good_weather": control.done, "arrived_in_good_weather": control.arrived},
+    )
+
+
+async def _one_by_one(cell: LabCell, planner: Planner) -> _Sent:
+    row, before = cell.last_row(), (await cell.client.health()).datagrams
+    clock = asyncio.get_running_loop().time
+    repeated = 0
+    for _ in range(COMMANDS_SENT):
+        begun = clock()
+        await planner.command("session_reinitxx", timeout=30.0)
+        repeated += clock() - begun >= REPEAT_AFTER
+    arrived = (await cell.client.health()).datagrams - before
+    return _Sent(_check_once(cell, row, COMMANDS_SENT, "toolplan"), arrived, repeated)
 
 
 @asynccontextmanager
@@ -203,15 +292,19 @@ async def _proxied(cell: LabCell, weather: Weather) -> AsyncIterator[Planner]:
 
 def _check_once(cell: LabCell, row: int, commands: int, branch: str) -> int:
     """The commands sent since a row have one outcome each."""
-    outcomes = [entry for entry in cell.rows(row) if entry.kind == "outcome" and entry.branch == branch]
+    outcomes = [entry for entry in cell.rows(row) if _is_outcome(entry, branch)]
     ids = Counter((entry.source, entry.command_id) for entry in outcomes)
     if len(ids) != commands or any(count > 1 for count in ids.values()):
         raise Unmet(f"{commands} commands were sent, the journal has {len(outcomes)} outcomes of {len(ids)} commands.")
     return len(ids)
 
 
+def _is_outcome(entry: JournalRow, branch: str) -> bool:
+    return entry.kind == "outcome" and entry.branch == branch
+
+
 async def _until_rows(cell: LabCell, row: int, outcomes: int, branch: str) -> None:
     def complete() -> bool:
-        return sum(entry.kind == "outcome" and entry.branch == branch for entry in cell.rows(row)) >= outcomes
+        return sum(_is_outcome(entry, branch) for entry in cell.rows(row)) >= outcomes
 
     await until_true(complete, f"The journal has no {outcomes} outcomes")

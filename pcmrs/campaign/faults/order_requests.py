@@ -43,17 +43,13 @@ ON_ITS_WAY = "the bus delivers the request late, after the hold"
 Bring = Callable[[Client], Awaitable[None]]
 
 
-def measured(late: list[Delayed], control: str, moved: list[float] | None = None) -> dict[str, Any]:
-    """What a row reports: what was delayed and overtaken, and what moved."""
-    found: dict[str, Any] = {
-        "delayed": len(late),
-        "late_s": [round(each.ended - each.begun, 3) for each in late],
-        "overtaken_by": sum(each.overtaken for each in late),
-        "control": control,
-    }
+def delayed(response: str, late: list[Delayed], moved: list[float] | None = None, **control: Any) -> Evidence:
+    """What a row reports: what the delayed process has counted, what moved, and what its control showed."""
+    found = {"delayed": len(late), "late_s": [round(each.ended - each.begun, 3) for each in late]}
+    details: dict[str, Any] = {"overtaken_by": sum(each.overtaken for each in late)}
     if moved is not None:
-        found["moved_deg"] = round(math.degrees(moved[0]), 3)
-    return found
+        details["moved_deg"] = round(math.degrees(moved[0]), 3)
+    return Evidence(response, took_place=found, control=control, details=details)
 
 
 async def late_motion(
@@ -93,10 +89,11 @@ async def late_motion(
         await confirmed(cell)
         await bring(cell.client)
         async with moving(cell.client, name, arguments=arguments) as control:
-            await control
+            again = await control
+        expect(again.decision == "accepted", f"{name} was {again.decision} when it was asked for again.")
         await start_over(cell)
     expect(verdict.decision in ("failed", "accepted"), f"{name} ended {verdict.decision}: {said(verdict)}.")
-    return Evidence("no joint moved", measured(late, f"{name} moves the arm when it is asked for again", moved))
+    return delayed("no joint moved", late, moved, moved_the_arm_when_asked_again=again.decision)
 
 
 async def start_over(cell: LabCell) -> None:
@@ -163,9 +160,9 @@ async def servo_late(lab: Lab) -> Evidence:
         await confirmed(cell)
         await to_placed(cell.client)
         await accept(cell.client, "placement.follow")
-        await until(cell.client, showing(placement="following"))
+        shown = await until(cell.client, showing(placement="following"))
         await start_over(cell)
-    return Evidence("no servo session begins", measured(late, "followed when it was asked for again", moved))
+    return delayed("no servo session begins", late, moved, asked_again=shown.branches["placement"])
 
 
 @fault(
@@ -190,7 +187,7 @@ async def overtaken_by_the_next(lab: Lab) -> Evidence:
         expect(verdict.decision == "accepted", f"back_off was {verdict.decision}: {said(verdict)}.")
         where = await state(cell.client, "placement")
         expect(where in ("standoff", "retracted"), f"The placement is {where} after back_off.")
-    return Evidence("the next motion was done, and no other", measured(late, "back_off was accepted", moved))
+    return delayed("the next motion was done, and no other", late, moved, back_off=verdict.decision, reached=where)
 
 
 THRESHOLD = ("workflow=ratms_threshold", *REAL_TIME)
@@ -222,9 +219,12 @@ async def late_stimulation(lab: Lab, method: str, name: str, arguments: dict[str
         expect(after["intensity"] == before["intensity"], f"The intensity has changed: {before} became {after}.")
         await confirmed(cell)
         await ready_to_stimulate(cell.client)
-        await accept(cell.client, name, **arguments)
+        again = await accept(cell.client, name, **arguments)
+        effect = await cell.client.request_device("stimulator", "state")
+        changed = [each for each in ("armed", "intensity") if effect[each] != before[each]]
+        expect(bool(changed), f"{name} has no effect when it is asked for again, either.")
         await accept(cell.client, "stimulation.disarm")
-    return Evidence("disarmed, unchanged", measured(late, f"{name} is accepted when it is asked for again"))
+    return delayed("disarmed, unchanged", late, asked_again=again.decision, changed=changed)
 
 
 @fault("Q16", how=ON_ITS_WAY, deadline=240.0)
@@ -256,8 +256,10 @@ async def touch_late(lab: Lab) -> Evidence:
         expect(len(set(seen)) == 1, f"The hand was at {len(set(seen))} places after Stop.")
         await start_anew(cell.client)
         await accept(cell.client, "registration.plan_landmarks", **landmarks())
-        await accept(cell.client, "digitization.digitize_one", index=0)
-    return Evidence("the hand rests", measured(late, "touched when it was asked for again"))
+        touch = asyncio.create_task(accept(cell.client, "digitization.digitize_one", index=0))
+        places, again = len(set(await _tips(cell))), await touch
+        expect(places > 1, "The hand does not move when it is asked for again, either.")
+    return delayed("the hand rests", late, asked_again=again.decision, places_of_the_tip=places)
 
 
 async def _tips(cell: LabCell) -> list[tuple[float, ...] | None]:

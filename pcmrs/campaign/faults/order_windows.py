@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 import signal
 from collections.abc import AsyncIterator, Callable
@@ -12,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from pcmrs.campaign.checks import BRAKING, confirmed, expect, held, refused, standing, stands
+from pcmrs.campaign.checks import BRAKING, confirmed, expect, held, refused, standing, stands, tool_position
 from pcmrs.campaign.datagrams import Raw, raw_socket
 from pcmrs.campaign.delays import Rule
 from pcmrs.campaign.driving import (
@@ -24,6 +25,7 @@ from pcmrs.campaign.driving import (
     moving,
     said,
     start_anew,
+    state,
     to_placed,
     to_retracted,
     to_standoff,
@@ -31,8 +33,9 @@ from pcmrs.campaign.driving import (
     until,
 )
 from pcmrs.campaign.fault import Evidence, NotRun, Unmet, fault
-from pcmrs.campaign.faults.order_requests import ROBOT, measured
+from pcmrs.campaign.faults.order_requests import ROBOT, delayed
 from pcmrs.campaign.lab import REAL_TIME, Lab, LabCell
+from pcmrs.campaign.sham import bring_about, is_sham
 from pcmrs.campaign.waiting import until_said, until_true
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.experiment.process import descendants, free_port
@@ -88,20 +91,29 @@ async def earlier_session(lab: Lab) -> Evidence:
         way = {"trajectory": {"period": 0.02, "positions": [arm["positions"]] * 3}}
         codes = []
         async with standing(cell) as moved:
-            for field, value in others.items():
+            for field, value in others.items() if not is_sham() else ():
                 codes.append(await _refusal(cell, msgspec.structs.replace(present, **{field: value}), way))
         expect(codes == ["stale_request"] * 3, f"Requests of another {', '.join(others)} were answered: {codes}.")
-        expect(await _refusal(cell, present, way) is None, "A request of the present sessions is refused, too.")
+        control = await _reply(cell, present, way)
+        expect(control.failure is None, "A request of the present sessions is refused, too.")
         await cell.client.stop()
         await held(cell, ("standoff",))
         await confirmed(cell)
-    details = {"requests": len(codes), "moved_rad": moved[0], "control": "one of the present sessions is taken"}
-    return Evidence("stale_request", details)
+    return Evidence(
+        "stale_request",
+        took_place={"answered_by_the_node": codes},
+        control={"present_session_failed": str(control.failure)},
+        details={"moved_rad": moved[0]},
+    )
+
+
+async def _reply(cell: LabCell, token: ActToken, way: dict[str, Any]) -> DeviceReply:
+    request = DeviceRequest(method="follow", arguments=way, token=token)
+    return await cell.bus.request(ROBOT, request, DeviceReply, PATIENCE)
 
 
 async def _refusal(cell: LabCell, token: ActToken, way: dict[str, Any]) -> str | None:
-    request = DeviceRequest(method="follow", arguments=way, token=token)
-    reply = await cell.bus.request(ROBOT, request, DeviceReply, PATIENCE)
+    reply = await _reply(cell, token, way)
     return None if reply.failure is None else str(reply.failure.fields.get("code", reply.failure.code))
 
 
@@ -123,9 +135,9 @@ async def old_acknowledgement(lab: Lab) -> Evidence:
         again = await refused(cell, "robot.acknowledge", {"stop": first}, codes=("stop_outdated",))
         expect(verdict.decision == "rejected", f"The acknowledgement of Stop {first} was {verdict.decision}.")
         await refused(cell, "placement.home", codes=("latched",))
-        await accept(cell.client, "robot.acknowledge", stop=newest)
+        control = await accept(cell.client, "robot.acknowledge", stop=newest)
         await accept(cell.client, "placement.back_off")
-    return Evidence(f"refused: {said(again)}", measured(late, "the newest Stop was acknowledged"))
+    return delayed(f"refused: {said(again)}", late, newest_acknowledged=control.decision)
 
 
 @fault("Q5", how="the bus delivers the hold late; the reference slips in that moment")
@@ -136,7 +148,7 @@ async def event_while_the_hold_is_slow(lab: Lab) -> Evidence:
         await to_standoff(cell.client)
         await asyncio.sleep(BRAKING)
         async with cell.delays.delaying(rule), standing(cell) as moved:
-            await cell.scene.inject("bump_reference", {"millimetres": 8.0})
+            await slipped(cell)
             await cell.delays.begins(rule)
             acknowledged, confirm = await asyncio.gather(
                 cell.client.call("robot.acknowledge"), cell.client.call("placement.confirm", timeout=PATIENCE)
@@ -149,9 +161,16 @@ async def event_while_the_hold_is_slow(lab: Lab) -> Evidence:
         await confirmed(cell)
         await start_anew(cell.client)
         await to_standoff(cell.client)
-        await accept(cell.client, "placement.confirm")
-    details = measured(late, "confirm was accepted after another registration", moved)
-    return Evidence("registration revoked; acknowledgement and confirm refused", details)
+        again = await accept(cell.client, "placement.confirm")
+        where = await state(cell.client, "placement")
+    response = "registration revoked; acknowledgement and confirm refused"
+    return delayed(response, late, moved, registered_again=again.decision, reached=where)
+
+
+async def slipped(cell: LabCell) -> None:
+    """The reference on the head slips."""
+    if not is_sham():
+        await cell.scene.inject("bump_reference", {"millimetres": 8.0})
 
 
 async def beside_a_retreat(lab: Lab, name: str, arguments: dict[str, Any], *, plan: bool) -> Evidence:
@@ -172,7 +191,11 @@ async def beside_a_retreat(lab: Lab, name: str, arguments: dict[str, Any], *, pl
         expect(verdict.decision == "rejected" or where != "standoff" or plan, f"{name} left {shown.branches}.")
         if where == "held":
             await accept(cell.client, "placement.back_off")
-    return Evidence(f"{name}: {verdict.decision}, placement {where}", measured(late, "back_off was accepted"))
+        await to_placed(cell.client)
+        again = await accept(cell.client, "placement.back_off")
+        reached = await state(cell.client, "placement")
+    response = f"{name}: {verdict.decision}, placement {where}"
+    return delayed(response, late, alone=again.decision, reached=reached)
 
 
 @fault("Q6", how=f"{DISK}; the plan is cleared")
@@ -200,19 +223,26 @@ async def queued_motions(lab: Lab) -> Evidence:
         await to_retracted(cell.client)
         row = cell.last_row()
         async with moving(cell.client) as approach:
-            late = await asyncio.gather(
-                *(cell.planner.command(name, timeout=PATIENCE) for name in ("execute_confirmx", "execute_homexxxx"))
-            )
+            names = () if is_sham() else ("execute_confirmx", "execute_homexxxx")
+            late = await asyncio.gather(*(cell.planner.command(name, timeout=PATIENCE) for name in names))
             await approach
         async with standing(cell) as moved:
             pass
-        begun = [stored.operation for stored in cell.rows(row) if stored.kind == "intent"]
+        rows = cell.rows(row)
+        begun = [stored.operation for stored in rows if stored.kind == "intent"]
+        asked = [
+            stored.operation for stored in rows if stored.verdict is not None and stored.verdict.decision == "rejected"
+        ]
         expect(begun == ["approach"], f"These have begun: {begun}.")
         expect(all(each.decision == "rejected" for each in late), f"They were {[each.decision for each in late]}.")
         verdict = await cell.planner.command("execute_confirmx", timeout=PATIENCE)
         expect(verdict.decision == "accepted", f"By itself it was {verdict.decision}: {verdict.reason}.")
-    details = {"sent_in_motion": len(late), "moved_rad": moved[0], "control": "accepted by itself"}
-    return Evidence("refused, and not performed later", details)
+    return Evidence(
+        "refused, and not performed later",
+        took_place={"rejected_in_the_journal": asked},
+        control={"by_itself": verdict.decision},
+        details={"moved_rad": moved[0]},
+    )
 
 
 @fault("Q8", how=f"{DISK}; a planner without ids has asked for a result over UDP")
@@ -241,9 +271,7 @@ async def late_second_datagram(lab: Lab) -> Evidence:
                         came.append(await raw.answers.get())
         expect(first == b"ack", f"The first datagram is {first!r}.")
         expect(not any(_is_number(answer) for answer in came), f"A late result was sent: {came}.")
-    return Evidence(
-        "the result is not sent", {**measured(late, f"in time it is {usual[1].decode()}"), "sent": str(came)}
-    )
+    return delayed("the result is not sent", late, in_time=usual[1].decode())
 
 
 async def _answer(raw: Raw) -> bytes:
@@ -274,11 +302,11 @@ async def plan_out_of_date(lab: Lab) -> Evidence:
             raise NotRun("No process plans motions in this version.")
         row = cell.last_row()
         async with standing(cell) as moved:
-            os.kill(found[0], signal.SIGSTOP)
+            bring_about(lambda: os.kill(found[0], signal.SIGSTOP))
             try:
                 approach = asyncio.create_task(cell.client.call("placement.approach", timeout=PATIENCE))
                 await asyncio.sleep(SLOW)
-                answered = approach.done()
+                answered, frozen = approach.done(), _state(found[0])
                 await cell.client.stop()
                 shown = await until(cell.client, lambda shown: shown.latched and not shown.stop.pending)
                 await accept(cell.client, "robot.acknowledge", stop=shown.stop.number)
@@ -286,12 +314,23 @@ async def plan_out_of_date(lab: Lab) -> Evidence:
                 os.kill(found[0], signal.SIGCONT)
             verdict = await approach
         begun = [stored for stored in cell.rows(row) if (stored.kind, stored.operation) == ("intent", "approach")]
+        expect(frozen == "T", f"The process that plans is not stopped: its state is {frozen}.")
         expect(not answered, "The approach did not wait for its plan.")
         expect(verdict.decision != "accepted" and not begun, f"The approach was {verdict.decision}.")
         await to_retracted(cell.client)
-        await accept(cell.client, "placement.approach")
-    details = {"late_s": SLOW, "moved_rad": moved[0], "control": "accepted when it was asked for again"}
-    return Evidence(f"{verdict.decision}: {said(verdict)}", details)
+        again = await accept(cell.client, "placement.approach")
+        where = await state(cell.client, "placement")
+    return Evidence(
+        f"{verdict.decision}: {said(verdict)}",
+        took_place={"state_of_the_process": frozen, "late_s": SLOW},
+        control={"asked_again": again.decision, "reached": where},
+        details={"moved_rad": moved[0]},
+    )
+
+
+def _state(pid: int) -> str:
+    """Of a process, as the kernel has it; T is stopped."""
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
 
 @fault("Q10", how="simulated arm: a joint of the resting arm is moved by hand while nothing runs")
@@ -301,15 +340,26 @@ async def moves_while_nothing_runs(lab: Lab) -> Evidence:
         await to_standoff(cell.client)
         await asyncio.sleep(BRAKING)
         before = (await cell.client.state()).stop.number
-        async with standing(cell):
+        resting = await tool_position(cell)
+        async with standing(cell) as stood:
             pass
-        expect((await cell.client.state()).stop.number == before, "It was stopped while the arm stood.")
-        await cell.scene.inject("guide_by_hand", {"joint": 2, "angle": 0.05})
+        quiet = await cell.client.state()
+        expect(quiet.stop.number == before, "It was stopped while the arm stood.")
+        if not is_sham():
+            await cell.scene.inject("guide_by_hand", {"joint": 2, "angle": 0.05})
         shown = await until(cell.client, _stopped(before))
         await stands(cell)
         await refused(cell, "placement.confirm", codes=("latched", "not_allowed", "wrong_state"))
+        way = math.dist(resting, await tool_position(cell))
         await confirmed(cell)
-    return Evidence("latched", {"stop": shown.stop.number - before, "control": "nothing while the arm stood"})
+        await to_standoff(cell.client)
+        again = await accept(cell.client, "placement.confirm")
+    return Evidence(
+        "latched",
+        took_place={"moved_by_hand_mm": round(way * 1e3, 2)},
+        control={"confirm_of_an_arm_at_rest": again.decision},
+        details={"stop": shown.stop.number - before, "stood_within_rad": stood[0]},
+    )
 
 
 async def slow_hold(lab: Lab, rule: Rule) -> Evidence:
@@ -328,8 +378,9 @@ async def slow_hold(lab: Lab, rule: Rule) -> Evidence:
         expect(verdict.decision == "rejected", f"The acknowledgement was {verdict.decision}.")
         await until(cell.client, lambda shown: not shown.stop.pending)
         await held(cell)
-        await confirmed(cell)
-    return Evidence(f"refused: {said(verdict)}", measured(late, "acknowledged when it was confirmed"))
+        again = await accept(cell.client, "robot.acknowledge")
+        await accept(cell.client, "placement.back_off")
+    return delayed(f"refused: {said(verdict)}", late, acknowledged_at_standstill=again.decision)
 
 
 @fault("Q19", how="the bus delivers the hold late")
@@ -365,19 +416,20 @@ async def _while_the_intent_is_written(lab: Lab, what: str) -> Evidence:
             if what == "stop":
                 await cell.client.stop()
             else:
-                await cell.scene.inject("bump_reference", {"millimetres": 8.0})
+                await slipped(cell)
             verdict = await approach
-            shown = await until(cell.client, lambda shown: shown.latched)
+            await until(cell.client, lambda shown: shown.latched)
             late = await cell.delays.took_place(rule)
         expect(verdict.decision == "failed", f"The approach ended {verdict.decision}: {said(verdict)}.")
         if what == "event":
-            shown = await until(cell.client, lambda shown: shown.branches["registration"] != "111")
+            await until(cell.client, lambda shown: shown.branches["registration"] != "111")
         await confirmed(cell)
         if what == "event":
             await start_anew(cell.client)
         await to_retracted(cell.client)
-        await accept(cell.client, "placement.approach")
-    return Evidence("never begun", {**measured(late, "accepted when asked again", moved), "shown": shown.branches})
+        again = await accept(cell.client, "placement.approach")
+        where = await state(cell.client, "placement")
+    return delayed("never begun", late, moved, asked_again=again.decision, reached=where)
 
 
 @fault("Q22", how=DISK)
@@ -396,8 +448,11 @@ async def stopped_before_the_outcome(lab: Lab) -> Evidence:
         fits = {"accepted": ("retracted",), "failed": ("held",)}.get(verdict.decision, ())
         expect(where in fits, f"home ended {verdict.decision}, and the tool counts as {where}.")
         await confirmed(cell)
-        await to_retracted(cell.client)
-    return Evidence(f"{verdict.decision}, {where}, latched", measured(late, "went home when acknowledged", moved))
+        await to_standoff(cell.client)
+        again = await accept(cell.client, "placement.home")
+        reached = await state(cell.client, "placement")
+    response = f"{verdict.decision}, {where}, latched"
+    return delayed(response, late, moved, home_when_acknowledged=again.decision, reached=reached)
 
 
 @fault("Q24", how=f"{DISK}; SIGKILL of the daemon in that moment", deadline=240.0)
@@ -408,8 +463,8 @@ async def killed_before_the_outcome(lab: Lab) -> Evidence:
         await to_standoff(first.client)
         home = asyncio.create_task(first.client.call("placement.home", timeout=PATIENCE))
         async with writing(first, "outcome", ended=False):
-            first.process.send_signal(signal.SIGKILL)
-            await first.process.wait()
+            bring_about(lambda: first.process.send_signal(signal.SIGKILL))
+            status = await first.process.wait()
             home.cancel()
             with suppress(UnknownOutcomeError, asyncio.CancelledError):
                 await home
@@ -419,8 +474,10 @@ async def killed_before_the_outcome(lab: Lab) -> Evidence:
         expect(shown.branches["placement"] == "unknown", f"The tool counts as {shown.branches['placement']}.")
         await connect(second.client)
         await refused(second, "placement.home", codes=("latched", "not_allowed", "wrong_state"))
-        await accept(second.client, "robot.acknowledge")
-    return Evidence("latched, unknown", {"delayed": 1, "control": "acknowledged after the restart"})
+        control = await accept(second.client, "robot.acknowledge")
+    return Evidence(
+        "latched, unknown", took_place={"ended_by": status}, control={"acknowledged_after_restart": control.decision}
+    )
 
 
 @fault("Q25", how=DISK)
@@ -438,8 +495,9 @@ async def repeated_while_it_is_written(lab: Lab) -> Evidence:
         expect(first == second, f"The first got {first}, the repeat {second}.")
         expect(len(begun) == 1, f"It was begun {len(begun)} times.")
         other = await cell.client.call("toolplan.plan", tool_pose(1), id=name)
+        own = await accept(cell.client, "toolplan.plan", **tool_pose(1))
         expect(other.decision == "rejected", f"Another command of the same id was {other.decision}.")
-    return Evidence("one outcome", measured(late, "another command of that id was rejected"))
+    return delayed("one outcome", late, same_command_of_another_id=own.decision)
 
 
 @fault("Q26", how="the daemon's loop stands still, as in a callback that takes long")
@@ -460,7 +518,8 @@ async def loop_stands_still(lab: Lab) -> Evidence:
         expect(verdict.decision == "failed", f"The approach ended {verdict.decision}: {said(verdict)}.")
         await held(cell)
         await confirmed(cell)
-    return Evidence("held while the loop stood still", measured(late, "the approach moved before", moved))
+        again = await _approached(cell)
+    return delayed("held while the loop stood still", late, moved, approach_without_it=again)
 
 
 @fault("Q27", how="one heartbeat is overtaken by the next ones")
@@ -474,7 +533,8 @@ async def beats_out_of_order(lab: Lab) -> Evidence:
             verdict = await approach
         expect(late[0].overtaken > 0, "No beat has overtaken the late one.")
         expect(verdict.decision == "accepted", f"The approach ended {verdict.decision}: {said(verdict)}.")
-    return Evidence("the motion went on", measured(late, "the approach was accepted"))
+        where = await state(cell.client, "placement")
+    return delayed("the motion went on", late, approach=verdict.decision, reached=where)
 
 
 @fault("Q28", how="all heartbeats of the daemon are late by more than the deadman")
@@ -492,7 +552,14 @@ async def beats_late(lab: Lab) -> Evidence:
         expect(verdict.decision != "accepted", "The approach was accepted.")
         await held(cell, ("held", "unknown"))
         await confirmed(cell)
-    return Evidence(f"held by the node, {verdict.state}", measured(late, "the approach moved before"))
+        again = await _approached(cell)
+    return delayed(f"held by the node, {verdict.state}", late, approach_without_it=again)
+
+
+async def _approached(cell: LabCell) -> str:
+    """How the approach ends without a fault."""
+    await to_retracted(cell.client)
+    return (await accept(cell.client, "placement.approach")).decision
 
 
 @fault("Q29", how="the event of an emergency stop is delivered late, after the acknowledgement")
@@ -511,4 +578,5 @@ async def event_late(lab: Lab) -> Evidence:
             shown = await until(cell.client, _stopped(number))
         expect(verdict.decision == "failed", f"The approach ended {verdict.decision}: {said(verdict)}.")
         await confirmed(cell)
-    return Evidence("held, and latched again", {**measured(late, "acknowledged"), "stops": shown.stop.number - number})
+        again = await _approached(cell)
+    return delayed(f"held, and latched again by {shown.stop.number - number}", late, approach_without_it=again)

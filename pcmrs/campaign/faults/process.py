@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import resource
 import signal
+import sqlite3
 import sys
-from collections.abc import AsyncIterator, Collection
-from contextlib import asynccontextmanager, suppress
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection
+from contextlib import asynccontextmanager, closing, suppress
 from pathlib import Path
 
 from pcmrs.campaign import cgroups
@@ -19,14 +20,17 @@ from pcmrs.campaign.fault import Evidence, fault
 from pcmrs.campaign.kills import OF_JOURNAL, KillReport, kill_writers
 from pcmrs.campaign.lab import Lab, LabCell
 from pcmrs.campaign.older import as_version_1
+from pcmrs.campaign.proc import descriptors, process_state
 from pcmrs.campaign.saboteur import order, sabotaged
-from pcmrs.campaign.waiting import until_said, until_true
+from pcmrs.campaign.sham import bring_about, is_sham
+from pcmrs.campaign.waiting import PERIOD, until_ended, until_said, until_true
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.errors import BusError, UnknownOutcomeError
 from pcmrs.experiment.process import descendants
 from pcmrs.failpoints import FAILPOINTS
 from pcmrs.journal import JournalReader
+from pcmrs.journal.schema import HEADLESS
 from pcmrs.journal.verification import verify
 from pcmrs.replay.replay import replay
 
@@ -40,6 +44,10 @@ TASK = "reference watch"
 """A background task of the daemon."""
 
 CONNECTED = "connected"
+UNKNOWN = 9999
+"""Version of a journal that no program has written."""
+BLOCKED_FOR = 0.3
+"""The event loop is blocked for so long, s of the machine."""
 WRITERS = 30
 TIGHT = 6 << 20
 """What a daemon may still take when its memory is limited, bytes."""
@@ -65,8 +73,12 @@ def _nothing_lost(found: KillReport, what: str, failpoints: Collection[str]) -> 
     expect(not found.violated, f"{found.lost} acknowledged {what}s are lost; {found.refused}")
     missed = [name for name in failpoints if name not in found.at]
     expect(not missed, f"Nothing was killed at {', '.join(missed)}: not reached in time.")
-    details = {"kills": found.at, "not_reached": found.not_reached, "acknowledged": found.acknowledged}
-    return Evidence(f"no acknowledged {what} lost", details)
+    return Evidence(
+        f"no acknowledged {what} lost",
+        {"not_reached": found.not_reached},
+        took_place={f"killed at {name}": count for name, count in found.at.items()},
+        control={"acknowledged": found.acknowledged},
+    )
 
 
 @fault("P2", how="SIGTERM in the middle of a motion")
@@ -75,18 +87,26 @@ async def told_to_end_in_motion(lab: Lab) -> Evidence:
     async with lab.daemon(*SLOW) as cell:
         nodes = descendants(cell.process.pid)
         await register(cell.client)
+        control = await _undisturbed(cell)
+        row = cell.last_row()
         with suppress(UnknownOutcomeError):  # the bus may be closed before the answer is through
             async with moving(cell.client):
-                cell.process.terminate()
-                status = await cell.process.wait()
+                bring_about(cell.process.terminate)
+                status = await until_ended(cell)
         left = [pid for pid in nodes if _runs(pid)]
-        rows = cell.rows()
+        rows = cell.rows(row)
         expect("Traceback" not in cell.log, "The log has a traceback.")
     (outcome,) = (row for row in rows if row.operation == "approach" and row.kind == "outcome" and row.verdict)
     expect(status == 0, f"It ended with exit status {status}.")
-    expect(outcome.verdict is not None and outcome.verdict.state == "held", f"The outcome was {outcome.verdict}.")
+    ended = outcome.verdict.state if outcome.verdict is not None else ""
+    expect(ended == "held", f"The outcome was {outcome.verdict}.")
     expect(bool(nodes) and not left, f"Of the nodes {nodes} there still run {left}.")
-    return Evidence("held, then a clean exit", {"status": status})
+    return Evidence(
+        "held, then a clean exit",
+        {"status": status},
+        took_place={"ended_in_motion": ended, "ended_nodes": len(nodes)},
+        control=control,
+    )
 
 
 @fault("P3", how="SIGSTOP of the daemon in the middle of a motion")
@@ -94,10 +114,12 @@ async def the_daemon_is_stopped(lab: Lab) -> Evidence:
     """The node holds the arm by its own timer; nothing goes on when the daemon does."""
     async with lab.daemon(SLOW[0]) as cell:
         await register(cell.client)
+        control = await _undisturbed(cell)
         async with moving(cell.client) as verdict:
-            cell.process.send_signal(signal.SIGSTOP)
+            bring_about(lambda: cell.process.send_signal(signal.SIGSTOP))
             try:
                 found = await until_said(cell, HELD_BY_NODE)
+                stopped = process_state(cell.process.pid) == "T"
             finally:
                 cell.process.send_signal(signal.SIGCONT)
             ended = await verdict
@@ -106,7 +128,10 @@ async def the_daemon_is_stopped(lab: Lab) -> Evidence:
         way = await stands(cell)
         await held(cell, ("held", "unknown"))
     return Evidence(
-        f"held by the node, {ended.decision}, {ended.state}", {"seen_after_s": round(found, 3), "way_m": way}
+        f"held by the node, {ended.decision}, {ended.state}",
+        {"way_m": way},
+        took_place={"stopped": stopped, "held_by_node_after_s": round(found, 3)},
+        control=control,
     )
 
 
@@ -116,17 +141,25 @@ async def the_event_loop_is_blocked(lab: Lab) -> Evidence:
     orders = lab.folder / "orders"
     async with lab.daemon(SLOW[0], "robot.deadman=0.1", prefix=sabotaged(orders)) as cell:
         await register(cell.client)
-        row = cell.last_row()
-        await order(orders, "block 0.3")
+        control = await _undisturbed(cell)
+        row, before = cell.last_row(), (await cell.client.health()).loop
+        await order(orders, f"block {BLOCKED_FOR}")
         await until_said(cell, "stall")
         async with moving(cell.client) as verdict:
-            await order(orders, "block 0.3")
+            await order(orders, f"block {BLOCKED_FOR}")
             ended = await verdict
+        loop = (await cell.client.health()).loop
+        expect(loop.longest >= BLOCKED_FOR, f"The event loop was blocked for {loop.longest:.3f} s at most.")
         expect(ended.decision != "accepted", "The approach was accepted.")
         await held(cell)
         await confirmed(cell)
         told = sorted({entry.operation or "" for entry in cell.rows(row) if entry.kind == "device"})
-    return Evidence("alarm at rest, held in motion", {"events": told, "approach": ended.decision})
+    return Evidence(
+        "alarm at rest, held in motion",
+        {"events": told, "approach": ended.decision},
+        took_place={"stalls": loop.stalls - before.stalls, "longest_s": round(loop.longest, 3)},
+        control=control,
+    )
 
 
 @fault("P5", how="a saboteur inside the daemon makes what a background task waits for raise")
@@ -140,8 +173,14 @@ async def a_task_dies(lab: Lab) -> Evidence:
         await register(cell.client)
         events = [entry for entry in cell.rows(row) if entry.operation == "task_restarted"]
         expect(bool(events), "The journal has no row of it.")
-        await accept(cell.client, "placement.approach")
-    return Evidence("begun anew and told", {"rows": len(events)})
+        counted = {task.name: task.restarts for task in (await cell.client.health()).tasks}
+        control = await _undisturbed(cell)
+    return Evidence(
+        "begun anew and told",
+        {"rows": len(events)},
+        took_place={"restarts": counted.get(TASK, 0)},
+        control=control,
+    )
 
 
 @fault(
@@ -156,13 +195,17 @@ async def memory_is_limited(lab: Lab) -> Evidence:
     async with lab.daemon(*SLOW, prefix=sabotaged(orders)) as cell:
         nodes = descendants(cell.process.pid)
         await register(cell.client)
+        eaten = await order(orders, f"eat {8 * TIGHT}")
+        control = {f"order to take {8 * TIGHT} bytes": eaten, **await _undisturbed(cell)}
         answered = await cell.client.call("toolplan.plan", tool_pose(), id="before")
-        with memory_limit([cell.process.pid], _resident(cell.process.pid) + TIGHT), suppress(UnknownOutcomeError):
-            async with moving(cell.client) as verdict:
-                with suppress(TimeoutError, OSError):
-                    await order(orders, "eat 2000000000")
-                await asyncio.wait_for(cell.process.wait(), PATIENCE)
-                await verdict
+        with memory_limit([cell.process.pid], _resident(cell.process.pid) + TIGHT) as killed:
+            with suppress(UnknownOutcomeError):
+                async with moving(cell.client) as verdict:
+                    with suppress(TimeoutError, OSError):
+                        await order(orders, "eat 2000000000")
+                    await until_ended(cell)
+                    await verdict
+            by_kernel = killed()
         status = cell.process.returncode
         expect(status == -signal.SIGKILL, f"The daemon took more memory than it may, and ended with {status}.")
         expect(bool(nodes), "The daemon had no nodes.")
@@ -173,7 +216,12 @@ async def memory_is_limited(lab: Lab) -> Evidence:
     async with lab.daemon(folder=cell.folder) as successor:
         snapshot = await successor.client.state()
     expect(snapshot.branches["robot"] == "0", "The next daemon says that the robot is connected.")
-    return Evidence("killed; held by the node, nothing lost", {"status": status})
+    return Evidence(
+        "killed; held by the node, nothing lost",
+        {"status": status},
+        took_place={"killed_by_the_kernel": by_kernel},
+        control=control,
+    )
 
 
 @fault("P7", how="prlimit: no further file descriptor")
@@ -183,13 +231,15 @@ async def no_file_descriptors(lab: Lab) -> Evidence:
         await register(cell.client)
         pid = cell.process.pid
         before = resource.prlimit(pid, resource.RLIMIT_NOFILE)
-        resource.prlimit(pid, resource.RLIMIT_NOFILE, (3, before[1]))
+        control = {"newcomer": await _newcomer(cell)}
+        bring_about(lambda: resource.prlimit(pid, resource.RLIMIT_NOFILE, (3, before[1])))
         try:
             async with moving(cell.client):
                 await cell.client.stop()
             await held(cell)
             status = await cell.client.state()
             told = await _newcomer(cell)
+            beyond = descriptors(pid) - resource.prlimit(pid, resource.RLIMIT_NOFILE)[0]
             expect(f"No daemon answers at {cell.ready.endpoint}" in told, f"Somebody new was told: {told}")
         finally:
             resource.prlimit(pid, resource.RLIMIT_NOFILE, before)
@@ -197,7 +247,12 @@ async def no_file_descriptors(lab: Lab) -> Evidence:
         again = await _newcomer(cell)
         expect(again == CONNECTED, f"There are descriptors again, and somebody new is told: {again}")
         await start_anew(cell.client)
-    return Evidence("Stop and status work; nobody new gets in", {"newcomer": told, "sequence": status.sequence})
+    return Evidence(
+        "Stop and status work; nobody new gets in",
+        {"newcomer": told, "sequence": status.sequence},
+        took_place={"open_beyond_the_limit": max(0, beyond)},
+        control=control,
+    )
 
 
 @fault("P8", how="control group: the daemon gets 5 % of a processor", needs=cgroups.PROCESSOR)
@@ -205,17 +260,24 @@ async def processor_is_limited(lab: Lab) -> Evidence:
     """Stop and status work, and what needs fresh poses or a living daemon is refused or held, never accepted late."""
     async with lab.daemon(SLOW[0], "cell.rate=1", "procedure.max_pose_age=0.1") as cell:
         await register(cell.client)
-        with processor_quota([cell.process.pid], 0.05):
+        control = await _undisturbed(cell)
+        with processor_quota([cell.process.pid], 0.05) as throttled:
             await asyncio.sleep(2.0)
             approach = await cell.client.call("placement.approach", timeout=PATIENCE)
             expect(approach.decision != "accepted", "The approach was accepted.")
             await cell.client.stop(timeout=PATIENCE)
             status = await cell.client.state(timeout=PATIENCE)
+            waited = throttled()
         await until(cell.client, lambda shown: shown.latched)
         await stands(cell)
     reason = approach.reason.code if approach.reason is not None else ""
     details = {"approach": approach.decision, "reason": reason, "sequence": status.sequence}
-    return Evidence("refused or held; Stop and status work", details)
+    return Evidence(
+        "refused or held; Stop and status work",
+        details,
+        took_place={"periods_without_processor": waited},
+        control=control,
+    )
 
 
 @fault("P9", how="a saboteur inside the daemon lets a background task die again and again, in motion")
@@ -224,6 +286,7 @@ async def a_crash_loop(lab: Lab) -> Evidence:
     orders = lab.folder / "orders"
     async with lab.daemon(*SLOW, prefix=sabotaged(orders)) as cell:
         await register(cell.client)
+        control = await _undisturbed(cell)
         with suppress(UnknownOutcomeError):
             async with moving(cell.client):
                 for _ in range(100):
@@ -232,32 +295,44 @@ async def a_crash_loop(lab: Lab) -> Evidence:
                     if cell.process.returncode is not None:
                         break
                     await asyncio.sleep(0.05)
-        status = await asyncio.wait_for(cell.process.wait(), PATIENCE)
+        status = await until_ended(cell)
         rows = cell.rows()
     expect(status not in (0, -signal.SIGKILL), f"It ended with exit status {status}.")
     last = next(row for row in reversed(rows) if row.operation == "approach" and row.verdict is not None)
     expect(last.verdict is not None and last.verdict.state in ("held", "unknown"), f"The outcome was {last.verdict}.")
     expect("died more than" in cell.log, "The log does not say why it ended.")
     restarts = sum(row.operation == "task_restarted" for row in rows)
-    return Evidence("held, then ended with an error", {"status": status, "restarts": restarts})
+    return Evidence(
+        "held, then ended with an error",
+        took_place={"exit_status": status, "restarts": restarts},
+        control=control,
+    )
 
 
-@fault("P10", how="a second daemon on the same folder, and one on the same bus")
+@fault("P10", how="a second daemon on the same folder, and one on the same bus", deadline=300.0)
 async def a_second_daemon(lab: Lab) -> Evidence:
     """It is refused with its reason, and the first one works on."""
     async with lab.daemon() as cell:
-        folder = await lab.ending(folder=cell.folder)
-        endpoint = await lab.ending(f"cell.endpoint={cell.ready.endpoint}")
+        same = f"cell.endpoint={cell.ready.endpoint}"
+        folder = await lab.ending(folder=None if is_sham() else cell.folder)
+        endpoint = await lab.ending(same)
         await register(cell.client)
     expect(folder[0] == 4 and "Another daemon runs this cell" in folder[1], f"Exit status {folder[0]}: {folder[1]}")
     expect(endpoint[0] == 3 and "another daemon is there" in endpoint[1], f"Exit status {endpoint[0]}: {endpoint[1]}")
-    return Evidence("refused with exit status 4 and 3", {"folder": folder[0], "endpoint": endpoint[0]})
+    async with lab.daemon(same, folder=cell.folder) as alone:
+        control = await alone.client.call("registration.reinit")
+        expect(control.decision == "accepted", f"Once the first has ended, a command is {control.decision}.")
+    return Evidence(
+        "refused with exit status 4 and 3",
+        took_place={"on_the_folder_exit_status": folder[0], "on_the_bus_exit_status": endpoint[0]},
+        control={"once_the_first_has_ended": control.decision},
+    )
 
 
 @fault("P11", how="a subscriber to everything whose callback never returns, in a process of its own")
 async def a_callback_that_never_returns(lab: Lab) -> Evidence:
     """Nobody but that process is held up."""
-    async with lab.cell() as cell, _blocked_subscriber(cell):
+    async with lab.cell() as cell, _blocked_subscriber(cell) as messages:
         await register(cell.client)
         clock = asyncio.get_running_loop().time
         begun = clock()
@@ -267,14 +342,24 @@ async def a_callback_that_never_returns(lab: Lab) -> Evidence:
         async with moving(cell.client):
             await cell.client.stop()
         await held(cell)
+        blocked = await messages()
         await start_anew(cell.client)
+    async with lab.cell() as cell, _blocked_subscriber(cell, blocks=False) as messages:
+        heard = await messages(more=True)
+        expect(heard > 1, "A subscriber whose callback returns has not heard more than one message, either.")
     expect(taken < 0.5, f"A command took {taken:.2f} s.")
-    return Evidence("the bus is unaffected", {"command_s": round(taken, 4)})
+    return Evidence(
+        "the bus is unaffected",
+        took_place={"alive_with_one_message": blocked == 1},
+        control={"messages_where_it_returns": heard},
+        details={"command_s": round(taken, 4)},
+    )
 
 
-@fault("P12", how="wrong settings on the command line and in a file")
+@fault("P12", how="wrong settings on the command line and in a file", deadline=300.0)
 async def bad_configuration(lab: Lab) -> Evidence:
     """Each is refused with exit status 4, and by name; nothing is left in the folder."""
+    right = ("robot.model=iiwa14", "cell.rate=5", "robot.driver=sim", "gateway.planner={port=0}", "workflow=ratms")
     wrong = {
         "robot.model=no_such_arm": "no_such_arm",
         "cell.rate=0.1": "rate",
@@ -283,14 +368,21 @@ async def bad_configuration(lab: Lab) -> Evidence:
         "gateway.planner={port=99999}": "port",
         "workflow=/no/such/workflow.toml": "workflow.toml",
     }
+    async with lab.daemon(*right) as cell:
+        control = await accept(cell.client, "registration.reinit")
     statuses: dict[str, int] = {}
     for setting, named in wrong.items():
         folder = lab.folder / f"wrong{len(statuses)}"
-        statuses[setting], errors = await lab.ending(setting, folder=folder)
+        given = right if is_sham() else (setting,)
+        statuses[setting], errors = await lab.ending(*given, folder=folder)
         expect(statuses[setting] == 4, f"{setting}: exit status {statuses[setting]}: {errors}")
         expect(named in errors and "Traceback" not in errors, f"{setting}: {errors}")
         expect(not list(folder.glob("*.sqlite")), f"{setting}: a journal was made.")
-    return Evidence("named error and exit status 4", {"statuses": statuses})
+    return Evidence(
+        "named error and exit status 4",
+        took_place={f"exit status with {setting}": status for setting, status in statuses.items()},
+        control={"with_right_settings": control.decision},
+    )
 
 
 @fault("P13", how="the journal of a run, rewritten as version 1 of its format had it", deadline=300.0)
@@ -302,6 +394,12 @@ async def a_journal_of_an_older_version(lab: Lab) -> Evidence:
         await accept(cell.client, "placement.approach")
     journal = Path(cell.ready.journal)
     rows = await asyncio.to_thread(as_version_1, journal)
+    version = _version(journal)
+    expect(version == HEADLESS, f"The journal is of version {version}.")
+    _version(journal, UNKNOWN)
+    unknown, text = await lab.ending(SLOW[1], folder=cell.folder)
+    expect(unknown != 0 and "version" in text, f"Of a version nobody knows: exit status {unknown}: {text}")
+    _version(journal, HEADLESS)
     async with lab.daemon(SLOW[1], folder=cell.folder) as successor:
         repeated = await successor.client.call("toolplan.plan", tool_pose(), id="before")
         expect(repeated == answered, f"A repeated command was answered {repeated}, first {answered}.")
@@ -310,7 +408,28 @@ async def a_journal_of_an_older_version(lab: Lab) -> Evidence:
     expect(replayed.is_same, f"{len(replayed.differences)} decisions differ: {replayed.differences[:2]}")
     verified = await asyncio.to_thread(verify, journal)
     expect(verified.sound and verified.signature == "holds", f"{verified.problems}")
-    return Evidence("taken up and replayed", {"rows": rows, "compared": replayed.compared, "signed": verified.signed})
+    return Evidence(
+        "taken up and replayed",
+        {"compared": replayed.compared, "signed": verified.signed},
+        took_place={"version": version, "rows": rows},
+        control={"exit_status_of_an_unknown_version": unknown},
+    )
+
+
+def _version(journal: Path, become: int | None = None) -> int:
+    """Version of a closed journal, read from its file; it may be made another one."""
+    with closing(sqlite3.connect(journal)) as file, file:
+        if become is not None:
+            file.execute(f"PRAGMA user_version = {become}")
+        (version,) = file.execute("PRAGMA user_version").fetchone()
+    return int(version)
+
+
+async def _undisturbed(cell: LabCell) -> dict[str, str]:
+    """What the motion comes to without the fault; afterwards the tool is away again."""
+    approach = await accept(cell.client, "placement.approach")
+    await accept(cell.client, "placement.home")
+    return {"approach": approach.decision, "reached": approach.state}
 
 
 async def _let_die(orders: Path, task: str) -> None:
@@ -318,7 +437,8 @@ async def _let_die(orders: Path, task: str) -> None:
     clock = SystemClock()
     end = clock.monotonic() + PATIENCE
     while await order(orders, f"fail {task}") != "failed":
-        expect(clock.monotonic() < end, f"There is no task {task}.")
+        expect(clock.monotonic() < end, f"Nothing made the task {task} fail.")
+        await clock.sleep(PERIOD)
 
 
 def _runs(pid: int) -> bool:
@@ -349,8 +469,9 @@ config = zenoh.Config()
 for key, value in {"mode": "client", "connect/endpoints": [sys.argv[1]], "scouting/multicast/enabled": False}.items():
     config.insert_json5(key, json.dumps(value))
 def never(sample):
-    print("blocked", flush=True)
-    time.sleep(3600)
+    print("heard", flush=True)
+    if sys.argv[3] == "blocks":
+        time.sleep(3600)
 session = zenoh.open(config)
 subscriber = session.declare_subscriber(sys.argv[2] + "/**", never)
 time.sleep(3600)
@@ -358,15 +479,31 @@ time.sleep(3600)
 
 
 @asynccontextmanager
-async def _blocked_subscriber(cell: LabCell) -> AsyncIterator[None]:
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, "-c", BLOCKED, cell.ready.endpoint, cell.ready.prefix, stdout=asyncio.subprocess.PIPE
-    )
-    try:
+async def _blocked_subscriber(cell: LabCell, *, blocks: bool = True) -> AsyncIterator[Callable[..., Awaitable[int]]]:
+    """A subscriber to everything; yields how many messages its callback was given until now, if it is alive."""
+    word = "blocks" if blocks and not is_sham() else "returns"
+    words = (sys.executable, "-c", BLOCKED, cell.ready.endpoint, cell.ready.prefix, word)
+    process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE)
+    heard = 0
+
+    async def count() -> None:
+        nonlocal heard
         if process.stdout is not None:
-            await asyncio.wait_for(process.stdout.readline(), PATIENCE)
-        yield
+            async for _ in process.stdout:
+                heard += 1
+
+    async def messages(*, more: bool = False) -> int:
+        if more:
+            await until_true(lambda: heard > 1, "The subscriber has not heard two messages")
+        expect(process.returncode is None, "The subscriber has ended.")
+        return heard
+
+    counting = asyncio.create_task(count())
+    try:
+        await until_true(lambda: heard > 0, "The subscriber has heard nothing")
+        yield messages
     finally:
         with suppress(ProcessLookupError):
             process.kill()
         await process.wait()
+        await counting

@@ -5,18 +5,21 @@ from __future__ import annotations
 import asyncio
 import signal
 import sqlite3
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager, closing
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from pcmrs.campaign import loopdisk, recorded, syscalls
 from pcmrs.campaign.checks import expect
-from pcmrs.campaign.cuts import cut_and_flip, cut_power
+from pcmrs.campaign.cuts import CutReport, cut_and_flip, cut_power
 from pcmrs.campaign.driving import accept, landmarks
 from pcmrs.campaign.durable import Asked
 from pcmrs.campaign.fault import Evidence, Unmet, fault
 from pcmrs.campaign.lab import Lab, LabCell
 from pcmrs.campaign.loopdisk import LoopDisk, loop_disk
+from pcmrs.campaign.sham import bring_about
 from pcmrs.campaign.syscalls import injected
 from pcmrs.clock import SystemClock
 from pcmrs.messages import Snapshot
@@ -35,6 +38,10 @@ IN_TIME = 10.0
 """So long commands may be accepted on a disk that is nearly full, s of the machine."""
 LEAST_MB = 4
 """Of a small disk, kept free."""
+UNSYNCHRONISED = bytes(range(256)) * 16
+"""Of a program that waits for no disk."""
+HALF_WRITTEN = b'{"registration": "111", "landm'
+"""What a crash can leave of a file."""
 
 
 @fault("T1", how="a real ext4 disk, full", needs=loopdisk.NEEDS, deadline=SEVERAL)
@@ -42,19 +49,22 @@ async def the_disk_is_full(lab: Lab) -> Evidence:
     """All space is taken while the daemon runs, and given back."""
     async with _on_disk(lab) as (disk, asked):
         disk.fill()
+        told = disk.error()
         details = await _refused_sooner_or_later(asked)
         disk.release()
-        return await _afterwards(lab, asked, details)
+        return await _afterwards(lab, asked, details, {"another_program_is_told": told})
 
 
 @fault("T1", how="a real ext4 disk, nearly full", needs=loopdisk.NEEDS, deadline=SEVERAL)
 async def the_disk_is_nearly_full(lab: Lab) -> Evidence:
     """State changes are refused while there is still room for Stop, and the journal never fails."""
     async with _on_disk(lab, least=f"journal.least_free_mb={LEAST_MB}") as (disk, asked):
+        before = disk.taken()
         disk.fill(leaving=LEAST_MB * 10**6 // 2)
+        filled = round(disk.taken() - before, 3)
         details = await _refused_in_time(asked)
         disk.release()
-        evidence = await _afterwards(lab, asked, details)
+        evidence = await _afterwards(lab, asked, details, {"share_of_the_disk_taken": filled})
         failed = [row for row in asked.cell.rows() if row.operation == "journal_reopened"]
         expect(not failed, "The journal had to be reopened: the refusal came too late.")
         return evidence
@@ -66,10 +76,11 @@ async def the_disk_of_the_log_is_full(lab: Lab) -> Evidence:
     async with loop_disk(lab.folder) as disk, lab.daemon(NO_LEAST, folder=disk.path / "cell") as cell:
         asked = await _asked(cell)
         disk.fill()
+        told = disk.error()
         details = await _refused_sooner_or_later(asked)
         expect(details["refused_as"] != "no verdict", "A command had no verdict.")
         disk.release()
-        return await _afterwards(lab, asked, details)
+        return await _afterwards(lab, asked, details, {"another_program_is_told": told})
 
 
 @fault("T2", how="strace: write of the journal's files gives EIO", needs=syscalls.NEEDS, deadline=SEVERAL)
@@ -83,24 +94,29 @@ async def synchronising_fails(lab: Lab) -> Evidence:
     """Nobody knows what the disk has: nothing is acknowledged until the file was opened and read again."""
     async with lab.daemon() as cell:
         asked = await _asked(cell)
-        async with injected(cell.process.pid, SYNCS, "error=EIO", files=_files(cell)):
+        async with injected(cell.process.pid, SYNCS, "error=EIO", files=_files(cell)) as tampered:
             details = await asked.degraded()
         expect(await asked.recovers(), "The journal was not taken up again.")
         reopened = [row for row in cell.rows() if row.operation == "journal_reopened"]
         expect(bool(reopened), "The journal has no row of its being taken up again.")
     kept = asked.check_kept(Path(cell.ready.journal))
-    await _successor(lab, cell)
-    return Evidence("fail-stop; nothing acknowledged is lost", {**details, "kept": kept})
+    return Evidence(
+        "fail-stop; nothing acknowledged is lost",
+        {**details, "kept": kept},
+        took_place={"failed_calls": tampered.calls},
+        control={"by_the_next_daemon": await _successor(lab, cell)},
+    )
 
 
-@fault("T4", how="kill -9, then the end of the write-ahead log is cut within its last frame")
+@fault("T4", how="kill -9, then the end of the write-ahead log is cut within its last frame", deadline=SEVERAL)
 async def a_torn_write(lab: Lab) -> Evidence:
     """Acknowledged rows are lost by that, and the next daemon says so."""
     cell = await _killed_with_rows(lab)
     log = _log_of(cell)
     content = log.read_bytes()
-    log.write_bytes(content[: len(content) - lab.random.randrange(1, 4000)])
-    return await _reported(lab, cell, "torn")
+    torn = content[: len(content) - lab.random.randrange(1, 4000)]
+    bring_about(lambda: log.write_bytes(torn))
+    return await _reported(lab, cell, "torn", content)
 
 
 @fault(
@@ -108,16 +124,25 @@ async def a_torn_write(lab: Lab) -> Evidence:
 )
 async def the_power_is_cut(lab: Lab) -> Evidence:
     """Everything acknowledged before is there when the disk is mounted again."""
-    kept = 0
+    kept, told, lost = 0, set[str](), 0
     for number in range(POWER_CUTS):
         async with _on_disk(lab, f"power{number}") as (disk, asked):
             await asyncio.gather(*(asked.ask() for _ in range(1 + lab.random.randrange(20))))
+            careless = disk.path / "careless"
+            careless.write_bytes(UNSYNCHRONISED)
             disk.cut_power()
+            told.add(disk.error())
             await _killed(asked.cell)
             await disk.power_on()
+            lost += not careless.exists() or careless.read_bytes() != UNSYNCHRONISED
             kept += asked.check_kept(Path(asked.cell.ready.journal))
             await _successor(lab, asked.cell)
-    return Evidence("acknowledged rows kept", {"cuts": POWER_CUTS, "kept": kept})
+    return Evidence(
+        "acknowledged rows kept",
+        {"cuts": POWER_CUTS, "kept": kept},
+        took_place={"another_program_is_told": ", ".join(sorted(told))},
+        control={"files_of_a_careless_program_lost": lost},
+    )
 
 
 @fault(
@@ -129,7 +154,14 @@ async def the_power_is_cut_at_any_write(lab: Lab) -> Evidence:
     """At instants between any two writes, with torn and reordered sectors."""
     found = await asyncio.to_thread(cut_power, 60, lab.seed, SystemClock())
     expect(not found.violated, f"{found.lost} acknowledged rows are lost; {found.silent[:3]} {found.broken[:3]}")
-    return Evidence("acknowledged rows kept", {"cuts": found.tried, "acknowledged": found.acknowledged})
+    careless = await asyncio.to_thread(cut_power, 60, lab.seed, SystemClock(), durable=False)
+    expect(careless.violated, "A writer that waits for no disk has lost nothing, either.")
+    return Evidence(
+        "acknowledged rows kept",
+        took_place={"cuts_that_changed_files": found.changed},
+        control={"careless_writer_lost_or_broke": careless.lost + len(careless.broken)},
+        details={"cuts": found.tried, "acknowledged": found.acknowledged},
+    )
 
 
 @fault("T6", how="bits of the files of a journal are flipped")
@@ -137,7 +169,7 @@ async def a_bit_flips(lab: Lab) -> Evidence:
     """Database, write-ahead log and head, at random places."""
     found = await asyncio.to_thread(cut_and_flip, 0, 120, lab.seed, SystemClock())
     expect(not found.violated, f"silent: {found.silent[:3]}; broken: {found.broken[:3]}")
-    return Evidence("reported, or without effect", {"flips": found.tried, "reported": found.reported})
+    return _damage_reported("reported, or without effect", found)
 
 
 @fault("T7", how="the files of a journal are cut")
@@ -145,16 +177,19 @@ async def the_tail_is_cut(lab: Lab) -> Evidence:
     """Database, write-ahead log and head, at random places."""
     found = await asyncio.to_thread(cut_and_flip, 120, 0, lab.seed, SystemClock())
     expect(not found.violated, f"silent: {found.silent[:3]}; broken: {found.broken[:3]}")
-    return Evidence("reported, never silent", {"cuts": found.tried, "reported": found.reported})
+    return _damage_reported("reported, never silent", found)
 
 
-@fault("T8", how="strace: fsync of the journal's files takes 2 s", needs=syscalls.NEEDS)
+@fault("T8", how="strace: fsync of the journal's files takes 2 s", needs=syscalls.NEEDS, deadline=SEVERAL)
 async def the_disk_stalls(lab: Lab) -> Evidence:
     """Commands wait or are refused; Stop and status do not wait for the disk."""
     async with lab.daemon() as cell:
         asked = await _asked(cell)
         clock = asyncio.get_running_loop().time
-        async with injected(cell.process.pid, SYNCS, f"delay_enter={int(STALL * 1e6)}:when=1", files=_files(cell)):
+        async with injected(
+            cell.process.pid, SYNCS, f"delay_enter={int(STALL * 1e6)}:when=1", files=_files(cell)
+        ) as slow:
+            asked_at = clock()
             waiting = asyncio.create_task(asked.ask())
             await asyncio.sleep(0.2)
             begun = clock()
@@ -164,12 +199,15 @@ async def the_disk_stalls(lab: Lab) -> Evidence:
             expect(not waiting.done(), "A command was answered before the disk was.")
             expect(taken < STALL / 2, f"Stop and status took {taken:.2f} s.")
             verdict = await waiting
-        recovered = await asked.recovers()
-        expect(recovered, "Nothing is accepted after the stall.")
+            waited = clock() - asked_at
+        expect(await asked.recovers(), "Nothing is accepted after the stall.")
     kept = asked.check_kept(Path(cell.ready.journal))
     decision = verdict.decision if verdict is not None else "no verdict"
     return Evidence(
-        "Stop and status did not wait", {"stop_and_status_s": round(taken, 3), "command": decision, "kept": kept}
+        "Stop and status did not wait",
+        {"stop_and_status_s": round(taken, 3), "command": decision, "kept": kept},
+        took_place={"delayed_calls": slow.calls, "command_waited_s": round(waited, 3)},
+        control={"by_the_next_daemon": await _successor(lab, cell)},
     )
 
 
@@ -178,15 +216,20 @@ async def the_disk_is_read_only(lab: Lab) -> Evidence:
     """As a damaged file system does."""
     async with _on_disk(lab) as (disk, asked):
         await disk.make_read_only()
+        told = disk.error()
         details = await _refused_sooner_or_later(asked)
         await _killed(asked.cell)
         await disk.power_on()
         details["kept"] = asked.check_kept(Path(asked.cell.ready.journal))
-        await _successor(lab, asked.cell)
-        return Evidence("refused; Stop and status work", details)
+        return Evidence(
+            "refused; Stop and status work",
+            details,
+            took_place={"another_program_is_told": told},
+            control={"by_the_next_daemon": await _successor(lab, asked.cell)},
+        )
 
 
-@fault("T10", how="half-written files beside the journal and among the records")
+@fault("T10", how="half-written files beside the journal and among the records", deadline=SEVERAL)
 async def a_half_written_file(lab: Lab) -> Evidence:
     """What a crash can leave of files that are written as a whole is not read."""
     async with lab.daemon() as cell:
@@ -195,20 +238,32 @@ async def a_half_written_file(lab: Lab) -> Evidence:
     for name in left:
         file = cell.folder / name
         file.parent.mkdir(exist_ok=True)
-        file.write_bytes(b'{"registration": "111", "landm')
+        bring_about(partial(file.write_bytes, HALF_WRITTEN))
+    found = [name for name in left if (cell.folder / name).exists()]
     async with lab.daemon(folder=cell.folder) as successor:
         snapshot = await successor.client.state()
         await accept(successor.client, "registration.plan_landmarks", **landmarks())
     _expect_initial(snapshot)
-    return Evidence("ignored", {"files": left})
+    key = cell.folder / "journal.key"
+    key.write_bytes(HALF_WRITTEN)
+    status, _ = await lab.ending(folder=cell.folder)
+    expect(status != 0, "A half-written file is not noticed where it is read, either.")
+    return Evidence(
+        "ignored",
+        {"files": left},
+        took_place={"half_written_files": len(found)},
+        control={"exit_status_with_such_a_key": status},
+    )
 
 
-@fault("T11", how="kill -9, then the write-ahead log is deleted")
+@fault("T11", how="kill -9, then the write-ahead log is deleted", deadline=SEVERAL)
 async def the_log_is_lost(lab: Lab) -> Evidence:
     """Rows that were only there are missing, and the next daemon says so."""
     cell = await _killed_with_rows(lab)
-    _log_of(cell).unlink()
-    return await _reported(lab, cell, "lost")
+    log = _log_of(cell)
+    content = log.read_bytes()
+    bring_about(log.unlink)
+    return await _reported(lab, cell, "lost", content)
 
 
 @fault("T12", how="another program holds the lock of the database", deadline=SEVERAL)
@@ -217,10 +272,11 @@ async def a_foreign_lock(lab: Lab) -> Evidence:
     async with lab.daemon() as cell:
         asked = await _asked(cell)
         with closing(sqlite3.connect(cell.ready.journal, isolation_level=None)) as foreign:
-            foreign.execute("BEGIN IMMEDIATE")
+            bring_about(lambda: foreign.execute("BEGIN IMMEDIATE"))
+            told = _locked(Path(cell.ready.journal))
             details = await _refused_sooner_or_later(asked)
             foreign.execute("ROLLBACK")
-        return await _afterwards(lab, asked, details)
+        return await _afterwards(lab, asked, details, {"a_third_program_is_told": told})
 
 
 @asynccontextmanager
@@ -244,9 +300,19 @@ async def _asked(cell: LabCell) -> Asked:
 async def _with_failing(lab: Lab, calls: Sequence[str], error: str) -> Evidence:
     async with lab.daemon() as cell:
         asked = await _asked(cell)
-        async with injected(cell.process.pid, calls, f"error={error}", files=_files(cell)):
+        async with injected(cell.process.pid, calls, f"error={error}", files=_files(cell)) as tampered:
             details = await _refused_sooner_or_later(asked)
-        return await _afterwards(lab, asked, details)
+        return await _afterwards(lab, asked, details, {"failed_calls": tampered.calls})
+
+
+def _damage_reported(response: str, found: CutReport) -> Evidence:
+    """Files were others when read back, and that was reported; the same journals without damage are taken up."""
+    return Evidence(
+        response,
+        took_place={"changed": found.changed, "reported": found.reported},
+        control={"undamaged_taken_up": found.whole},
+        details={"tried": found.tried, "unaffected": found.unaffected},
+    )
 
 
 async def _refused_sooner_or_later(asked: Asked) -> dict[str, object]:
@@ -270,21 +336,26 @@ async def _refused_in_time(asked: Asked) -> dict[str, object]:
     raise Unmet(f"Commands were accepted for {IN_TIME:g} s although the disk is nearly full.")
 
 
-async def _afterwards(lab: Lab, asked: Asked, details: dict[str, object]) -> Evidence:
+async def _afterwards(lab: Lab, asked: Asked, details: dict[str, object], took_place: Mapping[str, Any]) -> Evidence:
     """The fault has ended: the daemon goes on, or its successor does; nothing acknowledged is lost."""
     cell = asked.cell
     details["recovered"] = await asked.recovers(5.0)
     await _killed(cell)
     details["kept"] = asked.check_kept(Path(cell.ready.journal))
-    await _successor(lab, cell)
-    return Evidence("refused; Stop and status work; nothing lost", dict(details))
+    return Evidence(
+        "refused; Stop and status work; nothing lost",
+        dict(details),
+        took_place=took_place,
+        control={"by_the_next_daemon": await _successor(lab, cell)},
+    )
 
 
-async def _successor(lab: Lab, cell: LabCell) -> None:
-    """The next daemon on the folder begins as all do, and decides again."""
+async def _successor(lab: Lab, cell: LabCell) -> str:
+    """The next daemon on the folder begins as all do, and decides again; returns how."""
     async with lab.daemon(f"cell.folder={cell.ready.folder}", NO_LEAST, folder=cell.folder) as successor:
         _expect_initial(await successor.client.state())
-        await accept(successor.client, "registration.plan_landmarks", **landmarks())
+        verdict = await accept(successor.client, "registration.plan_landmarks", **landmarks())
+    return verdict.decision
 
 
 def _expect_initial(snapshot: Snapshot) -> None:
@@ -305,12 +376,33 @@ async def _killed_with_rows(lab: Lab) -> LabCell:
     return cell
 
 
-async def _reported(lab: Lab, cell: LabCell, how: str) -> Evidence:
+async def _reported(lab: Lab, cell: LabCell, how: str, log: bytes) -> Evidence:
+    """The next daemon refuses to start, and says why; with its write-ahead log as it was, it starts."""
+    path = _log_of(cell)
+    lost = len(log) - (path.stat().st_size if path.exists() else 0)
+    expect(lost > 0, "The write-ahead log has lost nothing.")
     status, errors = await lab.ending(folder=cell.folder)
     text = errors.strip().splitlines()[-1] if errors.strip() else ""
     expect(status != 0 and "Traceback" not in errors, f"Exit status {status}: {errors[-2000:]}")
     expect("journal" in text or "sqlite" in text, f"It ended with: {text}")
-    return Evidence(f"{how}: refused to start, and said why", {"status": status, "text": text})
+    path.write_bytes(log)
+    return Evidence(
+        f"{how}: refused to start, and said why",
+        {"status": status, "text": text},
+        took_place={"bytes_lost": lost},
+        control={"with_the_whole_log": await _successor(lab, cell)},
+    )
+
+
+def _locked(journal: Path) -> str:
+    """What another program that asks for the lock of the database is told; empty where it has it."""
+    with closing(sqlite3.connect(journal, timeout=0.0, isolation_level=None)) as third:
+        try:
+            third.execute("BEGIN IMMEDIATE")
+        except sqlite3.OperationalError as error:
+            return str(error)
+        third.execute("ROLLBACK")
+    return ""
 
 
 def _files(cell: LabCell) -> list[Path]:
