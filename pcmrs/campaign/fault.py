@@ -44,16 +44,16 @@ class Evidence:
 
     Attributes:
         response: In a few words.
+        details: Other measured values.
         took_place: What the receiver, or somebody else who is not the injector, has measured of the fault, by name.
         control: What the same bytes or the same event do where they are permitted, or where the protection is out of
             force, by name.
-        details: Other measured values.
     """
 
     response: str
-    took_place: Mapping[str, Any] = field(default_factory=dict)
-    control: Mapping[str, Any] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)
+    took_place: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
+    control: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
 
     @property
     def missing(self) -> str:

@@ -15,7 +15,7 @@ _sham = ContextVar("sham", default=False)
 
 @contextmanager
 def sham() -> Iterator[None]:
-    """No fault takes place during the context, in the tasks and in the threads of `asyncio.to_thread` that it starts."""
+    """No fault takes place during the context, in the tasks and `asyncio.to_thread` threads that it starts."""
     token = _sham.set(True)
     try:
         yield
