@@ -192,22 +192,24 @@ async def paths_from_the_network(lab: Lab) -> Evidence:
     )
     async with lab.cell() as cell:
         await digitized(cell.client)
+        await accept(cell.client, "digitization.digitize_surface", points=POINTS)
         before, files = await cell.client.state(), set(cell.folder.rglob("*"))
         row = cell.last_row()
         verdicts = {path: await cell.planner.command("icp_registerxxxx", path) for path in paths if not is_sham()}
-        stored = [each.verdict.decision for each in cell.rows(row) if each.operation == "refine" and each.verdict]
+        decided = [each.verdict for each in cell.rows(row) if each.operation == "refine" and each.verdict]
         after = await until(cell.client, lambda shown: not shown.running)
         new = set(cell.folder.rglob("*")) - files
-        await accept(cell.client, "digitization.digitize_surface", points=POINTS)
         control = await cell.planner.command("icp_registerxxxx", "/home/lab/skin_of_head/head_phantom.ply")
-        expect(control.decision == "accepted", f"A path to the configured surface was {control.decision}.")
+        expect(control.decision == "accepted", f"A path to the configured surface was {control}.")
+    reasons = [verdict.reason.code for verdict in decided if verdict.reason]
+    expect(reasons == ["unknown_surface"] * len(paths), f"They were refused for {reasons}.")
     accepted = [path for path, verdict in verdicts.items() if verdict.decision == "accepted"]
     expect(not accepted, f"Accepted was {accepted}.")
     expect(shape(before) == shape(after), f"The state has changed: {before} became {after}.")
     expect(not new, f"Files were made: {new}.")
     return Evidence(
         "refused, no file was touched",
-        took_place={"decided_in_the_journal": stored},
+        took_place={"refused_in_the_journal": reasons},
         control={"configured_surface": control.decision},
         details={path: verdict.reason for path, verdict in verdicts.items()},
     )
