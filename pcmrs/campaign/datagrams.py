@@ -123,28 +123,31 @@ async def refused_all(cell: LabCell, datagrams: Sequence[bytes], *, refusals: in
         "refused": _refused(cell, rows),
         "sent": len(datagrams),
         "answers": [answer.decode(errors="replace") for answer in answers][:8],
+        "reasons": _reasons(cell, rows),
     }
 
 
-async def taken(cell: LabCell, command: bytes) -> str:
-    """Sends a command by itself that must be accepted, and returns its answer: a control.
+async def taken(cell: LabCell, *commands: bytes) -> str:
+    """Sends commands by themselves that must be accepted, and returns the last one's answer: a control.
 
     Args:
-        cell: Whose planner link takes it.
-        command: As it is on the wire, with an id.
+        cell: Whose planner link takes them.
+        commands: As they are on the wire, with ids.
 
     Raises:
-        Unmet: It was not accepted within `ANSWERS_WITHIN`.
+        Unmet: One was not accepted within `ANSWERS_WITHIN`.
     """
+    answer = b""
     async with raw_socket(cell.ready.links["planner"]) as raw:
-        raw.send(command)
-        try:
-            async with asyncio.timeout(ANSWERS_WITHIN):
-                answer = await raw.answers.get()
-        except TimeoutError:
-            raise Unmet(f"{command!r} by itself is not answered.") from None
-    if b"_accepted_" not in answer:
-        raise Unmet(f"{command!r} by itself was answered {answer!r}.")
+        for command in commands:
+            raw.send(command)
+            try:
+                async with asyncio.timeout(ANSWERS_WITHIN):
+                    answer = await raw.answers.get()
+            except TimeoutError:
+                raise Unmet(f"{command!r} by itself is not answered.") from None
+            if b"_accepted_" not in answer:
+                raise Unmet(f"{command!r} by itself was answered {answer!r}.")
     return answer.decode(errors="replace")
 
 
@@ -157,3 +160,14 @@ def _refused(cell: LabCell, after: int) -> int:
         elif row.verdict is not None:
             count += row.verdict.decision == "rejected"
     return count
+
+
+def _reasons(cell: LabCell, after: int) -> list[str]:
+    """Codes of the refusals that later rows tell of."""
+    codes = set()
+    for row in cell.rows(after=after):
+        if row.operation == REFUSED and row.result is not None:
+            codes.add(row.result["fields"]["reason"])
+        elif row.verdict is not None and row.verdict.reason is not None:
+            codes.add(row.verdict.reason.code)
+    return sorted(codes)

@@ -7,6 +7,7 @@ import json
 import shutil
 import sqlite3
 import sys
+from collections.abc import Mapping
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
@@ -128,7 +129,7 @@ async def unknown_commands_and_bad_numbers(lab: Lab) -> Evidence:
             ):
                 await refused(cell, name, arguments, codes=(code,))
                 details[f"{name} {arguments}"] = code
-        control = await taken(cell, b"target_tslxxxxxx_%b_%b_%b_#1;" % ((RIGHT.encode(),) * 3))
+        control = await right_numbers(cell, details)
         planned = await accept(cell.client, "toolplan.plan", **tool_pose())
     return Evidence(
         "refused, nothing changed",
@@ -136,6 +137,16 @@ async def unknown_commands_and_bad_numbers(lab: Lab) -> Evidence:
         control={"right_number": control, "right_plan": planned.decision},
         details=details,
     )
+
+
+async def right_numbers(cell: LabCell, details: Mapping[str, Any]) -> str:
+    """The answer to a target of right numbers; the wrong ones were refused for themselves, not for want of a rotation.
+
+    Raises:
+        Unmet: It was not accepted, or they were refused for another reason.
+    """
+    expect("no_rotation" not in details["reasons"], f"They were refused for {details['reasons']}.")
+    return await taken(cell, b"target_rotxxxxxx_0_0_0_1_#1;", f"target_tslxxxxxx_{RIGHT}_{RIGHT}_{RIGHT}_#2;".encode())
 
 
 @fault("A7", how="raw datagrams and requests on the bus")
@@ -153,7 +164,7 @@ async def numbers_that_only_some_parsers_read(lab: Lab) -> Evidence:
             for text in ("1", None):
                 await refused(cell, "toolplan.plan", _pose(text), codes=("bad_arguments",))
             malformed = await reported(cell, row, edge="bus", code="malformed", count=2)
-        control = await taken(cell, b"target_tslxxxxxx_%b_%b_%b_#1;" % ((RIGHT.encode(),) * 3))
+        control = await right_numbers(cell, details)
         planned = await accept(cell.client, "toolplan.plan", **tool_pose())
     return Evidence(
         "refused, nothing changed",
@@ -181,22 +192,24 @@ async def paths_from_the_network(lab: Lab) -> Evidence:
     )
     async with lab.cell() as cell:
         await digitized(cell.client)
+        await accept(cell.client, "digitization.digitize_surface", points=POINTS)
         before, files = await cell.client.state(), set(cell.folder.rglob("*"))
         row = cell.last_row()
         verdicts = {path: await cell.planner.command("icp_registerxxxx", path) for path in paths if not is_sham()}
-        stored = [each.verdict.decision for each in cell.rows(row) if each.operation == "refine" and each.verdict]
+        decided = [each.verdict for each in cell.rows(row) if each.operation == "refine" and each.verdict]
         after = await until(cell.client, lambda shown: not shown.running)
         new = set(cell.folder.rglob("*")) - files
-        await accept(cell.client, "digitization.digitize_surface", points=POINTS)
         control = await cell.planner.command("icp_registerxxxx", "/home/lab/skin_of_head/head_phantom.ply")
-        expect(control.decision == "accepted", f"A path to the configured surface was {control.decision}.")
+        expect(control.decision == "accepted", f"A path to the configured surface was {control}.")
+    reasons = [verdict.reason.code for verdict in decided if verdict.reason]
+    expect(reasons == ["unknown_surface"] * len(paths), f"They were refused for {reasons}.")
     accepted = [path for path, verdict in verdicts.items() if verdict.decision == "accepted"]
     expect(not accepted, f"Accepted was {accepted}.")
     expect(shape(before) == shape(after), f"The state has changed: {before} became {after}.")
     expect(not new, f"Files were made: {new}.")
     return Evidence(
         "refused, no file was touched",
-        took_place={"decided_in_the_journal": stored},
+        took_place={"refused_in_the_journal": reasons},
         control={"configured_surface": control.decision},
         details={path: verdict.reason for path, verdict in verdicts.items()},
     )

@@ -95,14 +95,15 @@ async def earlier_session(lab: Lab) -> Evidence:
                 codes.append(await _refusal(cell, msgspec.structs.replace(present, **{field: value}), way))
         expect(codes == ["stale_request"] * 3, f"Requests of another {', '.join(others)} were answered: {codes}.")
         control = await _reply(cell, present, way)
-        expect(control.failure is None, "A request of the present sessions is refused, too.")
+        outcome = (control.result or {}).get("outcome", "")
+        expect(outcome == "done", f"A request of the present sessions came to: {control}.")
         await cell.client.stop()
         await held(cell, ("standoff",))
         await confirmed(cell)
     return Evidence(
         "stale_request",
         took_place={"answered_by_the_node": codes},
-        control={"present_session_failed": str(control.failure)},
+        control={"of_the_present_sessions": outcome},
         details={"moved_rad": moved[0]},
     )
 
@@ -468,15 +469,19 @@ async def killed_before_the_outcome(lab: Lab) -> Evidence:
             home.cancel()
             with suppress(UnknownOutcomeError, asyncio.CancelledError):
                 await home
+    expect(status == -signal.SIGKILL, f"The daemon ended with status {status}, not by the signal.")
     async with lab.daemon(*REAL_TIME, folder=place, delayed=True) as second:
         shown = await second.client.state()
         expect(shown.latched, "Nothing is latched after the restart.")
         expect(shown.branches["placement"] == "unknown", f"The tool counts as {shown.branches['placement']}.")
         await connect(second.client)
         await refused(second, "placement.home", codes=("latched", "not_allowed", "wrong_state"))
-        control = await accept(second.client, "robot.acknowledge")
+        await accept(second.client, "robot.acknowledge")
+        await to_standoff(second.client)
+        control = await accept(second.client, "placement.home")
+        reached = await state(second.client, "placement")
     return Evidence(
-        "latched, unknown", took_place={"ended_by": status}, control={"acknowledged_after_restart": control.decision}
+        "latched, unknown", took_place={"ended_by": status}, control={"home": control.decision, "reached": reached}
     )
 
 
