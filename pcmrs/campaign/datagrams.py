@@ -118,9 +118,9 @@ async def refused_all(cell: LabCell, datagrams: Sequence[bytes], *, refusals: in
     if decided:
         raise Unmet(f"The journal has an accepted {decided[0].branch}.{decided[0].operation}.")
     wanted = len(datagrams) if refusals is None else refusals
-    await until_true(lambda: _refused(cell, rows) >= wanted, f"The journal does not have {wanted} refusals")
+    await until_true(lambda: refusals_after(cell, rows) >= wanted, f"The journal does not have {wanted} refusals")
     return {
-        "refused": _refused(cell, rows),
+        "refused": refusals_after(cell, rows),
         "sent": len(datagrams),
         "answers": [answer.decode(errors="replace") for answer in answers][:8],
         "reasons": _reasons(cell, rows),
@@ -151,7 +151,7 @@ async def taken(cell: LabCell, *commands: bytes) -> str:
     return answer.decode(errors="replace")
 
 
-def _refused(cell: LabCell, after: int) -> int:
+def refusals_after(cell: LabCell, after: int) -> int:
     """How many refusals later rows tell of: the dispatcher's one by one, the gateway's by their number."""
     count = 0
     for row in cell.rows(after=after):

@@ -110,6 +110,7 @@ async def _deliver(
             return
         sink.write(data)
         await sink.drain()
+        weather.passed[direction] += len(data)
 
 
 def _most(weather: Weather) -> int:

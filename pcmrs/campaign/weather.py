@@ -22,6 +22,8 @@ class Weather:
         rate: Bytes per second that get through; None for all.
         towards: Whether anything gets to the server.
         back: Whether anything gets back from it.
+        passed: Bytes of streams that have got through, by direction.
+        counted: Datagrams by what became of them.
     """
 
     seed: int = 0
@@ -32,6 +34,7 @@ class Weather:
     rate: float | None = None
     towards: bool = True
     back: bool = True
+    passed: dict[str, int] = field(default_factory=lambda: {"towards": 0, "back": 0})
     counted: dict[str, int] = field(default_factory=lambda: {"sent": 0, "lost": 0, "doubled": 0, "overtaken": 0})
 
     def __post_init__(self) -> None:

@@ -99,9 +99,11 @@ async def test_a_cut_direction_stalls_and_loses_nothing(echoing: tuple[str, int]
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.2):
                 await reader.readexactly(1)
+        assert weather.passed[cut] == len(b"before")
         setattr(weather, cut, True)
         async with asyncio.timeout(10.0):
             assert await reader.readexactly(6) == b"during"
+        assert weather.passed == {"towards": 12, "back": 12}
         writer.close()
         await writer.wait_closed()
 

@@ -5,25 +5,30 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import msgspec
-import zenoh
 
+from pcmrs.bus.codec import MAX_BYTES, unpack
 from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.campaign.checks import check_refused, expect, shape
-from pcmrs.campaign.datagrams import raw_socket
-from pcmrs.campaign.driving import accept, said
+from pcmrs.campaign.counted_session import CountedSession, counted_session
+from pcmrs.campaign.datagrams import raw_socket, refusals_after, taken
+from pcmrs.campaign.driving import PATIENCE, accept, said
 from pcmrs.campaign.fault import Evidence, fault
 from pcmrs.campaign.lab import Lab
 from pcmrs.campaign.reachable import EXPIRED, FOREIGN, REVOKED, ReachableCell, reachable_cell
 from pcmrs.campaign.samples import sample
+from pcmrs.campaign.sham import bring_about, is_sham
+from pcmrs.campaign.waiting import until_true
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.errors import BusError, ConfigurationError
 from pcmrs.gateway.keys import read_key
 from pcmrs.gateway.signing import Signer
+from pcmrs.messages import Verdict
 from pcmrs.pki import read_credentials
 
 TLS = "a running cell that listens for other machines, over real TLS on loopback"
@@ -40,16 +45,26 @@ QUIET = 1.0
 async def two_operators(lab: Lab) -> Evidence:
     """The one who does not hold the cell is refused, and may still stop."""
     async with reachable_cell(lab) as open_cell, open_cell.client("anna") as anna, open_cell.client("bob") as bob:
+        row = open_cell.cell.last_row()
         nobody = await _refused(open_cell, bob, "registration.reinit", "no_lease")
         async with anna.holding():
             await accept(anna, "registration.reinit")
-            held = await _refused(open_cell, bob, "registration.reinit", "lease_held")
-            await _refused(open_cell, bob, "lease.acquire", "lease_held")
+            other = anna if is_sham() else bob
+            held = await _refused(open_cell, other, "registration.reinit", "lease_held")
+            await _refused(open_cell, other, "lease.acquire", "lease_held")
             await bob.stop()
             expect((await anna.state()).latched, "Stop of who does not hold the cell was not honoured.")
         async with bob.holding():
-            await accept(bob, "registration.reinit")
-    return Evidence("refused; Stop honoured", {"nobody": nobody, "held": held})
+            control = await accept(bob, "registration.reinit")
+        rows = [each for each in open_cell.cell.rows(row) if each.source == "bus:bob"]
+    return Evidence(
+        "refused; Stop honoured",
+        took_place={
+            "rejected_in_the_journal": sum(each.verdict.decision == "rejected" for each in rows if each.verdict)
+        },
+        control={"with_the_lease": control.decision},
+        details={"nobody": nobody, "held": held},
+    )
 
 
 @fault("A1", how=f"{SIGNED}: with the peer's name and another key, as a peer that is not known, and unsigned")
@@ -59,7 +74,8 @@ async def spoofed_source(lab: Lab) -> Evidence:
         key = bytes(reversed(read_key(open_cell.peer_key)))
         other = [Signer("slicer", key, lambda: 1).sign(b"img_fid_numxxxxx_4;") for _ in range(FORGED)]
         unknown = [Signer("mallory", key, lambda: 1).sign(b"img_fid_numxxxxx_4;")]
-        return await _ignored(open_cell, [*other, *unknown, b"img_fid_numxxxxx_4;"])
+        forged = [*other, *unknown, b"img_fid_numxxxxx_4;"]
+        return await _ignored(open_cell, forged, control=open_cell.signer().sign(b"img_fid_numxxxxx_4_#1;"))
 
 
 @fault("A2", how=f"{SIGNED}: each a second time, in reverse order")
@@ -74,20 +90,20 @@ async def replayed(lab: Lab) -> Evidence:
             async with asyncio.timeout(10.0):
                 answers = [await raw.answers.get() for _ in sent]
         expect(all(b"_accepted_" in answer for answer in answers), f"The peer itself was answered {answers[0]!r}.")
-        return await _ignored(open_cell, [*reversed(sent)] * 5)
+        evidence = await _ignored(open_cell, [*reversed(sent)] * 5, control=signer.sign(b"stop_visualizexx_#21;"))
+        return replace(evidence, control={**evidence.control, "the_first_time": len(answers)})
 
 
 @fault("A3", how=f"{SIGNED}: with any bit flipped")
 async def flipped_bit(lab: Lab) -> Evidence:
     """A signed command of which any bit was changed is refused."""
     async with reachable_cell(lab) as open_cell:
-        signer = open_cell.signer()
-        datagram = signer.sign(b"img_fid_numxxxxx_4;")
+        datagram = open_cell.signer().sign(b"img_fid_numxxxxx_4_#1;")
         flipped = [
             bytes(byte ^ (1 << bit % 8) if place == bit // 8 else byte for place, byte in enumerate(datagram))
             for bit in range(8 * len(datagram))
         ]
-        return await _ignored(open_cell, flipped)
+        return await _ignored(open_cell, flipped, control=datagram)
 
 
 @fault("A9", how=f"{SIGNED}: {FORGED} of every kind of garbage, and of forged commands")
@@ -96,7 +112,9 @@ async def unauthenticated(lab: Lab) -> Evidence:
     async with reachable_cell(lab, 'gateway.unsigned_peers=["127.0.0.2"]') as open_cell:
         garbage = [lab.random.randbytes(lab.random.randrange(1, 200)) for _ in range(FORGED)]
         forged = [b"stop_now_xxxxxxx;|slicer|%d|%s" % (n, b"0" * 32) for n in range(FORGED)]
-        return await _ignored(open_cell, [*garbage, *forged, *(b"stop_now_xxxxxxx_#%d;" % n for n in range(FORGED))])
+        unsigned = [b"stop_now_xxxxxxx_#%d;" % n for n in range(FORGED)]
+        control = open_cell.signer().sign(b"stop_now_xxxxxxx_#1;")
+        return await _ignored(open_cell, [*garbage, *forged, *unsigned], control=control)
 
 
 @fault("A11", how=f"{TLS}: without certificate, with one of another authority, an expired and a revoked one")
@@ -104,27 +122,42 @@ async def no_certificate(lab: Lab) -> Evidence:
     """Nobody without a certificate that counts gets in."""
     async with reachable_cell(lab) as open_cell:
         for name in (None, FOREIGN, EXPIRED):
-            expect(not await _let_in(open_cell.settings(name)), f"{name or 'Nobody'} was let in.")
+            used = "anna" if is_sham() else name
+            expect(not await _let_in(open_cell.settings(used)), f"{used or 'Nobody'} was let in.")
         expect(await _let_in(open_cell.settings("anna")), "Not even anna is let in.")
-        async with unmoved(open_cell):
-            with open_session(open_cell.settings(REVOKED)) as session:
-                await _try_everything(open_cell, session, REVOKED)
-    return Evidence("refused", {"revoked": "connected, and nothing that it sent had an effect"})
+        async with unmoved(open_cell), counted_session(open_cell, REVOKED) as session:
+            await _try_everything(open_cell, session, REVOKED)
+            arrived = await session.arrived()
+        async with open_cell.client("anna") as anna, anna.holding():
+            control = await _taken_of(open_cell, "anna")
+    return Evidence(
+        "refused",
+        took_place={"bytes_of_the_revoked_one_at_the_daemon": arrived},
+        control={"let_in": "anna", "the_same_command_by_anna": control},
+        details={"revoked": "connected, and nothing that it sent had an effect"},
+    )
 
 
 @fault("A12", how=f"{TLS}: every role sends what is another's, under its own name and others'")
 async def wrong_role(lab: Lab) -> Evidence:
     """What is not a role's is dropped; what a role may not ask for is refused with the reason."""
     async with reachable_cell(lab) as open_cell, open_cell.client("anna") as anna, anna.holding():
+        arrived = {}
         async with unmoved(open_cell):
             for name, others in (("eve", ("eve", "anna", "local")), ("slicer", ("anna", "local")), ("tom", ("anna",))):
-                with open_session(open_cell.settings(name)) as session:
+                async with counted_session(open_cell, name) as session:
                     for other in others:
                         await _try_everything(open_cell, session, other)
+                    arrived[name] = await session.arrived()
         async with open_cell.client("slicer") as slicer:
             planner = await _refused(open_cell, slicer, "robot.connect", "role_not_allowed")
-        await accept(anna, "robot.connect")
-    return Evidence("dropped; a planner's motion refused", {"planner": planner})
+        control = await _taken_of(open_cell, "anna")
+    return Evidence(
+        "dropped; a planner's motion refused",
+        took_place={f"bytes_of_{name}_at_the_daemon": count for name, count in arrived.items()},
+        control={"the_same_command_by_anna": control},
+        details={"planner": planner},
+    )
 
 
 @fault("A14", how=f"{TLS}: a message of {LARGE // 2**20} MiB, of somebody who may send")
@@ -132,30 +165,45 @@ async def enormous_message(lab: Lab) -> Evidence:
     """A message that is too long is not taken, and nobody else is kept waiting."""
     async with reachable_cell(lab) as open_cell, open_cell.client("anna") as anna:
         before = sample(open_cell.cell.process.pid).memory
-        with open_session(open_cell.settings("bob")) as session:
+        async with unmoved(open_cell), counted_session(open_cell, "bob") as session:
             for _ in range(4):
-                session.put(f"pcmrs/lab/{open_cell.cell.name}/cmd/bob/registration/reinit", bytes(LARGE))
-            async with unmoved(open_cell):
-                await asyncio.sleep(QUIET)
+                await session.put(f"pcmrs/lab/{open_cell.cell.name}/cmd/bob/registration/reinit", bytes(LARGE))
+            arrived = await session.arrived(most=MAX_BYTES)
         grown = sample(open_cell.cell.process.pid).memory - before
         expect(grown < 4 * LARGE, f"The daemon has grown by {grown / 2**20:.0f} MiB.")
         async with anna.holding():
             await accept(anna, "registration.reinit")
-    return Evidence("not taken; others are served", {"grown_mib": round(grown / 2**20, 1)})
+        async with open_cell.client("bob") as bob, bob.holding():
+            control = await _taken_of(open_cell, "bob", "registration/reinit")
+    return Evidence(
+        "not taken; others are served",
+        took_place={"bytes_at_the_daemon": arrived},
+        control={"a_short_one_of_the_same_user": control},
+        details={"grown_mib": round(grown / 2**20, 1)},
+    )
 
 
 @fault("A15", how=f"{TLS}: on keys with wildcards, of an operator and a viewer")
 async def wildcards(lab: Lab) -> Evidence:
     """Nobody sends to all at once."""
-    async with reachable_cell(lab) as open_cell, unmoved(open_cell):
+    arrived = {}
+    async with reachable_cell(lab) as open_cell:
         keys = ("**", "pcmrs/**", "pcmrs/*/*/**", "pcmrs/lab/*/cmd/**", "pcmrs/lab/*/stop/*", "pcmrs/lab/*/dev/*/cmd")
-        for name in ("anna", "eve"):
-            with open_session(open_cell.settings(name)) as session:
-                for key in keys:
-                    session.put(key, b"{}")
-                    session.delete(key)
-                await asyncio.sleep(QUIET)
-    return Evidence("denied", {"keys": len(keys)})
+        async with unmoved(open_cell):
+            for name in ("anna", "eve"):
+                async with counted_session(open_cell, name) as session:
+                    for key in keys:
+                        await session.put(key, b"{}")
+                        await session.delete(key)
+                    arrived[name] = await session.arrived()
+        async with open_cell.client("anna") as anna, anna.holding():
+            control = await _taken_of(open_cell, "anna")
+    return Evidence(
+        "denied",
+        took_place={f"bytes_of_{name}_at_the_daemon": count for name, count in arrived.items()},
+        control={"a_key_without_wildcards": control},
+        details={"keys": len(keys)},
+    )
 
 
 @fault("A17", how="real key files that others may read: of the daemon, of a peer, and of the journal")
@@ -166,31 +214,51 @@ async def readable_key(lab: Lab) -> Evidence:
         settings = open_cell.cell.settings
         keys = [open_cell.people.folder / "daemon1" / "daemon1.key", open_cell.peer_key]
         keys.append(open_cell.cell.folder / "journal.key")
+    modes = {}
     for key in keys:
-        key.chmod(0o644)
+        bring_about(partial(key.chmod, 0o644))
+        modes[key.name] = f"{key.stat().st_mode & 0o777:04o}"
         status, errors = await lab.ending(*settings, folder=open_cell.cell.folder)
         expect(status in (2, 4) and str(key) in errors and "0644" in errors, f"Exit status {status}: {errors[-300:]}")
         said_so[key.name] = status
         key.chmod(0o600)
-    return Evidence("the daemon does not start, and names the file", {"status": said_so})
+    async with lab.daemon(*settings, folder=open_cell.cell.folder) as cell:
+        control = await accept(cell.client, "registration.reinit")
+    return Evidence(
+        "the daemon does not start, and names the file",
+        took_place={"modes": modes},
+        control={"accepted_with_0600": control.decision},
+        details={"status": said_so},
+    )
 
 
 @fault("A18", how=f"{TLS}: on the keys of Zenoh's own configuration")
 async def administration(lab: Lab) -> Evidence:
     """Nobody changes the access control through the router's own keys."""
-    async with reachable_cell(lab) as open_cell, unmoved(open_cell):
-        with open_session(open_cell.settings("anna")) as session:
-            routers = [str(each) for each in session.info.routers_zid()]
-            for router in (*routers, "*"):
-                for path in ("access_control/enabled", "access_control/default_permission", "adminspace/enabled"):
-                    session.put(f"@/{router}/router/config/{path}", b"false")
-                    session.delete(f"@/{router}/router/config/{path}")
-            replies = [reply.ok for reply in session.get("@/**", timeout=QUIET) if reply.ok is not None]
-        answers = [each for each in replies if str(each.key_expr).split("/")[1] in routers]  # others are its own
-        expect(not answers, f"The administration answers: {len(answers)} times.")
-        with open_session(open_cell.settings("eve")) as session:
-            await _try_everything(open_cell, session, "anna")
-    return Evidence("denied; access control holds", {"routers": len(routers)})
+    async with reachable_cell(lab) as open_cell:
+        async with unmoved(open_cell):
+            async with counted_session(open_cell, "anna") as session:
+                routers = [str(each) for each in session.zenoh.info.routers_zid()]
+                for router in (*routers, "*"):
+                    for path in ("access_control/enabled", "access_control/default_permission", "adminspace/enabled"):
+                        await session.put(f"@/{router}/router/config/{path}", b"false")
+                        await session.delete(f"@/{router}/router/config/{path}")
+                arrived = await session.arrived()
+                asked = await asyncio.to_thread(lambda: list(session.zenoh.get("@/**", timeout=QUIET)))
+            replies = [str(reply.ok.key_expr).split("/")[1] for reply in asked if reply.ok is not None]
+            answers = [each for each in replies if each in routers]  # others are its own
+            expect(not answers, f"The administration answers: {len(answers)} times.")
+            async with counted_session(open_cell, "eve") as session:
+                await _try_everything(open_cell, session, "anna")
+                arrived_after = await session.arrived()
+        async with open_cell.client("anna") as anna, anna.holding():
+            control = await _taken_of(open_cell, "anna")
+    return Evidence(
+        "denied; access control holds",
+        took_place={"bytes_for_the_administration": arrived, "bytes_of_eve_afterwards": arrived_after},
+        control={"its_own_administration_answers": len(replies), "the_command_of_eve_by_anna": control},
+        details={"routers": len(routers)},
+    )
 
 
 @fault("C6", how=f"{TLS}: of a user, and of the daemon itself")
@@ -200,13 +268,22 @@ async def expired_certificate(lab: Lab) -> Evidence:
     async with reachable_cell(lab) as open_cell:
         reason = _why_not(open_cell.people.folder / EXPIRED, now)
         expect("has expired on" in reason, f"It is said: {reason}")
-        expect(not await _let_in(open_cell.settings(EXPIRED)), "Somebody whose certificate has expired was let in.")
+        used = "anna" if is_sham() else EXPIRED
+        expect(not await _let_in(open_cell.settings(used)), "Somebody whose certificate has expired was let in.")
+        expect(await _let_in(open_cell.settings("anna")), "Nor is anna let in, whose certificate counts.")
         authority, folder = open_cell.people.authority, open_cell.people.folder
         settings = [each for each in open_cell.cell.settings if not each.startswith("access.identity")]
     authority.issue("daemon", "daemon2", now - 10 * 86400.0, days=7.0, hosts=("127.0.0.1",), into=folder)
     status, errors = await lab.ending(*settings, f"access.identity={folder / 'daemon2'}")
     expect(status == 4 and "daemon2.pem has expired on" in errors, f"Exit status {status}: {errors[-300:]}")
-    return Evidence("refused, and why is said", {"user": reason, "status": status})
+    async with lab.daemon(*settings, f"access.identity={folder / 'daemon1'}") as cell:
+        control = await accept(cell.client, "registration.reinit")
+    return Evidence(
+        "refused, and why is said",
+        took_place={"user": reason, "daemon": errors.strip().splitlines()[-1]},
+        control={"let_in": "anna", "accepted_with_one_that_counts": control.decision},
+        details={"status": status},
+    )
 
 
 async def _refused(open_cell: ReachableCell, client: Client, name: str, code: str) -> str:
@@ -217,22 +294,30 @@ async def _refused(open_cell: ReachableCell, client: Client, name: str, code: st
     return said(verdict)
 
 
-async def _ignored(open_cell: ReachableCell, datagrams: list[bytes]) -> Evidence:
-    """None of the datagrams is answered or changes anything, and the journal tells of them."""
+async def _ignored(open_cell: ReachableCell, datagrams: list[bytes], *, control: bytes) -> Evidence:
+    """None of the datagrams is answered or changes anything, and the journal tells of all; `control` is accepted."""
     cell = open_cell.cell
     before, row = await cell.client.state(), cell.last_row()
     async with raw_socket(cell.ready.links["planner"]) as raw:
         for datagram in datagrams:
-            raw.send(datagram)
+            raw.attack(datagram)
             await asyncio.sleep(0)
         await asyncio.sleep(QUIET)
         answered = raw.answers.qsize()
+        count = len(datagrams)
+        await until_true(lambda: refusals_after(cell, row) >= count, f"The journal does not have {count} refusals")
     expect(answered == 0, f"{answered} were answered.")
     expect(shape(await cell.client.state()) == shape(before), "The state has changed.")
     told = [each for each in cell.rows(row) if each.operation == "refused"]
-    expect(bool(told), "The journal does not tell of any.")
     reasons = sorted({(each.result or {})["fields"]["reason"] for each in told})
-    return Evidence("refused, not answered, told in the journal", {"sent": len(datagrams), "reasons": reasons})
+    refused_ones = refusals_after(cell, row)
+    answer = await taken(cell, control)
+    return Evidence(
+        "refused, not answered, told in the journal",
+        took_place={"refused_in_the_journal": refused_ones},
+        control={"signed_by_the_peer": answer},
+        details={"sent": len(datagrams), "reasons": reasons},
+    )
 
 
 async def _let_in(settings: BusSettings) -> bool:
@@ -245,7 +330,7 @@ async def _let_in(settings: BusSettings) -> bool:
     return True
 
 
-async def _try_everything(open_cell: ReachableCell, session: zenoh.Session, name: str) -> None:
+async def _try_everything(open_cell: ReachableCell, session: CountedSession, name: str) -> None:
     """Commands, calls of devices, false poses and states, and Stop, as if one were somebody else."""
     prefix = f"pcmrs/lab/{open_cell.cell.name}"
     hold = msgspec.json.encode({"method": "hold", "arguments": {}})
@@ -257,10 +342,24 @@ async def _try_everything(open_cell: ReachableCell, session: zenoh.Session, name
         ("state/pose/coil", b"{}"),
         ("dev/robot/beat", b"{}"),
     ):
-        session.put(f"{prefix}/{key}", payload)
-        replies: Any = session.get(f"{prefix}/{key}", payload=payload, timeout=QUIET / 2)
-        answers = [reply for reply in await asyncio.to_thread(list, replies) if reply.ok is not None]
-        expect(not answers, f"{key} was answered.")
+        await session.put(f"{prefix}/{key}", payload)
+        expect(not await session.ask(f"{prefix}/{key}", payload), f"{key} was answered.")
+
+
+async def _taken_of(open_cell: ReachableCell, name: str, command: str = "robot/connect") -> str:
+    """The bytes of a command by somebody who holds the cell: a control."""
+    key = f"pcmrs/lab/{open_cell.cell.name}/cmd/{name}/{command}"
+
+    def ask() -> list[bytes]:
+        with open_session(open_cell.settings(name)) as session:
+            replies = list(session.get(key, payload=b"{}", timeout=PATIENCE))
+            return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+
+    answers = await asyncio.to_thread(ask)
+    expect(len(answers) == 1, f"{key} had {len(answers)} answers.")
+    verdict = unpack(answers[0], Verdict)
+    expect(verdict.decision == "accepted", f"{key} of who may was {verdict.decision}: {said(verdict)}.")
+    return verdict.decision
 
 
 @asynccontextmanager

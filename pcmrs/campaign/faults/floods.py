@@ -9,11 +9,12 @@ from typing import Any
 
 from pcmrs.campaign.bus_flood import FLOODER, LONG, Kind, bus_flood
 from pcmrs.campaign.checks import confirmed, expect, held
-from pcmrs.campaign.driving import accept, moving, register, start_anew, to_placed, until
+from pcmrs.campaign.driving import accept, moving, register, start_anew, to_placed, tool_pose, until
 from pcmrs.campaign.fault import Evidence, Unmet, fault
 from pcmrs.campaign.faults.adversary import in_ms, stop_times
 from pcmrs.campaign.lab import REAL_TIME, Lab, LabCell
 from pcmrs.campaign.lateness import percentile, timer_lateness
+from pcmrs.campaign.sham import is_sham
 from pcmrs.dispatcher.clipping import CLIPPED
 from pcmrs.dispatcher.events import FAIL_STOP, PRESSED_AGAIN
 from pcmrs.dispatcher.rejections import BURST, DROPPED, TOO_MANY
@@ -51,7 +52,16 @@ async def stop_by_a_viewer(lab: Lab) -> Evidence:
         expect(not any(entry.operation == FAIL_STOP for entry in cell.rows(row)), "The dispatcher has failed.")
         await confirmed(cell)
         await start_anew(cell.client)
-    return Evidence("one Stop at a time, counted, and others are in time", details)
+        await register(cell.client)
+        async with moving(cell.client) as approach:
+            alone = await approach
+        expect(alone.decision == "accepted", f"Without a Stop the approach was {alone.decision}.")
+    return Evidence(
+        "one Stop at a time, counted, and others are in time",
+        took_place={"presses_in_the_journal": counted["presses"]},
+        control={"approach_without_stop": alone.decision},
+        details=details,
+    )
 
 
 @fault("A22", how="60 kB of arguments in commands that are rejected", deadline=180.0)
@@ -69,9 +79,15 @@ async def rejected_without_end(lab: Lab) -> Evidence:
         page = await cell.client.journal(JournalQuery(after=row, limit=200))
         expect(len(page.rows) > 0, "The journal cannot be read over the bus.")
         rows, dropped = await _on_record(cell, row, sum(codes.values()))
+        planned = await accept(cell.client, "toolplan.plan", **tool_pose())
         await accept(cell.client, "toolplan.reinit")
         await start_anew(cell.client)
-    return Evidence("bounded, and counted", {"codes": codes, "rows": rows, "dropped": dropped, "grown": grown})
+    return Evidence(
+        "bounded, and counted",
+        took_place={"rows_in_the_journal": rows, "counted_without_row": dropped},
+        control={"the_same_operation_with_a_pose": planned.decision},
+        details={"codes": codes, "grown": grown},
+    )
 
 
 @fault("A23", how="100 requests on svc/setup, and then 100 on svc/journal, at a time", deadline=180.0)
@@ -79,13 +95,20 @@ async def queries_without_end(lab: Lab) -> Evidence:
     """Somebody else's queries are answered meanwhile, and Stop is in time."""
     async with lab.daemon("cell.rate=1", "procedure.max_pose_age=0.5", "robot.deadman=0.5") as cell:
         await register(cell.client)
-        row = cell.last_row()
+        row, before = cell.last_row(), await _no_place(cell)
+        alone = await cell.client.journal(JournalQuery(limit=1))
         details = await _stops_in_time(cell, "setup")
         details |= await _stops_in_time(cell, "journal")
+        refused = await _no_place(cell) - before
         expect(not any(entry.operation == FAIL_STOP for entry in cell.rows(row)), "The dispatcher has failed.")
         await confirmed(cell)
         await start_anew(cell.client)
-    return Evidence("a few at a time, and Stop is in time", details)
+    return Evidence(
+        "a few at a time, and Stop is in time",
+        took_place={"requests_without_a_place": refused},
+        control={"rows_answered_to_one_request": len(alone.rows)},
+        details=details,
+    )
 
 
 @fault("A24", how="an operation that is rejected twice a second; the limit is 3 s here")
@@ -96,9 +119,11 @@ async def asked_in_vain(lab: Lab) -> Evidence:
         await accept(cell.client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
         await accept(cell.client, "stimulation.set_intensity", percent=50.0)
         await accept(cell.client, "stimulation.arm")
+        attended = []
         for _ in range(10):
             await asyncio.sleep(0.5)
-            await accept(cell.client, "stimulation.set_intensity", percent=50.0)
+            attended.append(await accept(cell.client, "stimulation.set_intensity", percent=50.0))
+        row = cell.last_row()
         expect(not (await cell.client.state()).latched, "It was held although somebody was there.")
         asking = asyncio.create_task(_ask_in_vain(cell))
         try:
@@ -107,14 +132,24 @@ async def asked_in_vain(lab: Lab) -> Evidence:
             asking.cancel()
             asked = await asking
         expect(asked > 0, "Nothing was asked.")
+        decided = [
+            each.verdict.decision for each in cell.rows(row) if each.operation == "set_intensity" and each.verdict
+        ]
         await confirmed(cell)
-    return Evidence("held, latched, disarmed", {"rejected": asked, "control": "5 s of accepted commands: nothing"})
+    return Evidence(
+        "held, latched, disarmed",
+        took_place={"rejected_in_the_journal": decided.count("rejected")},
+        control={"not_held_during_5_s_of_accepted_ones": sum(each.decision == "accepted" for each in attended)},
+        details={"rejected": asked},
+    )
 
 
 async def _ask_in_vain(cell: LabCell) -> int:
-    """Asks until it is cancelled; returns how often."""
+    """Asks until it is cancelled; returns how often. In a sham campaign nobody asks."""
     asked = 0
     try:
+        if is_sham():
+            await asyncio.Event().wait()
         while True:
             verdict = await cell.client.call("stimulation.set_intensity", {"percent": 500.0})
             expect(verdict.decision == "rejected", f"It was {verdict.decision}.")
@@ -139,6 +174,11 @@ async def _stops_in_time(cell: LabCell, kind: Kind) -> dict[str, Any]:
     late = percentile(taken, 0.99) - percentile(timer.late, 0.99)
     expect(late < BEGUN_WITHIN, f"Stop took {late * 1e3:.1f} ms longer than a bare timer is late: {details}.")
     return details
+
+
+async def _no_place(cell: LabCell) -> int:
+    """Requests on the bus for which the daemon had no place."""
+    return (await cell.client.health()).dropped["bus.refused"]
 
 
 async def _presses(cell: LabCell, row: int) -> dict[str, int]:

@@ -9,6 +9,7 @@ from pcmrs.campaign.checks import expect
 from pcmrs.campaign.driving import accept
 from pcmrs.campaign.fault import Evidence, fault
 from pcmrs.campaign.lab import Lab
+from pcmrs.campaign.sham import is_sham
 from pcmrs.gateway.keys import new_key
 
 OTHERS = 0o077
@@ -19,23 +20,29 @@ OTHERS = 0o077
 async def open_folder(lab: Lab) -> Evidence:
     """Nobody else may read what the daemon writes; what the same shell writes itself, everybody may."""
     folder, probe = lab.folder / "open", lab.folder / "probe"
-    await asyncio.to_thread(_make_open, folder)
-    shell = ("sh", "-c", f'umask 022; : > "{probe}"; exec "$@"', "sh")
+    opened = await asyncio.to_thread(_make_open, folder)
+    umask = "077" if is_sham() else "022"
+    shell = ("sh", "-c", f'umask {umask}; : > "{probe}"; exec "$@"', "sh")
     async with lab.daemon(folder=folder, prefix=shell) as cell:
         await accept(cell.client, "registration.reinit")
         modes = await asyncio.to_thread(_modes, folder, Path(cell.ready.journal), probe)
-    expect(modes.pop(probe.name) & OTHERS == 0o044, "The shell did not let others read new files.")
+    probed = modes.pop(probe.name)
+    expect(probed & OTHERS == 0o044, "The shell did not let others read new files.")
     expect(len(modes) > 4, f"Only {', '.join(modes)} were looked at.")
     shared = {name: f"{mode:04o}" for name, mode in modes.items() if mode & OTHERS}
     expect(not shared, f"Others may use {shared}.")
     return Evidence(
-        "readable by its owner only", {"files": sorted(modes), "control": "others may read the shell's file"}
+        "readable by its owner only",
+        took_place={"mode_of_the_folder_before": opened},
+        control={"mode_of_a_file_of_the_shell": f"{probed:04o}"},
+        details={"files": sorted(modes)},
     )
 
 
-def _make_open(folder: Path) -> None:
+def _make_open(folder: Path) -> str:
     folder.mkdir()
-    folder.chmod(0o755)
+    folder.chmod(0o700 if is_sham() else 0o755)
+    return f"{folder.stat().st_mode & 0o777:04o}"
 
 
 def _modes(folder: Path, journal: Path, probe: Path) -> dict[str, int]:
@@ -49,11 +56,15 @@ async def peer_named_local(lab: Lab) -> Evidence:
     """The daemon refuses to start with the first, and says why; with the second it starts."""
     key = lab.folder / "peer.key"
     new_key(key)
-    status, errors = await lab.ending(f"gateway.peers.local.key_file={key}")
+    name = "locals" if is_sham() else "local"
+    status, errors = await lab.ending(f"gateway.peers.{name}.key_file={key}")
     text = errors.strip().splitlines()[-1] if errors.strip() else ""
     expect(status != 0 and "local" in text and "Traceback" not in errors, f"It ended with {status}: {text}")
     async with lab.daemon(f"gateway.peers.locals.key_file={key}") as cell:
-        await accept(cell.client, "registration.reinit")
+        control = await accept(cell.client, "registration.reinit")
     return Evidence(
-        "refused to start, and said why", {"text": text, "control": "the same key under another name starts"}
+        "refused to start, and said why",
+        took_place={"said_of_the_name": text},
+        control={"accepted_with_another_name": control.decision},
+        details={"status": status},
     )

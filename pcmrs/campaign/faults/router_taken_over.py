@@ -18,6 +18,7 @@ from pcmrs.campaign.fault import Evidence, fault
 from pcmrs.campaign.faults.access import TLS, unmoved
 from pcmrs.campaign.lab import Lab
 from pcmrs.campaign.reachable import CARRIED, ROUTER, ReachableCell, reachable_cell
+from pcmrs.campaign.sham import is_sham
 from pcmrs.clock import SystemClock
 from pcmrs.messages import Verdict
 
@@ -59,7 +60,11 @@ async def taken_over_router(lab: Lab) -> Evidence:
         "for another command": "forged", "changed": "forged",
     }  # fmt: skip
     expect(why == expected, f"It was refused otherwise: {why}.")
-    return Evidence("refused; Stop honoured", {"why": why, "control": "signed by the person, accepted"})
+    return Evidence(
+        "refused; Stop honoured",
+        took_place={"answered_by_the_daemon": why},
+        control={"signed_by_the_person": control.decision},
+    )
 
 
 def _absolute(open_cell: ReachableCell, key: str) -> str:
@@ -75,7 +80,9 @@ def _command(open_cell: ReachableCell, name: str, signer: str | None) -> Sent:
 
 
 async def _why(session: zenoh.Session, sent: Sent) -> str:
-    """Why a command is refused."""
+    """Why a command is refused; nothing in a sham campaign, where it is not sent."""
+    if is_sham():
+        return ""
     verdict = await _asked(session, sent)
     reason = verdict.reason
     expect(verdict.decision == "rejected" and reason is not None, f"{sent.key} was {verdict.decision}.")
