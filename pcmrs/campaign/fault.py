@@ -52,8 +52,8 @@ class Evidence:
 
     response: str
     details: Mapping[str, Any] = field(default_factory=dict)
-    took_place: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
-    control: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
+    took_place: Mapping[str, Any] = field(kw_only=True)
+    control: Mapping[str, Any] = field(kw_only=True)
 
     @property
     def missing(self) -> str:
