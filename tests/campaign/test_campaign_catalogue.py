@@ -75,6 +75,7 @@ NEEDS = {
     "P6": {"control groups for memory", "root"},
     "P8": {"control groups for the processor", "root"},
     "A13": {"root", "ip", "nft", "network namespaces with NAT and loss"},
+    "B4": {"ss"},
 }
 
 
