@@ -70,8 +70,8 @@ async def consumer(cell: LabCell, manner: Manner) -> AsyncIterator[Callable[[], 
         Unmet: It hears nothing, or has ended.
     """
     pipe = asyncio.subprocess.PIPE
-    words = (sys.executable, "-m", "pcmrs.campaign.consumer", cell.ready.endpoint, cell.name)
-    words += ("busy" if manner == "busy" and not is_sham() else "idle",)
+    kept = "busy" if manner == "busy" and not is_sham() else "idle"
+    words = (sys.executable, "-m", "pcmrs.campaign.consumer", cell.ready.endpoint, cell.name, kept)
     process = await asyncio.create_subprocess_exec(*words, stdin=pipe, stdout=pipe)
 
     async def go_on() -> Heard:
