@@ -411,7 +411,7 @@ async def old_command(lab: Lab) -> Evidence:
         expect(control.decision == "accepted", f"Sent anew it was {control.decision}: {said(control)}.")
     return Evidence(
         f"refused: {said(verdict)}",
-        took_place={"refused for its age, s": age},
+        took_place={"age at the daemon, s": verdict.reason.fields["age"] if verdict.reason is not None else 0.0},
         control={"the same command, sent now": control.decision},
     )
 
