@@ -126,18 +126,20 @@ async def refused_all(cell: LabCell, datagrams: Sequence[bytes], *, refusals: in
     }
 
 
-async def taken(cell: LabCell, command: bytes) -> str:
+async def taken(cell: LabCell, command: bytes, *, after: Sequence[bytes] = ()) -> str:
     """Sends a command by itself that must be accepted, and returns its answer: a control.
 
     Args:
         cell: Whose planner link takes it.
         command: As it is on the wire, with an id.
+        after: Sent before it, without ids.
 
     Raises:
         Unmet: It was not accepted within `ANSWERS_WITHIN`.
     """
     async with raw_socket(cell.ready.links["planner"]) as raw:
-        raw.send(command)
+        for datagram in (*after, command):
+            raw.send(datagram)
         try:
             async with asyncio.timeout(ANSWERS_WITHIN):
                 answer = await raw.answers.get()
