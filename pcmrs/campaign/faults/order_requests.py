@@ -245,6 +245,7 @@ async def touch_late(lab: Lab) -> Evidence:
     rule = Rule("receive", "dev/pointer/cmd", "touch", LATE)
     async with lab.cell(*QUICK, delayed=True) as cell:
         await accept(cell.client, "registration.plan_landmarks", **landmarks())
+        before = (await cell.scene.truth()).tip_in_tracker
         async with cell.delays.delaying(rule):
             asked = asyncio.create_task(cell.client.call("digitization.digitize_one", {"index": 0}, timeout=PATIENCE))
             await cell.delays.begins(rule)
@@ -253,17 +254,16 @@ async def touch_late(lab: Lab) -> Evidence:
             late = await cell.delays.took_place(rule)
             seen = await _tips(cell)
         expect(verdict.decision == "failed", f"digitize_one ended {verdict.decision}: {said(verdict)}.")
-        expect(len(set(seen)) == 1, f"The hand was at {len(set(seen))} places after Stop.")
+        expect(set(seen) == {before}, f"The hand was at {before}, and after Stop at {set(seen)}.")
         await start_anew(cell.client)
         await accept(cell.client, "registration.plan_landmarks", **landmarks())
-        touch = asyncio.create_task(accept(cell.client, "digitization.digitize_one", index=0))
-        places, again = len(set(await _tips(cell))), await touch
-        expect(places > 1, "The hand does not move when it is asked for again, either.")
-    return delayed("the hand rests", late, asked_again=again.decision, places_of_the_tip=places)
+        again = await accept(cell.client, "digitization.digitize_one", index=0)
+    spreads = {name: round(spread * 1e3, 3) for name, spread in (again.result or {})["spreads"].items()}
+    return delayed("the hand rests", late, asked_again=again.decision, touched_with_spread_mm=spreads)
 
 
 async def _tips(cell: LabCell) -> list[tuple[float, ...] | None]:
-    """Where the pointer's tip is during `BRAKING`, in the tracker's frame, m."""
+    """Where the pointer's tip is during `BRAKING`, in the tracker's frame, m; None while the hand is away."""
     seen: list[tuple[float, ...] | None] = []
     for _ in range(LOOKS):
         seen.append((await cell.scene.truth()).tip_in_tracker)
