@@ -76,7 +76,7 @@ class CountedSession:
             Unmet: Less has arrived.
         """
         wanted = self._sent if most is None else most
-        missing = f"{self._passed} bytes have got to the daemon, not {wanted}: the fault did not take place"
+        missing = f"The fault did not take place: fewer than {wanted} bytes have got to the daemon"
         await until_true(lambda: self._passed >= wanted, missing, ARRIVED_WITHIN)
         return self._passed
 
@@ -88,10 +88,8 @@ class CountedSession:
 @asynccontextmanager
 async def counted_session(open_cell: ReachableCell, name: str) -> AsyncIterator[CountedSession]:
     """A session of somebody's, over a proxy that counts. Raises `BusError` when they are not let in."""
-    host, port = open_cell.endpoint.removeprefix("tls/").split(":")
-    weather = Weather()
-    async with tcp_proxy((host, int(port)), weather) as (near, proxied):
-        settings = msgspec.structs.replace(open_cell.settings(name), endpoint=f"tls/{near}:{proxied}")
+    async with counting_endpoint(open_cell) as (endpoint, weather):
+        settings = msgspec.structs.replace(open_cell.settings(name), endpoint=endpoint)
         session = await asyncio.to_thread(open_session, settings)
         try:
             counted = CountedSession(session, weather)
@@ -99,3 +97,12 @@ async def counted_session(open_cell: ReachableCell, name: str) -> AsyncIterator[
             yield counted
         finally:
             await asyncio.to_thread(session.close)
+
+
+@asynccontextmanager
+async def counting_endpoint(open_cell: ReachableCell) -> AsyncIterator[tuple[str, Weather]]:
+    """Where somebody dials the cell by way of a proxy, and what has passed it."""
+    host, port = open_cell.endpoint.removeprefix("tls/").split(":")
+    weather = Weather()
+    async with tcp_proxy((host, int(port)), weather) as (near, proxied):
+        yield f"tls/{near}:{proxied}", weather

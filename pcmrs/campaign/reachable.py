@@ -9,8 +9,6 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
-
 from pcmrs.bus import BusSettings, Credentials
 from pcmrs.campaign.lab import Lab, LabCell
 from pcmrs.client import Client
@@ -89,12 +87,9 @@ class ReachableCell:
     endpoint: str
     peer_key: Path
 
-    def settings(self, name: str | None) -> BusSettings:
-        """How somebody dials the cell; None has no certificate, and still asks for the cell's."""
-        own = self.people.credentials(name or "anna")
-        if name is None:
-            own = msgspec.structs.replace(own, certificate="", key="")
-        return BusSettings(endpoint=self.endpoint, cell=self.cell.name, credentials=own)
+    def settings(self, name: str) -> BusSettings:
+        """How somebody dials the cell."""
+        return BusSettings(endpoint=self.endpoint, cell=self.cell.name, credentials=self.people.credentials(name))
 
     def signer(self) -> Signer:
         """Signs string commands as the peer."""

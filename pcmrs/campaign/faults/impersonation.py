@@ -10,7 +10,7 @@ import msgspec
 
 from pcmrs.bus import Bus, BusSettings
 from pcmrs.campaign.checks import expect, standing
-from pcmrs.campaign.driving import PATIENCE, accept, moving, register, to_retracted, until
+from pcmrs.campaign.driving import PATIENCE, accept, calmed, moving, register, to_retracted, until
 from pcmrs.campaign.fault import Evidence, fault
 from pcmrs.campaign.lab import REAL_TIME, Lab, LabCell
 from pcmrs.campaign.sham import bring_about, is_sham
@@ -102,7 +102,7 @@ async def messages_in_a_devices_name(lab: Lab) -> Evidence:
         await accept(cell.client, "placement.home")
         cell.bus.publish("dev/robot/event", FORGED_EVENT)
         latched = (await until(cell.client, lambda shown: shown.latched)).latched
-        await accept(cell.client, "robot.acknowledge")
+        await calmed(cell.client)
     return Evidence(
         "dropped and counted",
         took_place={"counted": counted},
