@@ -36,9 +36,9 @@ evidence: install ## Make docs/evidence.md from the documents' promises and the 
 
 mutants: install ## Take guards out of the product, one at a time, and count how many the tests miss; hours
 	$(BIN)/python tests/mutants/run_mutants.py map
-	$(BIN)/python tests/mutants/run_mutants.py uncovered
 	$(BIN)/python tests/mutants/run_mutants.py listed
 	$(BIN)/python tests/mutants/run_mutants.py generated
+	$(BIN)/python tests/mutants/run_mutants.py uncovered
 
 fuzz: install ## Fuzz every parser of bytes from outside, SECONDS=30 each; TARGETS="kst ndi" for some of them
 	@export TMPDIR=$$(mktemp -d); trap 'rm -rf "$$TMPDIR"' EXIT; log=$$TMPDIR/log; \

@@ -175,7 +175,7 @@ def _reduced(folder: Path, results: dict[str, Result]) -> CoverageMap:
             lost += 1
     return CoverageMap(
         tests=tests,
-        failed=sorted(name for name, result in results.items() if not result.passed),
+        failed=sorted(name for name, result in results.items() if result.failed),
         files={
             file: MappedFile(_digest(TREE / file), {line: f"{each:x}" for line, each in known.items()}, arcs[file])
             for file, known in sorted(lines.items())

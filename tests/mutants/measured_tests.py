@@ -18,14 +18,16 @@ RESULTS = "PCMRS_MEASURED_TESTS"
 
 
 class Result(msgspec.Struct):
-    """Result of a test.
-
-    Attributes:
-        passed: In every phase that ran; a skipped test has not passed.
-    """
+    """Result of a test in all its phases."""
 
     seconds: float = 0.0
-    passed: bool = True
+    failed: bool = False
+    skipped: bool = False
+
+    @property
+    def passed(self) -> bool:
+        """Whether it ran and did not fail."""
+        return not (self.failed or self.skipped)
 
 
 _results: dict[str, Result] = {}
@@ -48,7 +50,8 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     """Note the outcome."""
     result = _results.setdefault(report.nodeid, Result())
     result.seconds += report.duration
-    result.passed &= report.passed
+    result.failed |= report.failed
+    result.skipped |= report.skipped
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
