@@ -21,7 +21,7 @@ from pathlib import Path
 import msgspec
 from coverage import CoverageData
 from coverage.exceptions import CoverageException
-from measured_tests import RESULTS, Result
+from measured_tests import CONFIGURATION, RESULTS, Result
 from places import TREE
 
 MAP = TREE / "build" / "mutants" / "map.json"
@@ -35,7 +35,7 @@ branch = true
 parallel = true
 core = ctrace
 sigterm = true
-patch = subprocess, _exit
+patch = _exit
 context = ${{PYTEST_CURRENT_TEST-}}
 data_file = {data}
 source =
@@ -140,7 +140,11 @@ def write_map(tests: Sequence[str], workers: int, path: Path = MAP) -> CoverageM
         # Whoever measures this process does not measure these ones: two tracers cannot share an interpreter.
         environment = {key: value for key, value in os.environ.items() if not key.startswith("COVERAGE_")}
         environment.pop("PYTEST_CURRENT_TEST", None)
-        environment |= {"PYTHONPATH": f"{TREE}:{Path(__file__).parent}", RESULTS: str(results)}
+        environment |= {
+            "PYTHONPATH": f"{TREE}:{Path(__file__).parent}",
+            RESULTS: str(results),
+            CONFIGURATION: str(configuration),
+        }
         pytest = ["pytest", "-q", "-p", "measured_tests", f"--timeout={MEASURED_TIME}", "--ignore=tests/mutants"]
         command = [sys.executable, "-m", "coverage", "run", f"--rcfile={configuration}", "-m", *pytest]
         ended = subprocess.run(

@@ -15,6 +15,8 @@ from coverage import Coverage
 
 RESULTS = "PCMRS_MEASURED_TESTS"
 """Environment variable with the file that the results are written to."""
+CONFIGURATION = "PCMRS_MEASURED_AS"
+"""Environment variable with the configuration of coverage.py for processes that a test starts."""
 
 
 class Result(msgspec.Struct):
@@ -31,6 +33,15 @@ class Result(msgspec.Struct):
 
 
 _results: dict[str, Result] = {}
+
+
+def pytest_configure() -> None:
+    """Measure processes that start from now on, workers of xdist included.
+
+    Each reads the configuration by itself, since that names the test which is running: what coverage.py's own patch
+    hands down was read before the first test.
+    """
+    os.environ["COVERAGE_PROCESS_START"] = os.environ[CONFIGURATION]
 
 
 @pytest.hookimpl(wrapper=True)

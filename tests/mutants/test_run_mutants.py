@@ -15,12 +15,13 @@ from trying import Candidate, Found, try_mutants
 
 SHOWN = ("a_series_is_planned_twice", "a_rotation_of_any_age")
 """Mutants that are tried in every run of the suite, since their tests are quick: the way of trying them works."""
+BEATS = "tests/bus/test_heart.py::test_each_beat_carries_the_loops_sign_of_life_and_a_hanging_loop_is_silent"
 FEW = Limits(tests=10, seconds=30.0)
 
 
 @pytest.fixture(scope="module")
 def coverage(tmp_path_factory: pytest.TempPathFactory) -> CoverageMap:
-    return write_map(["tests/gateway/test_gateway_series.py"], 0, tmp_path_factory.mktemp("map") / "map.json")
+    return write_map(["tests/gateway/test_gateway_series.py", BEATS], 0, tmp_path_factory.mktemp("map") / "map.json")
 
 
 def harmless(name: str, without: str) -> Candidate:
@@ -58,6 +59,12 @@ def test_tests_that_reach_the_body_of_a_guard_come_first(coverage: CoverageMap) 
 
     assert 0 < len(body) < len(tests)
     assert set(tests[: len(body)]) == body
+
+
+def test_what_a_process_runs_belongs_to_the_test_that_started_it(coverage: CoverageMap) -> None:
+    place = find(TREE, "bus.heart", "main", "open_session(settings.bus)")
+
+    assert [test.id for test in coverage.reaching(place.file, changed(TREE, place).lines)] == [BEATS]
 
 
 def test_a_map_of_another_source_or_none_says_how_to_make_one(coverage: CoverageMap, tmp_path: Path) -> None:
