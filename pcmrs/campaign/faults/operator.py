@@ -233,7 +233,7 @@ def _patient(name: str) -> tuple[str, ...]:
     return f"procedure.patient={name}", 'procedure.body.surface=""'
 
 
-@fault("O6", how="the daemon is started for another patient on the journal of the last one")
+@fault("O6", how="the daemon is started for another patient on the journal of the last one", deadline=300.0)
 async def previous_patient(lab: Lab) -> Evidence:
     """Another patient's registration is not taken."""
     async with lab.daemon(*_patient("one")) as cell:

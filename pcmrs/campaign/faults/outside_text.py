@@ -62,7 +62,7 @@ async def _logged(cell: LabCell, before: int) -> str:
         raise Unmet(f"The daemon has logged nothing of the name: {cell.log[before:]!r}") from None
 
 
-@fault("A33", how="an empty token file, and one of 19 characters")
+@fault("A33", how="an empty token file, and one of 19 characters", deadline=240.0)
 async def guessable_token(lab: Lab) -> Evidence:
     """No console starts that anybody could open; with a token of its own one starts."""
     async with lab.daemon() as cell:
@@ -95,6 +95,7 @@ async def _console(cell: LabCell, token: Path) -> tuple[int, str]:
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(*command, stdout=pipe, stderr=asyncio.subprocess.STDOUT)
     assert process.stdout is not None
+    said = b""
     try:
         async with asyncio.timeout(START_TIME):
             said = await process.stdout.readline()

@@ -191,7 +191,7 @@ async def exchanged_tool(lab: Lab) -> Evidence:
     return await no_pose(lab, "wrong_tool", {"body": "coil"})
 
 
-@fault("S9", how="driver ndi: a tool definition whose hash is not the agreed one")
+@fault("S9", how="driver ndi: a tool definition whose hash is not the agreed one", deadline=240.0)
 async def wrong_definition(lab: Lab) -> Evidence:
     """The file of the tool is not the agreed one."""
     tool = lab.folder / "coil.rom"
@@ -214,7 +214,11 @@ async def wrong_definition(lab: Lab) -> Evidence:
 NOT_AGREED = "is not the agreed tool definition"
 
 
-@fault("S9", how="a calibration file that was changed by hand, and one of a tool with another serial number")
+@fault(
+    "S9",
+    how="a calibration file that was changed by hand, and one of a tool with another serial number",
+    deadline=300.0,
+)
 async def wrong_calibration(lab: Lab) -> Evidence:
     """The calibration is not that of the mounted tool."""
     file = lab.folder / "tool.toml"
