@@ -96,6 +96,7 @@ class Arm:
     """Moves until it is held, or the trace says that it is where it should be."""
 
     trouble = ""
+    dropped = 0
 
     def __init__(self) -> None:
         self._end: asyncio.Future[MotionResult] | None = None

@@ -14,7 +14,7 @@ from selecting_tests import Limits, changed, select
 from trying import Candidate, Found, try_mutants
 
 SHOWN = ("a_series_is_planned_twice", "a_rotation_of_any_age")
-"""Mutants that are tried in every run of the suite, since their tests are quick: the way of trying them works."""
+"""Mutants whose tests are quick: the way of trying them works."""
 BEATS = "tests/bus/test_heart.py::test_each_beat_carries_the_loops_sign_of_life_and_a_hanging_loop_is_silent"
 FEW = Limits(tests=10, seconds=30.0)
 
@@ -34,6 +34,7 @@ def harmless(name: str, without: str) -> Candidate:
     )
 
 
+@pytest.mark.nightly
 @pytest.mark.timeout(300)
 def test_a_removed_guard_is_caught_and_what_takes_none_out_is_not(coverage: CoverageMap) -> None:
     mutants = [
