@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from xml.etree import ElementTree
 
 import resvg_py
@@ -15,12 +14,8 @@ ZOOM = 2.0
 MAX_PIXELS = 100_000_000
 """Largest picture; it takes 4 bytes per pixel in memory."""
 
-_FAMILIES: tuple[Mapping[str, str], ...] = (
-    {},
-    {"monospace_family": "DejaVu Sans Mono", "sans_serif_family": "DejaVu Sans"},
-    {"monospace_family": "Liberation Mono", "sans_serif_family": "Liberation Sans"},
-)
-"""What the generic names stand for: the renderer's own choice is not there on every system."""
+_MONOSPACE = (None, "DejaVu Sans Mono", "Liberation Mono")
+"""What the generic name stands for: the renderer's own choice, None, is not there on every system."""
 
 _SAMPLE = (
     '<svg xmlns="http://www.w3.org/2000/svg" width="20" height="20">'
@@ -39,13 +34,14 @@ def png(svg: str) -> bytes:
     if pixels > MAX_PIXELS:
         text = f"the picture would have {pixels / 1e6:.0f} million pixels; {MAX_PIXELS / 1e6:.0f} are possible: use svg"
         raise ConfigurationError(text, pixels=pixels)
-    families = next((each for each in _FAMILIES if _shows_text(each)), None)
-    if families is None:
-        raise ConfigurationError("no font to write the names with: install one (Debian: fonts-dejavu-core), or use svg")
-    return resvg_py.svg_to_bytes(svg_string=svg, zoom=ZOOM, background="#ffffff", **families)
+    for font in _MONOSPACE:
+        if _shows_text(font):
+            return resvg_py.svg_to_bytes(svg_string=svg, zoom=ZOOM, background="#ffffff", monospace_family=font)
+    raise ConfigurationError("no font to write the names with: install one (Debian: fonts-dejavu-core), or use svg")
 
 
-def _shows_text(families: Mapping[str, str]) -> bool:
+def _shows_text(font: str | None) -> bool:
     """Whether text shows at all; the renderer leaves it out in silence where there is no font."""
-    written, blank = (resvg_py.svg_to_bytes(svg_string=_SAMPLE.format(text), **families) for text in ("M", ""))
+    texts = (_SAMPLE.format("M"), _SAMPLE.format(""))
+    written, blank = (resvg_py.svg_to_bytes(svg_string=text, monospace_family=font) for text in texts)
     return written != blank
