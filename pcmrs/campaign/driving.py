@@ -258,6 +258,20 @@ async def moving(
             await verdict
 
 
+async def approach_alone(client: Client) -> Verdict:
+    """Registers and approaches while nothing else is asked for: a control.
+
+    Raises:
+        Unmet: The approach was not accepted.
+    """
+    await register(client)
+    async with moving(client) as approach:
+        verdict = await approach
+    if verdict.decision != "accepted":
+        raise Unmet(f"An approach that nothing disturbs was {verdict.decision}: {said(verdict)}")
+    return verdict
+
+
 async def _motion(client: Client) -> tuple[asyncio.Future[None], Callable[[], Awaitable[None]]]:
     moves: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 

@@ -17,7 +17,17 @@ import msgspec
 from pcmrs.campaign.appended import append_without_key, leave_unnamed
 from pcmrs.campaign.checks import confirmed, expect, held, refused, refused_at_edge, reported, shape, unmoved
 from pcmrs.campaign.datagrams import Raw, raw_socket, refused_all, taken
-from pcmrs.campaign.driving import PATIENCE, accept, digitized, moving, register, start_anew, tool_pose, until
+from pcmrs.campaign.driving import (
+    PATIENCE,
+    accept,
+    approach_alone,
+    digitized,
+    moving,
+    register,
+    start_anew,
+    tool_pose,
+    until,
+)
 from pcmrs.campaign.fault import Evidence, fault
 from pcmrs.campaign.flood import flood
 from pcmrs.campaign.lab import Lab, LabCell
@@ -237,10 +247,7 @@ async def stop_spam(lab: Lab) -> Evidence:
         expect(honoured == SPAM, f"Of {SPAM} Stops {honoured} were confirmed.")
         expect(stops == SPAM, f"Of {SPAM} Stops the journal counts {stops}.")
         await start_anew(cell.client)
-        await register(cell.client)
-        async with moving(cell.client) as approach:
-            alone = await approach
-        expect(alone.decision == "accepted", f"Without a Stop the approach was {alone.decision}.")
+        alone = await approach_alone(cell.client)
     return Evidence(
         "all honoured, held until confirmed",
         took_place={"counted_in_the_journal": stops},

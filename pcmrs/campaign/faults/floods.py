@@ -9,7 +9,7 @@ from typing import Any
 
 from pcmrs.campaign.bus_flood import FLOODER, LONG, Kind, bus_flood
 from pcmrs.campaign.checks import confirmed, expect, held
-from pcmrs.campaign.driving import accept, moving, register, start_anew, to_placed, tool_pose, until
+from pcmrs.campaign.driving import accept, approach_alone, moving, register, start_anew, to_placed, tool_pose, until
 from pcmrs.campaign.fault import Evidence, Unmet, fault
 from pcmrs.campaign.faults.adversary import in_ms, stop_times
 from pcmrs.campaign.lab import REAL_TIME, Lab, LabCell
@@ -52,10 +52,7 @@ async def stop_by_a_viewer(lab: Lab) -> Evidence:
         expect(not any(entry.operation == FAIL_STOP for entry in cell.rows(row)), "The dispatcher has failed.")
         await confirmed(cell)
         await start_anew(cell.client)
-        await register(cell.client)
-        async with moving(cell.client) as approach:
-            alone = await approach
-        expect(alone.decision == "accepted", f"Without a Stop the approach was {alone.decision}.")
+        alone = await approach_alone(cell.client)
     return Evidence(
         "one Stop at a time, counted, and others are in time",
         took_place={"presses_in_the_journal": counted["presses"]},

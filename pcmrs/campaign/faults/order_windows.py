@@ -35,6 +35,7 @@ from pcmrs.campaign.driving import (
 from pcmrs.campaign.fault import Evidence, NotRun, Unmet, fault
 from pcmrs.campaign.faults.order_requests import ROBOT, delayed
 from pcmrs.campaign.lab import REAL_TIME, Lab, LabCell
+from pcmrs.campaign.proc import process_state
 from pcmrs.campaign.sham import bring_about, is_sham
 from pcmrs.campaign.waiting import until_said, until_true
 from pcmrs.errors import UnknownOutcomeError
@@ -307,7 +308,7 @@ async def plan_out_of_date(lab: Lab) -> Evidence:
             try:
                 approach = asyncio.create_task(cell.client.call("placement.approach", timeout=PATIENCE))
                 await asyncio.sleep(SLOW)
-                answered, frozen = approach.done(), _state(found[0])
+                answered, frozen = approach.done(), process_state(found[0])
                 await cell.client.stop()
                 shown = await until(cell.client, lambda shown: shown.latched and not shown.stop.pending)
                 await accept(cell.client, "robot.acknowledge", stop=shown.stop.number)
@@ -327,11 +328,6 @@ async def plan_out_of_date(lab: Lab) -> Evidence:
         control={"asked_again": again.decision, "reached": where},
         details={"moved_rad": moved[0]},
     )
-
-
-def _state(pid: int) -> str:
-    """Of a process, as the kernel has it; T is stopped."""
-    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
 
 @fault("Q10", how="simulated arm: a joint of the resting arm is moved by hand while nothing runs")
