@@ -13,7 +13,7 @@ import os
 import signal
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from typing import Literal
 
 import msgspec
@@ -24,6 +24,7 @@ from pcmrs.campaign.fault import Unmet
 from pcmrs.campaign.lab import LabCell
 from pcmrs.campaign.proc import process_state
 from pcmrs.campaign.sham import bring_about, is_sham
+from pcmrs.killing import killed
 from pcmrs.messages import BodyPose
 
 Manner = Literal["frozen", "busy", "idle"]
@@ -86,9 +87,7 @@ async def consumer(cell: LabCell, manner: Manner) -> AsyncIterator[Callable[[], 
             bring_about(lambda: os.kill(process.pid, signal.SIGSTOP))
         yield go_on
     finally:
-        with suppress(ProcessLookupError):
-            process.kill()
-        await process.wait()
+        await killed(process)
 
 
 async def _line(process: asyncio.subprocess.Process, told: bytes) -> bytes:

@@ -21,6 +21,7 @@ from pcmrs.devices.remote import RemoteScene
 from pcmrs.errors import PcmrsError
 from pcmrs.experiment.process import device_key, last_words, own_settings, running_daemon, serve_command
 from pcmrs.journal import JournalReader, JournalRow
+from pcmrs.killing import killed
 from pcmrs.planner import Planner
 from pcmrs.service import Ready
 
@@ -179,8 +180,7 @@ class Lab:
             raise Unmet("The daemon was not refused: it runs.") from None
         finally:
             if process.returncode is None:
-                process.kill()
-                await process.wait()
+                await killed(process)
         return process.returncode or 0, errors.decode(errors="replace")
 
     def last_words(self) -> str:
@@ -273,7 +273,7 @@ async def open_cell(
         key = device_key(folder)
         bus = await Bus.open(BusSettings(endpoint=ready.endpoint, cell=folder.name), Seal(key))
         stack.push_async_callback(bus.close)
-        yield LabCell(
+        cell = LabCell(
             process=daemon.process,
             ready=ready,
             settings=settings,
@@ -285,6 +285,11 @@ async def open_cell(
             scene=RemoteScene(bus, SystemClock()),
             delays=delays,
         )
+        try:
+            yield cell
+        except Exception as error:
+            error.add_note(f"The daemon's last words: {last_words(log, 12)}")
+            raise
 
 
 def _made(folder: Path) -> Path:

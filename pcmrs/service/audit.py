@@ -13,6 +13,7 @@ import msgspec
 import structlog
 
 from pcmrs.journal import Verification
+from pcmrs.killing import killed
 from pcmrs.messages import DeviceEvent
 
 log = structlog.get_logger(__name__)
@@ -66,6 +67,5 @@ async def _verified(journal: Path) -> Verification:
         output, _ = await process.communicate()
     finally:
         if process.returncode is None:
-            process.kill()
-            await process.wait()
+            await killed(process)
     return msgspec.json.decode(output, type=Verification)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import sys
-from contextlib import suppress
 from typing import Any
 
 import msgspec
 
 from pcmrs.errors import DeviceError
+from pcmrs.killing import killed
 from pcmrs.settings import Inherited, Settings
 
 
@@ -55,8 +55,6 @@ async def end_child(process: asyncio.subprocess.Process, patience: float) -> boo
         async with asyncio.timeout(patience):
             await process.wait()
     except TimeoutError:
-        with suppress(ProcessLookupError):
-            process.kill()
-        await process.wait()
+        await killed(process)
         return False
     return True

@@ -30,6 +30,7 @@ from pcmrs.formats.landmarks import Landmarks
 from pcmrs.formats.mesh import Mesh
 from pcmrs.formats.reading import refuse
 from pcmrs.formats.units import Space, Unit
+from pcmrs.killing import killed
 
 LARGEST = 1_000_000_000
 """Of all files of one upload, bytes."""
@@ -95,9 +96,7 @@ async def _ask(path: Path, request: Request) -> Answer:
     except TimeoutError:
         refuse(path, f"took more than {PATIENCE:g} s to read; give a smaller one.", limit=PATIENCE)
     finally:
-        if process.returncode is None:
-            process.kill()
-        await process.wait()
+        await killed(process)
     if not answer:
         refuse(path, "ended the process that read it, perhaps for want of memory; give a smaller one.")
     try:

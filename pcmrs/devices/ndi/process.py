@@ -12,6 +12,7 @@ from contextlib import suppress
 from pcmrs.clock import Clock
 from pcmrs.devices.ndi.wire import Failed, Frame, Job, Ready, Unpacker, pack
 from pcmrs.errors import DeviceError
+from pcmrs.killing import killed
 
 SETUP_TIME = 35.0
 """The reader says that the tracker tracks, or why not, within this, s: longer than its own limit."""
@@ -43,9 +44,7 @@ async def reports(job: Job, clock: Clock) -> AsyncGenerator[Ready | Frame, None]
                 yield report
         raise DeviceError(_why_ended(await process.wait()))
     finally:
-        with suppress(ProcessLookupError):  # it has ended by itself
-            process.kill()
-        await process.wait()
+        await killed(process)
 
 
 async def _give(process: Process, job: Job) -> None:
