@@ -20,7 +20,7 @@ async def child(program: str) -> asyncio.subprocess.Process:
 async def test_one_that_nobody_reads_ends() -> None:
     process = await child("while True: print('x' * 80)")
     assert process.stdout is not None
-    while len(process.stdout._buffer) <= FULL:  # type: ignore[attr-defined]  # nothing else says that it is full
+    while len(process.stdout._buffer) <= FULL:  # type: ignore[attr-defined]  # noqa: ASYNC110  # nothing else tells
         await asyncio.sleep(0)
     async with SystemClock().timeout(60.0):
         assert await killed(process) == -signal.SIGKILL
