@@ -8,6 +8,7 @@ from collections.abc import Collection
 import structlog
 
 from pcmrs.clock import Clock
+from pcmrs.devices.gate import ACTS
 from pcmrs.errors import DeviceError
 from pcmrs.settings import Settings
 
@@ -38,6 +39,8 @@ def awaited(settings: Settings, branches: Collection[str]) -> set[str]:
 class Hearing:
     """Knows which of the awaited devices have not been heard yet.
 
+    Of a device that acts, its gate must be known too: it cannot be released before, and its first beat may be lost.
+
     Args:
         devices: The awaited ones.
         clock: The machine's.
@@ -46,17 +49,23 @@ class Hearing:
     def __init__(self, devices: set[str], clock: Clock) -> None:
         self._clock = clock
         self._silent = set(devices)
+        self._unknown_gates = self._silent & ACTS.keys()
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._end_when_complete()
 
     @property
     def complete(self) -> bool:
         """All have been heard."""
-        return not self._silent
+        return not self._silent and not self._unknown_gates
 
     def hear(self, device: str) -> None:
         """The device has said something, or its node that it does not: then operations that need it say so."""
         self._silent.discard(device)
+        self._end_when_complete()
+
+    def hear_gate(self, device: str) -> None:
+        """A beat has said what the device's gate lets through."""
+        self._unknown_gates.discard(device)
         self._end_when_complete()
 
     def fail(self, error: DeviceError) -> None:
@@ -76,12 +85,15 @@ class Hearing:
                     async with self._clock.timeout(NOTED_AFTER):
                         await asyncio.shield(self._ended)
                 except TimeoutError:
-                    log.warning("waiting_for_devices", devices=sorted(self._silent), at_most_s=DEVICES_TIME)
+                    log.warning("waiting_for_devices", devices=self._awaited(), at_most_s=DEVICES_TIME)
                     await self._ended
         except TimeoutError:
-            silent = " and ".join(sorted(self._silent))
-            text = f"Not heard within {DEVICES_TIME:g} s: {silent}; the log says why."
-            raise DeviceError(text, devices=sorted(self._silent)) from None
+            silent = self._awaited()
+            text = f"Not heard within {DEVICES_TIME:g} s: {' and '.join(silent)}; the log says why."
+            raise DeviceError(text, devices=silent) from None
+
+    def _awaited(self) -> list[str]:
+        return sorted(self._silent | self._unknown_gates)
 
     def _end_when_complete(self) -> None:
         if self.complete and not self._ended.done():

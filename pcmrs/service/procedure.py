@@ -229,6 +229,8 @@ class RunningProcedure:
     def _take_beat(self, key: str, beat: NodeBeat) -> None:
         device = named_in(key)
         self._gates.take(device, beat.gate)
+        if beat.gate is not None:
+            self.hearing.hear_gate(device)
         self.heard[device] = self._machine.monotonic()
         if device == "robot":
             self.watch.hear_beat()

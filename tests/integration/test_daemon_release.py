@@ -24,6 +24,7 @@ from daemon_process import (
     wait_until,
 )
 
+from pcmrs.campaign.delays import Delays, Rule
 from pcmrs.campaign.driving import accept, connect, landmarks, moving, register, showing, to_standoff, until
 from pcmrs.clock import SystemClock
 from pcmrs.devices.remote import RemoteRobot
@@ -179,6 +180,21 @@ async def test_a_stimulator_that_is_silent_stays_latched_and_keeps_nobody_from_r
             async with asyncio.timeout(PATIENCE):
                 while (await client.acknowledge()).result is not None:  # noqa: ASYNC110
                     await asyncio.sleep(0.2)
+
+
+async def test_a_daemon_is_ready_only_when_all_that_acts_can_be_released(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    delays = Delays(tmp_path / "delays")
+    for name, value in delays.environment.items():
+        monkeypatch.setenv(name, value)
+    first_beats = Rule("publish", "dev/stimulator/beat", seconds=2.0, times=40)
+    async with delays.delaying(first_beats, ended=False):
+        with running_daemon([*own_settings(tmp_path), *SLOW, "cell.rate=1"], tmp_path) as daemon:
+            async with daemon.client() as client:
+                connected = await client.call("robot.connect")
+                assert connected.decision == "accepted"
+                assert "still_latched" not in (connected.result or {})
 
 
 async def test_nobody_acknowledges_while_a_hold_does_not_answer(

@@ -14,7 +14,7 @@ from pcmrs.service.hearing import Hearing
 
 
 async def test_a_device_is_told_when_it_is_lost_for_another_reason_and_there_again() -> None:
-    hearing = Hearing({"robot"}, ManualClock())
+    hearing = Hearing({"tracker"}, ManualClock())
     watch = HealthWatch(hearing, PoseFeed(ManualClock(), 0.25))
     with capture_logs() as told:
         for connected, text in (
@@ -25,7 +25,7 @@ async def test_a_device_is_told_when_it_is_lost_for_another_reason_and_there_aga
             (True, ""),
             (True, ""),
         ):
-            watch.take("", DeviceHealth(device="robot", connected=connected, text=text))
+            watch.take("", DeviceHealth(device="tracker", connected=connected, text=text))
     assert [(each["event"], each.get("reason")) for each in told] == [
         ("device_not_connected", "unplugged"),
         ("device_not_connected", "too hot"),

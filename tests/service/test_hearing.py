@@ -39,6 +39,8 @@ async def test_all_awaited_devices_must_be_heard() -> None:
     hearing.hear("tracker")
     assert not hearing.complete
     hearing.hear("robot")
+    assert not hearing.complete, "its first beat was lost: nobody could release it"
+    hearing.hear_gate("robot")
     assert hearing.complete
     await hearing.wait()
     hearing.fail(DeviceError("too late to matter"))
@@ -83,4 +85,5 @@ async def test_a_slow_start_is_no_failure() -> None:
     await settle()
     await clock.advance(60.0)
     hearing.hear("robot")
+    hearing.hear_gate("robot")
     await waiting
