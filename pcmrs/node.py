@@ -14,6 +14,7 @@ from pcmrs.bus import Bus
 from pcmrs.bus.seal import Seal
 from pcmrs.bus.stop import StopLane
 from pcmrs.clock import SystemClock
+from pcmrs.devices.conformity import check_conformity
 from pcmrs.devices.node import DeviceNode
 from pcmrs.settings import Settings
 from pcmrs.threads import Priority, RealTime, Threads, keep_pauses_short
@@ -43,7 +44,7 @@ async def serve_devices(
 
     Raises:
         BusError: The daemon does not answer.
-        ConfigurationError: The driver refuses its settings.
+        ConfigurationError: The driver refuses its settings, or its devices lack what a node asks of them.
         DeviceError: The driver has failed for good.
     """
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
@@ -55,6 +56,7 @@ async def serve_devices(
         bus = await Bus.open(settings.bus("client"), Seal(device_key))
         stack.push_async_callback(bus.close)
         opened = await stack.enter_async_context(opening)
+        check_conformity(driver, opened)
         node = DeviceNode(bus, opened, SystemClock(), settings.robot.deadman, Threads())
         lane = await StopLane.open(settings.bus("client"), lambda source, _: node.stop(source))
         stack.push_async_callback(lane.close)

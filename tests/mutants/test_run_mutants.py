@@ -34,6 +34,13 @@ def harmless(name: str, without: str) -> Candidate:
     )
 
 
+def test_a_removed_guard_is_caught_by_a_named_test(coverage: CoverageMap) -> None:
+    report = try_mutants(candidates(SHOWN[:1]), coverage, FEW, 1.0, allowed={}, jobs=1, show=lambda _: None)
+    assert [each.outcome for each in report.mutants] == ["caught"]
+    assert report.mutants[0].by.partition("::")[0] == "tests/gateway/test_gateway_series.py"
+    assert report.good
+
+
 @pytest.mark.nightly
 @pytest.mark.timeout(300)
 def test_a_removed_guard_is_caught_and_what_takes_none_out_is_not(coverage: CoverageMap) -> None:

@@ -1,0 +1,30 @@
+"""A driver whose devices lack what a node asks of them is refused at the start."""
+
+from __future__ import annotations
+
+import pytest
+
+from pcmrs.devices.conformity import DRIVER_PROTOCOLS, check_conformity
+from pcmrs.errors import ConfigurationError
+
+
+class HalfATracker:
+    trouble = ""
+
+
+def test_what_is_missing_is_named() -> None:
+    with pytest.raises(ConfigurationError, match="'lab' has a tracker without frames: write what") as raised:
+        check_conformity("lab", {"tracker": HalfATracker()})
+    assert raised.value.fields == {"driver": "lab", "device": "tracker", "lacking": ["frames"]}
+
+
+def test_a_robot_must_have_what_its_node_asks_beside_its_methods() -> None:
+    with pytest.raises(ConfigurationError) as raised:
+        check_conformity("lab", {"robot": object()})
+    assert {"follow", "hold", "states", "events", "set_point", "trouble", "dropped"} <= set(raised.value.fields["lacking"])
+
+
+@pytest.mark.parametrize("name", DRIVER_PROTOCOLS)
+def test_who_implements_the_protocol_is_taken(name: str) -> None:
+    protocol = DRIVER_PROTOCOLS[name]
+    check_conformity("lab", {name: type("Whole", (protocol,), {})()})
