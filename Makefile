@@ -50,7 +50,7 @@ fuzz: install ## Fuzz every parser of bytes from outside, SECONDS=30 each; TARGE
 
 tools: spin browser mono ## Install all that tests are skipped and faults are not injected without (Debian packages, as root)
 	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends \
-	    e2fsprogs faketime fonts-dejavu-core graphviz iproute2 mount nftables strace systemd >/dev/null
+	    e2fsprogs fonts-dejavu-core graphviz iproute2 mount nftables strace systemd >/dev/null
 
 spin: ## Install the model checker SPIN and a C compiler (Debian packages, as root); without them its tests are skipped
 	apt-get update -qq

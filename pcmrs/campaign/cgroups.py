@@ -14,17 +14,24 @@ from pcmrs.campaign.sham import is_sham
 
 MOUNTED = Path("/sys/fs/cgroup")
 PERIOD_US = 100_000
+REALTIME_PERIOD_US = 1_000_000
+"""The kernel's own."""
 
 
 @contextmanager
 def processor_quota(pids: Sequence[int], share: float) -> Iterator[Callable[[], int]]:
     """The processes together get `share` of one processor, in periods of 0.1 s.
 
+    A kernel that has groups for the real-time policy (version 1) gives threads with that policy the same share, in
+    periods of 1 s, and refuses processes that have some where the group has none.
+
     Yields:
         In how many periods the kernel has kept them waiting until now.
     """
     quota = max(1000, int(share * PERIOD_US))
     first = {"cpu.cfs_period_us": str(PERIOD_US), "cpu.cfs_quota_us": str(quota)}
+    if (MOUNTED / "cpu" / "cpu.rt_runtime_us").exists():
+        first["cpu.rt_runtime_us"] = str(int(share * REALTIME_PERIOD_US))
     with _group("cpu", first, {"cpu.max": f"{quota} {PERIOD_US}"}, pids) as folder:
         yield partial(_counted, folder, ("cpu.stat",), "nr_throttled")
 

@@ -21,7 +21,8 @@ def test_what_is_missing_is_named() -> None:
 def test_a_robot_must_have_what_its_node_asks_beside_its_methods() -> None:
     with pytest.raises(ConfigurationError) as raised:
         check_conformity("lab", {"robot": object()})
-    assert {"follow", "hold", "states", "events", "set_point", "trouble", "dropped"} <= set(raised.value.fields["lacking"])
+    needed = {"follow", "hold", "states", "events", "set_point", "trouble", "dropped"}
+    assert needed <= set(raised.value.fields["lacking"])
 
 
 @pytest.mark.parametrize("name", DRIVER_PROTOCOLS)

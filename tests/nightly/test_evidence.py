@@ -58,7 +58,7 @@ def test_parts_that_failed_or_were_never_run_are_on_the_page(monkeypatch: pytest
         seconds=90.0,
         passed=12,
         failed=1,
-        skipped={"C1: no faketime": 1},
+        skipped={"C1: no C compiler": 1},
         failures=["O11"],
         exit_code=1,
     )
@@ -72,7 +72,7 @@ def test_parts_that_failed_or_were_never_run_are_on_the_page(monkeypatch: pytest
     assert "| `explore-ratms` | green |" in text
     assert "| `sham-1` | not run |" in text
     assert "- faults-operator: failed: `O11`" in text
-    assert "- faults-operator: skipped 1: C1: no faketime" in text
+    assert "- faults-operator: skipped 1: C1: no C compiler" in text
     (line,) = (line for line in text.splitlines() if line.startswith("| SR2 |"))
     assert "**red**: faults-operator" in line
     assert "green: explore-ratms" in line

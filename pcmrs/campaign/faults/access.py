@@ -294,15 +294,16 @@ async def expired_certificate(lab: Lab) -> Evidence:
         expect(await _let_in(open_cell.settings("anna")), "Nor is anna let in, whose certificate counts.")
         authority, folder = open_cell.people.authority, open_cell.people.folder
         settings = [each for each in open_cell.cell.settings if not each.startswith("access.identity")]
+        place = open_cell.cell.folder
     authority.issue("daemon", "daemon2", now - 10 * 86400.0, days=7.0, hosts=("127.0.0.1",), into=folder)
     status, errors = await lab.ending(*settings, f"access.identity={folder / 'daemon2'}")
     expect(status == 4 and "daemon2.pem has expired on" in errors, f"Exit status {status}: {errors[-300:]}")
-    async with lab.daemon(*settings, f"access.identity={folder / 'daemon1'}") as cell:
-        control = await accept(cell.client, "registration.reinit")
+    async with lab.daemon(*settings, f"access.identity={folder / 'daemon1'}", folder=place) as cell:
+        started = await cell.client.state()
     return Evidence(
         "refused, and why is said",
         took_place={"user": reason, "daemon": errors.strip().splitlines()[-1]},
-        control={"let_in": "anna", "accepted_with_one_that_counts": control.decision},
+        control={"let_in": "anna", "daemon_with_one_that_counts": f"starts, robot {started.branches['robot']}"},
         details={"status": status},
     )
 

@@ -24,7 +24,7 @@ from pcmrs.errors import UnknownOutcomeError
 from pcmrs.experiment.process import descendants
 from pcmrs.messages import Verdict
 
-FAKETIME = "libfaketime in daemon and nodes"
+SET = "a library in daemon and nodes that shifts what the C library tells of the wall clock"
 HOUR, DAY = 3600.0, 86400.0
 SLOW = ("procedure.motion.linear_velocity=0.03", "robot.deadman=0.5")
 OVERLOAD = ("loop_stalled", "daemon_silent")
@@ -34,19 +34,19 @@ SLEEP = 6.0
 """The machine sleeps for so long; longer than every deadline of a link."""
 
 
-@fault("C1", how=FAKETIME, needs=walltime.NEEDS)
+@fault("C1", how=SET, needs=walltime.NEEDS)
 async def the_wall_clock_goes_back(lab: Lab) -> Evidence:
     """By an hour, in the middle of a motion."""
     return await _set_in_motion(lab, -HOUR)
 
 
-@fault("C2", how=FAKETIME, needs=walltime.NEEDS)
+@fault("C2", how=SET, needs=walltime.NEEDS)
 async def the_wall_clock_leaps_ahead(lab: Lab) -> Evidence:
     """By ten days, in the middle of a motion."""
     return await _set_in_motion(lab, 10 * DAY)
 
 
-@fault("C3", how=FAKETIME, needs=walltime.NEEDS)
+@fault("C3", how=SET, needs=walltime.NEEDS)
 async def the_wall_clock_stands(lab: Lab) -> Evidence:
     """From the middle of a motion on."""
     return await _set_in_motion(lab, None)
@@ -121,7 +121,7 @@ async def _decision(verdict: Awaitable[Verdict]) -> str:
 
 async def _set_in_motion(lab: Lab, ahead: float | None) -> Evidence:
     """Sets the wall clock in motion: the motion ends as ever, and so does what is begun after it."""
-    clock = WallClock.right(lab.folder)
+    clock = WallClock.right(lab.folder / "wall")
     async with lab.daemon(*REAL_TIME, "robot.deadman=1", environment=clock.environment()) as cell:
         await register(cell.client)
         row = cell.last_row()
@@ -183,16 +183,17 @@ async def _by_planner(cell: LabCell) -> None:
 async def _stop_works(cell: LabCell) -> None:
     """Stop latches, and its latch can be released."""
     await cell.client.stop()
-    await until(cell.client, lambda shown: shown.latched)
+    await until(cell.client, lambda shown: shown.latched and shown.stop.confirmed)
     if await state(cell.client, "robot") == "1":
-        released = await _command(cell, "robot", "acknowledge")
-        expect(released.decision == "accepted", f"acknowledge was {released.decision}.")
+        number = (await cell.client.state()).stop.number
+        released = await _command(cell, "robot", "acknowledge", arguments={"stop": number})
+        expect(released.decision == "accepted", f"acknowledge was {released.decision}: {released.reason}")
 
 
-async def _command(cell: LabCell, branch: str = "toolplan", operation: str = "reinit", **stamps: Any) -> Verdict:
-    """A request without a stamp, or with these."""
+async def _command(cell: LabCell, branch: str = "toolplan", operation: str = "reinit", **fields: Any) -> Verdict:
+    """A request without a stamp, unless one of these fields is one."""
     key = command_key("local", branch, operation)
-    return await cell.bus.request(key, Envelope(**stamps), Verdict, PATIENCE)
+    return await cell.bus.request(key, Envelope(**fields), Verdict, PATIENCE)
 
 
 def is_stopped(pid: int) -> bool:

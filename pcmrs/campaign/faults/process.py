@@ -33,6 +33,7 @@ from pcmrs.journal import JournalReader
 from pcmrs.journal.schema import HEADLESS
 from pcmrs.journal.verification import verify
 from pcmrs.replay.replay import replay
+from pcmrs.service import stall
 
 SLOW = ("procedure.motion.linear_velocity=0.03", "robot.deadman=0.5")
 """Every motion lasts for seconds, and a busy machine is no reason to hold."""
@@ -149,7 +150,9 @@ async def the_event_loop_is_blocked(lab: Lab) -> Evidence:
             await order(orders, f"block {BLOCKED_FOR}")
             ended = await verdict
         loop = (await cell.client.health()).loop
-        expect(loop.longest >= BLOCKED_FOR, f"The event loop was blocked for {loop.longest:.3f} s at most.")
+        # The watch asks once in a period: the block may have begun so long before.
+        longest = loop.longest
+        expect(longest > BLOCKED_FOR - stall.PERIOD, f"The event loop was blocked for {longest:.3f} s at most.")
         expect(ended.decision != "accepted", "The approach was accepted.")
         await held(cell)
         await confirmed(cell)
@@ -157,7 +160,7 @@ async def the_event_loop_is_blocked(lab: Lab) -> Evidence:
     return Evidence(
         "alarm at rest, held in motion",
         {"events": told, "approach": ended.decision},
-        took_place={"stalls": loop.stalls - before.stalls, "longest_s": round(loop.longest, 3)},
+        took_place={"stalls": loop.stalls - before.stalls, "longest_s": round(longest, 3)},
         control=control,
     )
 
