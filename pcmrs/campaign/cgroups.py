@@ -19,21 +19,18 @@ REALTIME_PERIOD_US = 1_000_000
 
 
 @contextmanager
-def processor_quota(pids: Sequence[int], share: float) -> Iterator[Callable[[], int]]:
+def processor_quota(pids: Sequence[int], share: float) -> Iterator[None]:
     """The processes together get `share` of one processor, in periods of 0.1 s.
 
     A kernel that has groups for the real-time policy (version 1) gives threads with that policy the same share, in
     periods of 1 s, and refuses processes that have some where the group has none.
-
-    Yields:
-        In how many periods the kernel has kept them waiting until now.
     """
     quota = max(1000, int(share * PERIOD_US))
     first = {"cpu.cfs_period_us": str(PERIOD_US), "cpu.cfs_quota_us": str(quota)}
     if (MOUNTED / "cpu" / "cpu.rt_runtime_us").exists():
         first["cpu.rt_runtime_us"] = str(int(share * REALTIME_PERIOD_US))
-    with _group("cpu", first, {"cpu.max": f"{quota} {PERIOD_US}"}, pids) as folder:
-        yield partial(_counted, folder, ("cpu.stat",), "nr_throttled")
+    with _group("cpu", first, {"cpu.max": f"{quota} {PERIOD_US}"}, pids):
+        yield
 
 
 @contextmanager
@@ -44,7 +41,7 @@ def memory_limit(pids: Sequence[int], limit: int) -> Iterator[Callable[[], int]]
         How many the kernel has killed for that until now.
     """
     with _group("memory", {"memory.limit_in_bytes": str(limit)}, {"memory.max": str(limit)}, pids) as folder:
-        yield partial(_counted, folder, ("memory.events", "memory.oom_control"), "oom_kill")
+        yield partial(_killed, folder)
 
 
 @contextmanager
@@ -69,12 +66,12 @@ def _group(controller: str, first: dict[str, str], second: dict[str, str], pids:
         _dissolve(folder, parent)
 
 
-def _counted(folder: Path, files: Sequence[str], name: str) -> int:
-    """What the kernel has counted under a name, in the first of the files that is there; 0 where it does not count."""
-    for file in files:
+def _killed(folder: Path) -> int:
+    """How many processes of a group the kernel has killed for want of memory; 0 where it does not count."""
+    for file in ("memory.events", "memory.oom_control"):
         if (folder / file).exists():
             lines = (line.split() for line in (folder / file).read_text().splitlines())
-            return next((int(value) for key, value in lines if key == name), 0)
+            return next((int(value) for key, value in lines if key == "oom_kill"), 0)
     return 0
 
 

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.campaign import cgroups, loopdisk, syscalls, walltime
+from pcmrs.campaign import cgroups, loopdisk, syscalls
 from pcmrs.campaign.cgroups import processor_quota
 from pcmrs.campaign.fault import NotRun
 from pcmrs.campaign.loopdisk import loop_disk
 from pcmrs.campaign.needs import Need, program
+from pcmrs.campaign.proc import processor_time
 from pcmrs.campaign.syscalls import injected
 from pcmrs.campaign.tools import require, tool
-from pcmrs.campaign.walltime import WallClock
 
 WRITER = """
 import os, sys
@@ -99,44 +99,17 @@ async def test_a_disk_is_full_until_it_is_released_and_read_only_until_mounted(t
             (disk.path / "another").write_bytes(b"x")
 
 
-def test_a_wall_clock_is_set_and_the_monotonic_one_is_not(tmp_path: Path) -> None:
-    with _runs_here(walltime.NEEDS):
-        clock = WallClock.right(tmp_path)
-        environment = {**os.environ, **clock.environment()}
-        program = "import time; print(time.time(), time.monotonic())"
-
-        def read() -> tuple[float, float]:
-            output = subprocess.run(
-                [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
-            ).stdout
-            wall, monotonic = map(float, output.split())
-            return wall, monotonic
-
-        wall, monotonic = read()
-        clock.shift(-3600.0)
-        earlier, later = read()
-        assert -3600.0 <= earlier - wall < -3540.0
-        assert 0.0 < later - monotonic < 60.0
-        clock.stand()
-        assert read()[0] == read()[0]
-
-
 def test_a_process_gets_no_more_than_its_share() -> None:
     with _runs_here(cgroups.PROCESSOR):
         burner = "import os\nwhile True: pass"
         with subprocess.Popen([sys.executable, "-c", burner]) as process:
             with processor_quota([process.pid], 0.1):
-                first = os.times().elapsed, _processor_time(process.pid)
+                first = os.times().elapsed, processor_time(process.pid)
                 with pytest.raises(subprocess.TimeoutExpired):
                     process.wait(1.0)
-                second = os.times().elapsed, _processor_time(process.pid)
+                second = os.times().elapsed, processor_time(process.pid)
             process.kill()
         assert second[1] - first[1] < 0.25 * (second[0] - first[0])
-
-
-def _processor_time(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 async def test_a_tool_that_fails_is_not_run() -> None:

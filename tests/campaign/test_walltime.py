@@ -28,16 +28,15 @@ def test_only_the_wall_clock_is_set(tmp_path: Path) -> None:
     clock = WallClock.right(tmp_path / "clock")
     environment = {**os.environ, **clock.environment()}
     command = [sys.executable, "-c", PROGRAM]
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
-    ) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment) as process:
+        asking, answers = process.stdin, process.stdout
+        assert asking is not None
+        assert answers is not None
 
         def told() -> list[float]:
-            process.stdin.write("\n")
-            process.stdin.flush()
-            wall, wall_ns, realtime, monotonic = map(float, process.stdout.readline().split())
+            print(file=asking, flush=True)
+            wall, wall_ns, realtime, monotonic = map(float, answers.readline().split())
             assert wall == pytest.approx(realtime, abs=1.0)
             assert wall == pytest.approx(wall_ns / 1e9, abs=1.0)
             assert monotonic == pytest.approx(time.monotonic(), abs=NEAR)

@@ -27,6 +27,8 @@ BEGUN_WITHIN = 0.1
 STOPS = 50
 PRESSES = 20_000
 REJECTED = 4 * BURST
+OVER = 1.0
+"""A flood of which nothing comes for so long is over, s of the machine."""
 TOLD_WITHIN = 30.0
 """The number of rejections without a row is on record within this, s of the machine."""
 
@@ -49,6 +51,7 @@ async def stop_by_a_viewer(lab: Lab) -> Evidence:
         expect(0 < counted["presses"] < PRESSES, f"Of {PRESSES} presses of one link {counted['presses']} came through.")
         expect(counted["rows"] < PRESSES / 10, f"{PRESSES} presses have {counted['rows']} rows.")
         details |= await _stops_in_time(cell, "stop-puts")
+        await _until_over(cell, row)
         expect(not any(entry.operation == FAIL_STOP for entry in cell.rows(row)), "The dispatcher has failed.")
         await confirmed(cell)
         await start_anew(cell.client)
@@ -175,7 +178,15 @@ async def _stops_in_time(cell: LabCell, kind: Kind) -> dict[str, Any]:
 
 async def _no_place(cell: LabCell) -> int:
     """Requests on the bus for which the daemon had no place."""
-    return (await cell.client.health()).dropped["bus.refused"]
+    return (await cell.client.health()).dropped.get("bus.refused", 0)
+
+
+async def _until_over(cell: LabCell, row: int) -> None:
+    """Waits until no press of the flooder comes any more: some are on their way when its process has ended."""
+    before: dict[str, int] = {}
+    while (presses := await _presses(cell, row)) != before:
+        before = presses
+        await asyncio.sleep(OVER)
 
 
 async def _presses(cell: LabCell, row: int) -> dict[str, int]:
