@@ -48,6 +48,10 @@ CONNECTING_TIME = 15.0
 CHARGING_TIME = 10.0
 """A stimulator is charged within this, s."""
 
+RETURNS = 3
+"""A node session that was taken for an earlier one is the present one after so many words in a row: what seemed to be
+its successor was a late word of its predecessor."""
+
 MOTION_MARGIN = 3.0
 """A motion may take so much longer than its trajectory, s."""
 
@@ -131,7 +135,7 @@ class ActingDevice(RemoteDevice):
         self.gate: GateState | None = None
         self.unreleased: tuple[str, int] | None = None
         self._daemon = daemon or uuid.uuid4().hex
-        self._replaced: set[str] = set()
+        self._replaced: dict[str, int] = {}
         self._number = 0
 
     @property
@@ -147,12 +151,19 @@ class ActingDevice(RemoteDevice):
     def take(self, gate: GateState | None) -> None:
         """Takes a report of the device's node, from a beat or a reply, if it is newer than the last one."""
         known = self.gate
-        if gate is None or gate.node in self._replaced:
+        if gate is None:
             return
-        if known is not None and known.node == gate.node and gate.changes <= known.changes:
-            return
+        if known is not None and known.node == gate.node:
+            self._replaced = dict.fromkeys(self._replaced, 0)
+            if gate.changes <= known.changes:
+                return
+        elif gate.node in self._replaced:
+            self._replaced[gate.node] += 1
+            if self._replaced[gate.node] < RETURNS:
+                return
         if known is not None and known.node != gate.node:
-            self._replaced.add(known.node)
+            self._replaced[known.node] = 0
+            self._replaced.pop(gate.node, None)
         self.gate = gate
 
     async def act(self, method: str, kind: type[T], timeout: float = ANSWER_TIME, **arguments: Any) -> T:

@@ -238,6 +238,21 @@ async def test_a_late_reply_of_a_node_that_has_ended_does_not_hide_its_successor
     assert (robot.gate.node, robot.gate.epoch) == ("second", 3)
 
 
+def gate_of(robot: RemoteRobot, *nodes: str) -> str:
+    """The node session that counts when each of these has said something, in this order."""
+    for changes, node in enumerate(nodes):
+        robot.take(GateState(node=node, epoch=0, latched=True, changes=changes))
+    assert robot.gate is not None
+    return robot.gate.node
+
+
+def test_a_late_word_of_a_node_that_was_never_heard_hides_its_successor_for_three_words_only() -> None:
+    robot = RemoteRobot(SlowLink(), ManualClock())
+    assert gate_of(robot, "second", "first", "second", "second") == "first"
+    assert gate_of(robot, "second") == "second"
+    assert gate_of(robot, "first", "first", "second", "first", "first") == "second", "it has ended"
+
+
 async def test_a_scene_moves_its_head_reference_and_pointer(bench: Bench) -> None:
     burst = HeadBurst(time=1.0, duration=0.5, speed=0.086, direction=(1.0, 0.0, 0.0))
     motion = HeadMotion(drift=(3.3e-5, 0.0, 0.0), bursts=[burst], seed=3)

@@ -117,6 +117,9 @@ class Bench:
         self.link.hear("state/joints", "state/joints", RESTING)
         for device in ("pointer", "scene", "stimulator", "emg"):
             self.link.hear("dev/*/state", f"dev/{device}/state", DeviceHealth(device=device, connected=True))
+        gate = GateState(node="n", epoch=0, latched=False)
+        for device in ("robot", "pointer", "stimulator"):
+            self.link.hear("dev/*/beat", f"dev/{device}/beat", NodeBeat(number=1, sent=0.0, gate=gate))
 
     def codes(self) -> list[str]:
         return [event.code for event in self.recorder.events]
