@@ -1,4 +1,4 @@
-"""Bars on standard error: only where there is something to wait for."""
+"""Bars on standard error: only where there is something to wait for; lines where there is no terminal."""
 
 from __future__ import annotations
 
@@ -28,3 +28,10 @@ def test_a_bar_that_is_wiped_off_leaves_nothing_in_a_file(capsys: pytest.Capture
     with progress_bar(transient=True) as show:
         show("search", 1, 3)
     assert capsys.readouterr().err == ""
+
+
+def test_a_file_is_told_the_first_and_the_last_of_quick_steps(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress_bar() as show:
+        for done in range(1, 6):
+            show(f"row {done}", done, 5)
+    assert capsys.readouterr().err.splitlines() == ["1/5 row 1", "5/5 row 5"]
