@@ -19,6 +19,11 @@ CORPUS = Path(__file__).parent / "corpus"
 SLOWEST = 60
 """An input that takes longer is a defect, s."""
 
+MOST_MEMORY = 8192
+"""Of the whole process, MB. Under atheris, and not without it, the target of KST grows with each input."""
+MOST_AT_ONCE = 2048
+"""One allocation of more than this is a defect, MB."""
+
 Target = Callable[[bytes], Awaitable[None] | None]
 
 _MAIN = Path(getattr(sys.modules["__main__"], "__file__", None) or "-")
@@ -49,6 +54,7 @@ def run(target: Target) -> None:
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
     corpus, named = CORPUS / _MAIN.stem, [Path(each) for each in sys.argv[1:] if not each.startswith("-")]
     options = [f"-artifact_prefix={corpus}/", f"-timeout={SLOWEST}", f"-report_slow_units={SLOWEST}"]
+    options += [f"-rss_limit_mb={MOST_MEMORY}", f"-malloc_limit_mb={MOST_AT_ONCE}"]
     folders = [] if named else [tempfile.mkdtemp(prefix="fuzz-")]
     folders += [] if any(each.is_file() for each in named) else [str(corpus)]
     with asyncio.Runner() as runner:
