@@ -178,7 +178,7 @@ async def _stops_in_time(cell: LabCell, kind: Kind) -> dict[str, Any]:
 
 async def _no_place(cell: LabCell) -> int:
     """Requests on the bus for which the daemon had no place."""
-    return sum(queue.refused for queue in (await cell.client.health()).queues if queue.queue == "bus")
+    return sum(queue.refused or 0 for queue in (await cell.client.health()).queues if queue.queue == "bus")
 
 
 async def _until_over(cell: LabCell, row: int) -> None:
