@@ -10,11 +10,11 @@ between the two NATs, as the Internet does: what cannot be reached is kept out b
 from __future__ import annotations
 
 import subprocess
-import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
+from pcmrs.campaign.namespaces import Namespaces, ip, namespaces, run_quietly
 from pcmrs.campaign.needs import ROOT, Need, program
 
 Side = Literal["cell", "remote"]
@@ -28,7 +28,6 @@ ROUTER: Final[dict[Side, str]] = {"cell": "198.51.100.1", "remote": "203.0.113.1
 """The router's address as each side dials it."""
 OUTSIDE: Final[dict[Side, str]] = {"cell": "198.51.100.2", "remote": "203.0.113.2"}
 """Address of each NAT as others see it."""
-END_TIME: Final = 5.0
 
 NAT: Final = """
 table ip nat {
@@ -50,19 +49,12 @@ table inet weather {
 
 def _namespaces() -> bool:
     """Whether this process may make a network namespace with the rules that a NAT needs; tried once with one."""
-    name = f"pcmrs-{uuid.uuid4().hex[:8]}"
     try:
-        _ip("netns", "add", name)
+        with namespaces(["nat"]) as name:
+            _nft(f"{name}-nat", NAT + _lossy(0.5))
     except (OSError, subprocess.CalledProcessError):
         return False
-    try:
-        _nft(name, NAT + _lossy(0.5))
-    except (OSError, subprocess.CalledProcessError):
-        return False
-    else:
-        return True
-    finally:
-        _ip("netns", "delete", name)
+    return True
 
 
 NEEDS: Final = (ROOT, program("ip"), program("nft"), Need("network namespaces with NAT and loss", _namespaces))
@@ -73,35 +65,8 @@ def missing() -> str:
     return next((f"no {need.name}" for need in NEEDS if not need.is_met()), "")
 
 
-class NatLab:
-    """The five namespaces; use `nat_lab`.
-
-    Attributes:
-        name: Begins the names of all of them.
-    """
-
-    def __init__(self, name: str, processes: ExitStack) -> None:
-        self.name = name
-        self._processes = processes
-
-    def prefix(self, place: Place) -> list[str]:
-        """The words before a command line that has it run at `place`."""
-        return ["ip", "netns", "exec", f"{self.name}-{place}"]
-
-    def run(self, place: Place, *command: str, timeout: float = 10.0) -> subprocess.CompletedProcess[str]:
-        """Runs a command to its end, whatever status that has.
-
-        Raises:
-            subprocess.TimeoutExpired: It has not ended after `timeout`, s, and was killed.
-        """
-        words = [*self.prefix(place), *command]
-        return subprocess.run(words, capture_output=True, text=True, check=False, timeout=timeout)
-
-    def start(self, place: Place, *command: str, **streams: Any) -> subprocess.Popen[str]:
-        """Starts a process that ends with the lab at the latest."""
-        process = subprocess.Popen([*self.prefix(place), *command], text=True, **streams)
-        self._processes.callback(_end, process)
-        return process
+class NatLab(Namespaces[Place]):
+    """The five namespaces; use `nat_lab`."""
 
     def lose(self, side: Side, share: float) -> None:
         """Drops that share of the packets between a side and the router, each way, in place of what was before."""
@@ -126,33 +91,29 @@ def nat_lab() -> Iterator[NatLab]:
     Raises:
         subprocess.CalledProcessError: This machine does not permit them: ask `missing` first.
     """
-    name = f"pcmrs-{uuid.uuid4().hex[:8]}"
-    with ExitStack() as stack:
-        for place in ("router", *SIDES, *(f"nat-{side}" for side in SIDES)):
-            _ip("netns", "add", f"{name}-{place}")
-            stack.callback(_ip, "netns", "delete", f"{name}-{place}")
-            _ip("-n", f"{name}-{place}", "link", "set", "lo", "up")
+    with namespaces(["router", *SIDES, *(f"nat-{side}" for side in SIDES)]) as name:
         for side in SIDES:
             _wire(name, side)
         _forward(f"{name}-router")
-        yield NatLab(name, stack.enter_context(ExitStack()))
+        with ExitStack() as processes:
+            yield NatLab(name, processes)
 
 
 def _wire(name: str, side: Side) -> None:
     """Lays the two cables of a side, and sets up its NAT."""
     inner, nat, router = f"{name}-{side}", f"{name}-nat-{side}", f"{name}-router"
-    _ip("link", "add", "lan", "netns", inner, "type", "veth", "peer", "lan", "netns", nat)
-    _ip("link", "add", "wan", "netns", nat, "type", "veth", "peer", side, "netns", router)
+    ip("link", "add", "lan", "netns", inner, "type", "veth", "peer", "lan", "netns", nat)
+    ip("link", "add", "wan", "netns", nat, "type", "veth", "peer", side, "netns", router)
     for place, link, address in (
         (inner, "lan", INSIDE),
         (nat, "lan", GATEWAY),
         (nat, "wan", OUTSIDE[side]),
         (router, side, ROUTER[side]),
     ):
-        _ip("-n", place, "address", "add", f"{address}/24", "dev", link)
-        _ip("-n", place, "link", "set", link, "up")
-    _ip("-n", inner, "route", "add", "default", "via", GATEWAY)
-    _ip("-n", nat, "route", "add", "default", "via", ROUTER[side])
+        ip("-n", place, "address", "add", f"{address}/24", "dev", link)
+        ip("-n", place, "link", "set", link, "up")
+    ip("-n", inner, "route", "add", "default", "via", GATEWAY)
+    ip("-n", nat, "route", "add", "default", "via", ROUTER[side])
     _forward(nat)
     _nft(nat, NAT)
 
@@ -162,25 +123,8 @@ def _lossy(share: float) -> str:
 
 
 def _forward(namespace: str) -> None:
-    _run(["ip", "netns", "exec", namespace, "sh", "-c", "echo 1 >/proc/sys/net/ipv4/ip_forward"])
-
-
-def _ip(*words: str) -> None:
-    _run(["ip", *words])
+    run_quietly(["ip", "netns", "exec", namespace, "sh", "-c", "echo 1 >/proc/sys/net/ipv4/ip_forward"])
 
 
 def _nft(namespace: str, rules: str) -> None:
-    _run(["ip", "netns", "exec", namespace, "nft", "-f", "-"], rules)
-
-
-def _run(words: Sequence[str], text: str = "") -> None:
-    subprocess.run(words, input=text, text=True, check=True, capture_output=True, timeout=10.0)
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    with process:  # closes its pipes
-        process.terminate()
-        try:
-            process.wait(END_TIME)
-        except subprocess.TimeoutExpired:
-            process.kill()
+    run_quietly(["ip", "netns", "exec", namespace, "nft", "-f", "-"], rules)
