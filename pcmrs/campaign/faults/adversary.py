@@ -33,6 +33,7 @@ from pcmrs.campaign.flood import flood
 from pcmrs.campaign.lab import Lab, LabCell
 from pcmrs.campaign.lateness import percentile, timer_lateness
 from pcmrs.campaign.sham import bring_about, is_sham
+from pcmrs.console.planning.importer import PointsRequest, Refused
 from pcmrs.dispatcher.events import PRESSED_AGAIN
 from pcmrs.gateway.authentication import FRESH_FOR
 from pcmrs.gateway.keys import new_key, read_key
@@ -66,17 +67,23 @@ MAGIC = (
 
 TAKEN_OVER = """
 import os, socket, subprocess, sys
-from pcmrs.console.planning.confined import confine
+from pcmrs.console.planning import importer
+from pcmrs.errors import PcmrsError
 file = os.open(sys.argv[2], os.O_WRONLY | os.O_CREAT)
-if sys.argv[1] == "confined":
-    confine(2**30, 60)
 acts = ((socket.socket,), (subprocess.run, ["true"]), (bytes, 2**31), (os.write, file, b"x"))
-for act, *words in acts[: int(sys.argv[3])]:
-    try:
-        act(*words)
-        print("done")
-    except (OSError, MemoryError) as error:
-        print(type(error).__name__)
+def taken_over(path):
+    said = []
+    for act, *words in acts[: int(sys.argv[3])]:
+        try:
+            act(*words)
+            said.append("done")
+        except (OSError, MemoryError) as error:
+            said.append(type(error).__name__)
+    raise PcmrsError(" ".join(said))
+importer.read_points = taken_over
+if sys.argv[1] == "free":
+    importer.confine = lambda memory, seconds: None
+importer.main()
 """
 """What a file could make its reader do."""
 
@@ -339,15 +346,16 @@ async def held_back(lab: Lab) -> Evidence:
     )
 
 
-@fault("A26", how="a program in place of the one that reads uploaded files, with its limits and without")
+@fault("A26", how="the program that reads uploaded files, its parser taken over, with its limits and without")
 async def a_reader_is_taken_over(lab: Lab) -> Evidence:
     """A file makes its reader open a connection, start a program, take memory and write; each is tried."""
-    tries = {}
+    tries, pipe = {}, asyncio.subprocess.PIPE
+    request = msgspec.msgpack.encode(PointsRequest("patient.json", memory=2**30, seconds=60))
     for how in ("confined", "free"):
         words = (sys.executable, "-c", TAKEN_OVER, how, str(lab.folder / how), "0" if is_sham() else "4")
-        process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE)
-        said, _ = await process.communicate()
-        tries[how] = said.decode().split()
+        process = await asyncio.create_subprocess_exec(*words, stdin=pipe, stdout=pipe)
+        answer, _ = await process.communicate(request)
+        tries[how] = msgspec.msgpack.decode(answer, type=Refused).text.split()
     expect(tries["free"] == ["done"] * 4, f"Without limits came {tries['free']}: the attack did not take place.")
     expect(len(tries["confined"]) == 4 and "done" not in tries["confined"], f"With limits came {tries['confined']}.")
     written = {how: (lab.folder / how).stat().st_size for how in tries}
