@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,3 +28,8 @@ ROOT = Need("root", lambda: os.geteuid() == 0)
 def program(name: str) -> Need:
     """A program on the search path."""
     return Need(name, lambda: shutil.which(name) is not None)
+
+
+def module(name: str) -> Need:
+    """A Python module that is installed."""
+    return Need(name, lambda: find_spec(name) is not None)

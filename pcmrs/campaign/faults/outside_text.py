@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import sys
 from pathlib import Path
 
 from pcmrs.bus.codec import pack_text
 from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.campaign.checks import expect
+from pcmrs.campaign.consoles import START_TIME, console_command
 from pcmrs.campaign.fault import Evidence, Unmet, fault
 from pcmrs.campaign.lab import Lab, LabCell
 from pcmrs.campaign.sham import is_sham
@@ -18,7 +18,6 @@ MARK = "lost-and-found"
 FORGED = f"{MARK}\x1b[2J\n2026-01-01 [info     ] robot released\u202e"
 """It clears the screen, forges a line of the log, and turns the writing direction round."""
 TOLD_WITHIN = 30.0
-START_TIME = 60.0
 
 
 @fault("A32", how="a field of a command on the bus whose name clears the screen and forges a line of the log")
@@ -89,10 +88,7 @@ def _token(folder: Path, token: str) -> Path:
 
 async def _console(cell: LabCell, token: Path) -> tuple[int, str]:
     """Exit status of a console and what it has said until it was ready, or ended."""
-    _, site, name = cell.ready.prefix.split("/")
-    words = ("--endpoint", cell.ready.endpoint, "--site", site, "--cell", name, "--port", "0", "--json")
-    command = (sys.executable, "-m", "pcmrs.cli", "console", *words, "--token-file", str(token))
-    pipe = asyncio.subprocess.PIPE
+    command, pipe = console_command(cell, 0, token), asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(*command, stdout=pipe, stderr=asyncio.subprocess.STDOUT)
     assert process.stdout is not None
     said = b""
