@@ -15,7 +15,7 @@ from pcmrs.campaign.fault import fault, injections
 from pcmrs.cli import main
 from pcmrs.errors import ConfigurationError
 
-COUNTS = {"O": 13, "S": 14, "B": 14, "N": 14, "P": 13, "T": 12, "C": 6, "A": 36, "Q": 29}
+COUNTS = {"O": 13, "S": 14, "B": 14, "N": 14, "P": 13, "T": 12, "C": 6, "A": 38, "Q": 29}
 LETTERS = dict(zip(COUNTS, CLASSES, strict=True))
 WRONG_IN_THE_REFERENCE = {
     *("O2", "O4", "O6", "O7", "O11"),
@@ -28,7 +28,7 @@ WRONG_IN_THE_REFERENCE = {
 def test_every_row_is_there_once_and_in_its_class() -> None:
     expected = [f"{letter}{number + 1}" for letter, count in COUNTS.items() for number in range(count)]
     assert list(catalogue()) == expected
-    assert len(expected) == 151
+    assert len(expected) == 153
     for row in catalogue().values():
         assert row.fault_class == LETTERS[row.id[0]]
         assert row.title
@@ -76,6 +76,8 @@ NEEDS = {
     "P8": {"control groups for the processor", "root"},
     "A13": {"root", "ip", "nft", "network namespaces with NAT and loss"},
     "A35": {"root", "ip", "network namespaces", "pylsl"},
+    "A37": {"nicegui"},
+    "A38": {"nicegui"},
     "B4": {"ss"},
 }
 
