@@ -246,7 +246,7 @@ def gate_of(robot: RemoteRobot, *nodes: str) -> str:
     return robot.gate.node
 
 
-def test_a_late_word_of_a_node_that_was_never_heard_hides_its_successor_for_three_words_only() -> None:
+async def test_a_late_word_of_a_node_that_was_never_heard_hides_its_successor_for_three_words_only() -> None:
     robot = RemoteRobot(SlowLink(), ManualClock())
     assert gate_of(robot, "second", "first", "second", "second") == "first"
     assert gate_of(robot, "second") == "second"
