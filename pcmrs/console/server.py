@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import shutil
 import socket
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,10 +21,10 @@ from pcmrs.console.playback import Playback
 from pcmrs.console.recordings import Recordings
 from pcmrs.console.replaying import refuse_recording, wait_for_recording
 from pcmrs.console.surfaces import Surfaces
+from pcmrs.console.temporary import keep_temporary_files
 from pcmrs.console.texts import Texts
 from pcmrs.console.upload_limit import UploadLimit
-from pcmrs.errors import BusError, ConfigurationError, PcmrsError
-from pcmrs.files import make_private
+from pcmrs.errors import BusError, PcmrsError
 from pcmrs.fsm import Blueprint, parse_blueprint
 
 FORM = 2**20
@@ -73,7 +71,7 @@ async def serve_console(
         language: Of whoever asks for none.
         ready: Called with the address, token included, as soon as it can be opened.
         ended: Set to end it.
-        uploads: Folder for what is uploaded, as long as it is read. What an earlier run has left there is removed.
+        uploads: Folder for what is uploaded, as long as it is read. What consoles that have ended left is removed.
         recordings: Folder with those that may be looked at; None for none.
 
     Raises:
@@ -88,8 +86,7 @@ async def serve_console(
     )
     listening = _listen(place)
     host, port = listening.getsockname()[:2]
-    # The port is ours, so nobody else uses this folder.
-    _keep_temporary_files(uploads / str(port))
+    keep_temporary_files(uploads)
     names = {f"{name}:{port}" for name in (host, "127.0.0.1", "localhost")} | {*place.names}
     guarded = Guard(UploadLimit(app, LARGEST_UPLOAD + FORM), token, names)
     server = _Server(
@@ -111,17 +108,6 @@ async def serve_console(
         server.should_exit = True
         await serving
         following.cancel()
-
-
-def _keep_temporary_files(folder: Path) -> None:
-    """Has all temporary files of this process, those of the web server too, lie in a folder that is empty and ours."""
-    try:
-        shutil.rmtree(folder, ignore_errors=True)
-        make_private(folder)
-    except OSError as error:
-        text = f"The folder for uploads, {folder}, cannot be made: {error.strerror}."
-        raise ConfigurationError(text, folder=str(folder)) from None
-    tempfile.tempdir = str(folder)
 
 
 class _Server(uvicorn.Server):

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import MutableMapping
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from pcmrs.console.server import _keep_temporary_files
 from pcmrs.console.upload_limit import UploadLimit
-from pcmrs.errors import ConfigurationError
 
 LIMIT = 1000
 
@@ -56,26 +52,3 @@ async def test_what_is_longer_than_it_says_ends_at_the_limit(length: int | None)
     """In pieces without a length; a server takes no more than a length says, but that is its matter."""
     _, given = await post([bytes(600), bytes(400), bytes(1), bytes(600)], length)
     assert given == ["http.request", "http.request", "http.disconnect"]
-
-
-def test_what_a_killed_server_has_left_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tempfile, "tempdir", None)
-    folder = tmp_path / "uploads" / "8080"
-    folder.mkdir(parents=True)
-    (folder / "patient.nii").touch()
-    (folder / "tmp1").mkdir()
-    (folder / "tmp1" / "0001").touch()
-
-    _keep_temporary_files(folder)
-
-    assert list(folder.iterdir()) == []
-    assert folder.stat().st_mode & 0o777 == 0o700
-    with tempfile.NamedTemporaryFile() as file, tempfile.TemporaryDirectory() as own:
-        assert {Path(file.name), Path(own)} == {*folder.iterdir()}
-
-
-def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tempfile, "tempdir", None)
-    (tmp_path / "uploads").touch()
-    with pytest.raises(ConfigurationError, match="cannot be made"):
-        _keep_temporary_files(tmp_path / "uploads" / "8080")
