@@ -1,4 +1,4 @@
-"""The server itself bounds what it takes, and what it takes lies in one folder, which is emptied at the next start."""
+"""The server itself bounds what it takes."""
 
 from __future__ import annotations
 
