@@ -13,10 +13,11 @@ from typing import Final
 from pcmrs.background import meanwhile
 from pcmrs.campaign.checks import expect
 from pcmrs.campaign.consoles import CONSOLE, RunningConsole, running_console
-from pcmrs.campaign.fault import Evidence, fault
+from pcmrs.campaign.fault import Evidence, Unmet, fault
 from pcmrs.campaign.lab import Lab
+from pcmrs.campaign.proc import process_state
 from pcmrs.campaign.sham import bring_about, is_sham
-from pcmrs.campaign.uploading import NAME, TAKEN, Uploader, uploader
+from pcmrs.campaign.uploading import TAKEN, Uploader, uploader
 from pcmrs.campaign.waiting import until_true
 from pcmrs.console.planning.files import LARGEST
 from pcmrs.experiment.process import free_port
@@ -27,6 +28,7 @@ LIMIT: Final = LARGEST + len(PIECE)
 PIECES: Final = LIMIT // len(PIECE) + 8
 """Of a file that is too long."""
 TOO_LARGE: Final = 413
+UPLOADS: Final = 20
 ALONE: Final = 1.0
 """So long no console starts after one was killed, s of the machine."""
 LOOKS: Final = 0.02
@@ -73,8 +75,8 @@ async def killed_with_a_file(lab: Lab) -> Evidence:
     """The next console that starts removes the file, at whatever port; nobody does before."""
     async with lab.cell(anew=False) as cell:
         async with running_console(cell, lab.folder, free_port()) as console:
-            await (await uploader(console)).send([PIECE])
-            await until_true(lambda: any(path.name == NAME for path in _left(console)), "The file is not to be seen")
+            own = await uploader(console)
+            await _until_stopped_with_a_file(console, own)
             bring_about(console.process.kill)
             await until_true(lambda: console.process.returncode is not None, "The console has not ended")
         ended, left = console.process.returncode, _bytes(_left(console))
@@ -90,6 +92,20 @@ async def killed_with_a_file(lab: Lab) -> Evidence:
         control={"bytes_before_the_next_start": kept},
         details={"status": ended},
     )
+
+
+async def _until_stopped_with_a_file(console: RunningConsole, own: Uploader) -> None:
+    """Uploads until the console is stopped while the file is there: it removes it as soon as it has read it."""
+    for _ in range(UPLOADS):
+        await own.send([PIECE])
+        await until_true(lambda: _bytes(_left(console)) > 0, "The file is not to be seen")
+        bring_about(lambda: console.process.send_signal(signal.SIGSTOP))
+        if not is_sham():
+            await until_true(lambda: process_state(console.process.pid) == "T", "The console is not stopped")
+        if _bytes(_left(console)) > 0:
+            return
+        console.process.send_signal(signal.SIGCONT)
+    raise Unmet(f"Of {UPLOADS} files none was there any more when the console was stopped.")
 
 
 @asynccontextmanager
