@@ -102,7 +102,6 @@ async def counted_session(open_cell: ReachableCell, name: str) -> AsyncIterator[
 @asynccontextmanager
 async def counting_endpoint(open_cell: ReachableCell) -> AsyncIterator[tuple[str, Weather]]:
     """Where somebody dials the cell by way of a proxy, and what has passed it."""
-    host, port = open_cell.endpoint.removeprefix("tls/").split(":")
     weather = Weather()
-    async with tcp_proxy((host, int(port)), weather) as (near, proxied):
+    async with tcp_proxy(open_cell.address, weather) as (near, proxied):
         yield f"tls/{near}:{proxied}", weather

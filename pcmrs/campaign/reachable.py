@@ -87,6 +87,12 @@ class ReachableCell:
     endpoint: str
     peer_key: Path
 
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port of the endpoint."""
+        host, port = self.endpoint.removeprefix("tls/").split(":")
+        return host, int(port)
+
     def settings(self, name: str) -> BusSettings:
         """How somebody dials the cell."""
         return BusSettings(endpoint=self.endpoint, cell=self.cell.name, credentials=self.people.credentials(name))

@@ -9,23 +9,25 @@ from typing import Any, get_type_hints
 
 import msgspec
 
-from pcmrs.devices.protocols import Emg, Pointer, Robot, Scene, Stimulator
+from pcmrs.devices.protocols import Emg, Pointer, RobotDriver, Scene, StimulatorDriver, TrackerDriver
 from pcmrs.errors import PayloadError
 
 PROTOCOLS: dict[str, type] = {
-    "robot": Robot,
+    "robot": RobotDriver,
+    "tracker": TrackerDriver,
     "pointer": Pointer,
     "scene": Scene,
-    "stimulator": Stimulator,
+    "stimulator": StimulatorDriver,
     "emg": Emg,
 }
-"""Device to the protocol whose methods can be called; a tracker has streams only."""
+"""Device to what its driver implements; those of its methods that are coroutines can be called over a link."""
 
 
 @cache
 def methods_of(device: str) -> Mapping[str, Mapping[str, Any]]:
-    """Method of a device of `PROTOCOLS` to the types of its arguments, in their order, and of its ``return``."""
-    found = {name: value for name, value in vars(PROTOCOLS[device]).items() if inspect.iscoroutinefunction(value)}
+    """Method of a device to the types of its arguments, in their order, and of its ``return``; a tracker has none."""
+    members = {name: value for each in reversed(PROTOCOLS[device].__mro__) for name, value in vars(each).items()}
+    found = {name: value for name, value in members.items() if inspect.iscoroutinefunction(value)}
     return {name: get_type_hints(value) for name, value in found.items()}
 
 

@@ -3,20 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
-from pcmrs.devices.protocols import Emg, Pointer, RobotDriver, Scene, StimulatorDriver, TrackerDriver
+from pcmrs.devices.calls import PROTOCOLS
 from pcmrs.errors import ConfigurationError
-
-DRIVER_PROTOCOLS: Final[Mapping[str, type]] = {
-    "robot": RobotDriver,
-    "tracker": TrackerDriver,
-    "pointer": Pointer,
-    "scene": Scene,
-    "stimulator": StimulatorDriver,
-    "emg": Emg,
-}
-"""Device to what its driver implements."""
 
 
 def check_conformity(driver: str, devices: Mapping[str, Any]) -> None:
@@ -30,7 +20,7 @@ def check_conformity(driver: str, devices: Mapping[str, Any]) -> None:
         ConfigurationError: One lacks some.
     """
     for name, device in devices.items():
-        protocol = DRIVER_PROTOCOLS[name]
+        protocol = PROTOCOLS[name]
         lacking = [each for each in _members(protocol) if not hasattr(device, each)]
         if lacking:
             text = f"The driver {driver!r} has a {name} without {', '.join(lacking)}: "

@@ -14,7 +14,7 @@ import msgspec
 import structlog
 
 from pcmrs.clock import Clock
-from pcmrs.devices.calls import PROTOCOLS, call_method
+from pcmrs.devices.calls import call_method, methods_of
 from pcmrs.devices.deadman import ALWAYS_SERVED, DEADMAN, Deadman, Scheduling, Silence, beat_period
 from pcmrs.devices.frame_sessions import FrameSessions
 from pcmrs.devices.gate import ACTS, HOLDS, RELEASE, Gate
@@ -105,7 +105,7 @@ class DeviceNode:
     async def run(self) -> None:
         """Serves until cancelled."""
         for name, device in self._devices.items():
-            if name in PROTOCOLS:
+            if methods_of(name):
                 self._serve(name, device)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._beat())

@@ -155,15 +155,16 @@ class ActingDevice(RemoteDevice):
             return
         if known is not None and known.node == gate.node:
             self._replaced = dict.fromkeys(self._replaced, 0)
-            if gate.changes <= known.changes:
-                return
-        elif gate.node in self._replaced:
+            if gate.changes > known.changes:
+                self.gate = gate
+            return
+        if gate.node in self._replaced:
             self._replaced[gate.node] += 1
             if self._replaced[gate.node] < RETURNS:
                 return
-        if known is not None and known.node != gate.node:
+            del self._replaced[gate.node]
+        if known is not None:
             self._replaced[known.node] = 0
-            self._replaced.pop(gate.node, None)
         self.gate = gate
 
     async def act(self, method: str, kind: type[T], timeout: float = ANSWER_TIME, **arguments: Any) -> T:

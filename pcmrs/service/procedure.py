@@ -48,7 +48,7 @@ from pcmrs.workflows.surface import read_surface
 
 log = structlog.get_logger(__name__)
 
-DEVICES = {*PROTOCOLS, "tracker"}
+DEVICES = set(PROTOCOLS)
 """Devices that may report events."""
 DAEMON_SPEAKERS = {"daemon", "recorder"}
 """Who reports on the daemon's own key."""

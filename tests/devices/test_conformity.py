@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pcmrs.devices.conformity import DRIVER_PROTOCOLS, check_conformity
+from pcmrs.devices.calls import PROTOCOLS
+from pcmrs.devices.conformity import check_conformity
 from pcmrs.errors import ConfigurationError
 
 
@@ -25,7 +26,7 @@ def test_a_robot_must_have_what_its_node_asks_beside_its_methods() -> None:
     assert needed <= set(raised.value.fields["lacking"])
 
 
-@pytest.mark.parametrize("name", DRIVER_PROTOCOLS)
+@pytest.mark.parametrize("name", PROTOCOLS)
 def test_who_implements_the_protocol_is_taken(name: str) -> None:
-    protocol = DRIVER_PROTOCOLS[name]
+    protocol = PROTOCOLS[name]
     check_conformity("lab", {name: type("Whole", (protocol,), {})()})

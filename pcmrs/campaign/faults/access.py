@@ -363,8 +363,7 @@ async def _ended_by(open_cell: ReachableCell, *, with_certificate: bool) -> str:
     context = ssl.create_default_context(cafile=own.authority)
     if with_certificate:
         context.load_cert_chain(own.certificate, own.key)
-    host, port = open_cell.endpoint.removeprefix("tls/").split(":")
-    reader, writer = await asyncio.open_connection(host, int(port), ssl=context)
+    reader, writer = await asyncio.open_connection(*open_cell.address, ssl=context)
     try:
         async with asyncio.timeout(KEPT):
             return "nothing but its end" if not await reader.read(1) else ""
