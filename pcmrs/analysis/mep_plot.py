@@ -11,7 +11,8 @@ import numpy as np
 from pcmrs.analysis.plots import BLUE, GREEN, ORANGE, new_figure, save_png
 from pcmrs.messages import Epoch
 from pcmrs.spatial import Floats
-from pcmrs.tms import Mep, MepSettings, waveform
+from pcmrs.tms.mep import Mep, waveform
+from pcmrs.tms.mep_settings import MepSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

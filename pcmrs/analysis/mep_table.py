@@ -12,7 +12,7 @@ from typing import Any
 from pcmrs.analysis.bids import Column, write_json, write_table
 from pcmrs.analysis.nibs_tables import EVENTS, PERCENT, TASK, description, position_id, subject_label
 from pcmrs.analysis.session import PulseRecord, SessionRecord
-from pcmrs.tms import Mep
+from pcmrs.tms.mep import Mep
 
 STATUS = {"good": "Counts", "bad": "Says nothing about the muscle; status_description says why"}
 Sample = tuple[int, float, float]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pcmrs.analysis.plots import BLUE, GREEN, ORANGE, new_figure, save_png
-from pcmrs.tms import ThresholdHunt
+from pcmrs.tms.threshold import ThresholdHunt
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

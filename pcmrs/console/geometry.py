@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from pcmrs.messages import BodyPose
 from pcmrs.messages.setup import ArmShown, Gathered, Setup, SurfaceShown
@@ -77,8 +77,10 @@ def as_zone(vertices: Floats, margin: float) -> bytes:
 
 def along(axis: Floats) -> Floats:
     """A rotation (3, 3) that takes y to a unit vector (3,)."""
-    rotation, _ = Rotation.align_vectors([axis], [[0.0, 1.0, 0.0]])
-    return np.asarray(rotation.as_matrix())
+    x, y, z = axis.tolist()
+    sine, angle = math.hypot(x, z), math.atan2(math.hypot(x, z), y)
+    turn = (angle / sine * z, 0.0, -angle / sine * x) if sine else (angle, 0.0, 0.0)  # half a turn about any axis
+    return Transform.from_rotvec((0.0, 0.0, 0.0), turn).rotation
 
 
 class Arm:
@@ -139,8 +141,7 @@ class Sight:
             self.base_from_tracker = found
             return
         rest = kept.inverse() @ found
-        turn = SHARE * Rotation.from_matrix(rest.rotation).as_rotvec()
-        self.base_from_tracker = kept @ Transform.from_rotvec(SHARE * rest.translation, turn)
+        self.base_from_tracker = kept @ Transform.from_rotvec(SHARE * rest.translation, SHARE * rest.rotvec)
 
     def in_base(self, body: BodyPose | None) -> Transform | None:
         """Where a body is that the tracker sees."""

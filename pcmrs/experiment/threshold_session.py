@@ -28,8 +28,8 @@ from pcmrs.experiment.session.setup import SessionSetup
 from pcmrs.experiment.setup import ShowProgress
 from pcmrs.journal import JournalReader
 from pcmrs.messages import PoseMessage, SceneTruth
-from pcmrs.tms import Recruitment
 from pcmrs.tms.chart import as_transform
+from pcmrs.tms.recruitment import Recruitment
 from pcmrs.tms.subject import Subject
 
 LIBRARIES = ("pcmrs", "numpy", "scipy", "scikit-learn", "mujoco", "eclipse-zenoh")

@@ -12,7 +12,9 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
-from pcmrs.tms import RESPONSE, Recruitment, ThresholdHunt, ThresholdMethod, ThresholdSettings, draw
+from pcmrs.tms.recruitment import RESPONSE, Recruitment, draw
+from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold_settings import ThresholdMethod, ThresholdSettings
 
 METHODS = {
     "ml": "maximum likelihood, amplitudes",

@@ -10,9 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi, radians
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
 from pcmrs.spatial import Transform
 
 Triple = tuple[float, float, float]
@@ -82,7 +79,7 @@ class ArmFacts:
 
 
 def _pose(xyz: Triple, rpy: Triple) -> Transform:
-    return Transform(Rotation.from_euler("xyz", rpy).as_matrix(), np.array(xyz))
+    return Transform.from_zyx(xyz, rpy[::-1])
 
 
 # Axes at zero, where the arm stands upright: z, y, z, -y, z, y, z of the base.

@@ -15,7 +15,6 @@ from math import sqrt
 import numpy as np
 import numpy.typing as npt
 from ruckig import InputParameter, Trajectory
-from scipy.optimize import brentq
 
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
@@ -119,7 +118,10 @@ def _reachable(speed: float, length: float, bounds: Derivatives) -> float:
     fastest = speed + bounds.velocity
     if _needed(speed, fastest, bounds) <= length:
         return fastest
-    return float(brentq(lambda other: _needed(speed, other, bounds) - length, speed, fastest))
+    slow, fast = speed, fastest
+    while slow < (middle := 0.5 * (slow + fast)) < fast:  # until no number is between them
+        slow, fast = (middle, fast) if _needed(speed, middle, bounds) <= length else (slow, middle)
+    return slow
 
 
 def _needed(slow: float, fast: float, bounds: Derivatives) -> float:

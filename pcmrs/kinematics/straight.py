@@ -6,7 +6,6 @@ from math import ceil
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
 
 from pcmrs.errors import UnreachableError
 from pcmrs.kinematics.joints import joint_array
@@ -14,6 +13,7 @@ from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.pace import Allowed, Derivatives, paced, speeds_at, tool_way
 from pcmrs.kinematics.profile import PERIOD, sample_times
+from pcmrs.kinematics.spline import CubicSpline
 from pcmrs.kinematics.track import track
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
@@ -59,8 +59,8 @@ def straight_motion(
     if bounds is None:
         return JointTrajectory(period=period, positions=[joint_array(start_q, arm.joints).tolist()])
     along = _postures_along(arm, start_q, line)
-    at_knots = along(along.x)
-    progress = paced(along.x, tool_way(arm, at_knots, tool), speeds_at(at_knots, limits, allowed), bounds)
+    at_knots = along(along.places)
+    progress = paced(along.places, tool_way(arm, at_knots, tool), speeds_at(at_knots, limits, allowed), bounds)
     stretch = 1.0
     while True:  # a stretched motion is sampled at other points of the line, where a joint may be quicker
         postures = along(progress.at(sample_times(progress.duration, stretch, period)))
@@ -117,7 +117,7 @@ def _postures_along(arm: ArmModel, start_q: npt.ArrayLike, line: _Line) -> Cubic
 
 def _check_between_knots(arm: ArmModel, along: CubicSpline) -> None:
     """Refuses a line on which a joint that comes to rest at its limit would swing beyond it between two knots."""
-    parameters = np.linspace(0.0, 1.0, 1 + _LOOKS_PER_KNOT * (len(along.x) - 1))
+    parameters = np.linspace(0.0, 1.0, 1 + _LOOKS_PER_KNOT * (len(along.places) - 1))
     postures = along(parameters)
     # Measured joints may be a little beyond their limits at the start; no farther, then.
     excess = np.maximum(np.minimum(arm.lower, postures[0]) - postures, postures - np.maximum(arm.upper, postures[0]))

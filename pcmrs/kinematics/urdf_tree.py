@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from xml.etree.ElementTree import Element, ParseError, fromstring
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pcmrs.errors import ConfigurationError
 from pcmrs.kinematics.body import Body
@@ -132,7 +131,7 @@ class UrdfTree:
         origin = element.find("origin")
         rpy = self._numbers(origin, "rpy", "0 0 0", where, 3)
         xyz = self._numbers(origin, "xyz", "0 0 0", where, 3)
-        return Transform(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
+        return Transform.from_zyx(xyz, rpy[::-1])
 
     def _numbers(self, element: Element | None, key: str, default: str, where: str, count: int = 1) -> Floats:
         text = default if element is None else element.get(key, default)

@@ -9,13 +9,14 @@ from typing import Self, overload
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from pcmrs.errors import GeometryError
 
 Floats = npt.NDArray[np.float64]
 
 ORTHONORMAL_TOLERANCE = 1e-6
+GIMBAL_LOCK = 1e-7
+"""The cosine of the middle angle below which the first and the last turn about the same axis."""
 UNIT_QUATERNION_TOLERANCE = 1e-3  # quaternions arrive as text with few decimals; they are normalized then
 
 
@@ -102,6 +103,23 @@ class Transform:
         scale = 0.5 * (math.sin(half) / half if half else 1.0)
         return cls._from_unit_quaternion(position, scale * x, scale * y, scale * z, math.cos(half))
 
+    @classmethod
+    def from_zyx(cls, position: npt.ArrayLike, angles: npt.ArrayLike) -> Self:
+        """From a translation (3,) in m and the angles of ``Rz(a) Ry(b) Rx(c)``, (3,) in rad: a b c, as of a KUKA pose.
+
+        They are also the yaw, pitch and roll of a URDF's ``rpy``, in this order.
+        """
+        a, b, c = _array(angles, (3,), "angles").tolist()
+        sa, ca, sb, cb, sc, cc = math.sin(a), math.cos(a), math.sin(b), math.cos(b), math.sin(c), math.cos(c)
+        rotation = np.array(
+            (
+                (ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc),
+                (sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc),
+                (-sb, cb * sc, cb * cc),
+            )
+        )
+        return cls(rotation, _array(position, (3,), "translation"))
+
     @overload
     def __matmul__(self, other: Transform) -> Transform: ...
 
@@ -150,6 +168,18 @@ class Transform:
         scale = 2.0 * math.atan2(sine, w) / sine if sine else 2.0
         return np.array((scale * x, scale * y, scale * z))
 
+    @property
+    def zyx(self) -> Floats:
+        """Angles a b c of ``Rz(a) Ry(b) Rx(c)``, (3,) in rad, with b in [-pi/2, pi/2].
+
+        At b = +-pi/2 only a sum of a and c is known; c is 0 then.
+        """
+        (a, b, _), (d, e, _), (g, h, i) = self.rotation.tolist()
+        cosine = math.hypot(a, d)
+        if cosine > GIMBAL_LOCK:
+            return np.array((math.atan2(d, a), math.atan2(-g, cosine), math.atan2(h, i)))
+        return np.array((math.atan2(-b, e), math.atan2(-g, cosine), 0.0))
+
 
 def rotation_angle(one: Transform, other: Transform) -> float:
     """Angle in [0, pi] rad that turns the rotation of `one` into that of `other`.
@@ -174,9 +204,11 @@ def mean_transform(transforms: Sequence[Transform]) -> Transform:
     """
     if not transforms:
         raise GeometryError("The mean of no transforms does not exist; give at least one.")
-    rotations = Rotation.from_matrix(np.array([transform.rotation for transform in transforms]))
+    quaternions = np.array([_quaternion(transform.rotation) for transform in transforms])
     translations = np.array([transform.translation for transform in transforms])
-    return Transform(rotations.mean().as_matrix(), translations.mean(axis=0))
+    # The mean is the eigenvector of the largest eigenvalue, which comes last; the sign of a quaternion does not count.
+    mean = np.linalg.eigh(quaternions.T @ quaternions).eigenvectors[:, -1]
+    return Transform.from_quat_wxyz(translations.mean(axis=0), mean)
 
 
 def trusted_transform(rotation: Floats, translation: Floats) -> Transform:

@@ -8,7 +8,6 @@ from itertools import islice
 
 import msgspec
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
@@ -141,8 +140,7 @@ def target(data: PlacementData, height: float) -> Transform:
 @lru_cache(maxsize=64)
 def nudge_of(translation: Point, rotation_zyx: Point) -> Transform:
     """``coil_from_nudged`` of a translation (m) and rotations about z, y, x (rad)."""
-    rotation = Rotation.from_euler("ZYX", np.asarray(rotation_zyx)).as_matrix()
-    return Transform(rotation, np.asarray(translation))
+    return Transform.from_zyx(translation, rotation_zyx)
 
 
 def nudges_with(run: Run) -> tuple[Point, Point]:

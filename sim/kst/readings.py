@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
@@ -63,14 +62,12 @@ class Readings:
 
 def to_xyzabc(pose: Transform) -> list[float]:
     """x, y, z in mm, then the angles of ``Rz(A) Ry(B) Rx(C)`` in rad."""
-    angles = Rotation.from_matrix(pose.rotation).as_euler("ZYX")
-    return [*_list(_MM * pose.translation), *_list(angles)]
+    return [*_list(_MM * pose.translation), *_list(pose.zyx)]
 
 
 def from_xyzabc(values: list[float]) -> Transform:
     """The pose that `to_xyzabc` describes."""
-    rotation = Rotation.from_euler("ZYX", values[3:6]).as_matrix()
-    return Transform(rotation, np.array(values[:3]) / _MM)
+    return Transform.from_zyx(np.array(values[:3]) / _MM, values[3:6])
 
 
 def _list(values: Floats) -> list[float]:

@@ -10,7 +10,11 @@ import pytest
 from pcmrs.analysis.mep_plot import draw_mep, mep_figure
 from pcmrs.analysis.threshold_plot import draw_hunt, hunt_figure
 from pcmrs.messages import Epoch
-from pcmrs.tms import MepSettings, Recruitment, ThresholdHunt, ThresholdMethod, ThresholdSettings, judge_mep
+from pcmrs.tms.mep import judge_mep
+from pcmrs.tms.mep_settings import MepSettings
+from pcmrs.tms.recruitment import Recruitment
+from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold_settings import ThresholdMethod, ThresholdSettings
 
 RATE_HZ = 4000.0
 

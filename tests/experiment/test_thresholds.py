@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from pcmrs.cli import main
 from pcmrs.experiment.thresholds import METHODS, Hunted, MethodResult, ThresholdReport, run_thresholds
-from pcmrs.tms import ThresholdSettings
+from pcmrs.tms.threshold_settings import ThresholdSettings
 
 Result = tuple[ThresholdReport, dict[str, list[Hunted]]]
 

@@ -114,3 +114,30 @@ def test_a_transform_cannot_be_changed_through_its_arrays() -> None:
     for transform in (a, a @ a, a.inverse()):
         with pytest.raises(ValueError, match="read-only"):
             transform.translation[0] = 1.0
+
+
+@given(coordinates, st.tuples(st.floats(-3.0, 3.0), st.floats(-1.5, 1.5), st.floats(-3.0, 3.0)))
+def test_angles_about_z_y_and_x_are_those_of_scipy(position: tuple[float], angles: tuple[float]) -> None:
+    a = Transform.from_zyx(position, angles)
+    np.testing.assert_allclose(a.rotation, Rotation.from_euler("ZYX", angles).as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(a.rotation, Rotation.from_euler("xyz", angles[::-1]).as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(a.zyx, angles, atol=1e-9)
+    assert tuple(a.translation) == position
+
+
+@pytest.mark.parametrize("middle", [-math.pi / 2, math.pi / 2])
+@given(first=st.floats(-3.0, 3.0), last=st.floats(-3.0, 3.0))
+def test_angles_of_a_pose_whose_first_and_last_axis_are_one_give_the_same_pose(
+    middle: float, first: float, last: float
+) -> None:
+    a = Transform.from_zyx((0, 0, 0), (first, middle, last))
+    assert a.zyx[2] == 0.0
+    np.testing.assert_allclose(Transform.from_zyx((0, 0, 0), a.zyx).rotation, a.rotation, atol=1e-9)
+
+
+@given(st.lists(rotvecs, min_size=1, max_size=6))
+def test_the_mean_rotation_is_that_of_scipy(turns: list[tuple[float]]) -> None:
+    around = [Rotation.from_rotvec(0.5 * np.array(turn)) for turn in turns]  # near each other: one mean
+    mean = mean_transform([Transform(turn.as_matrix(), np.zeros(3)) for turn in around])
+    expected = Rotation.concatenate(around).mean().as_matrix()
+    np.testing.assert_allclose(mean.rotation, expected, atol=1e-9)

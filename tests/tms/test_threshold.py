@@ -14,15 +14,10 @@ from scipy.stats import norm
 from trials import examples
 
 from pcmrs.errors import RefusalError
-from pcmrs.tms import (
-    IntervalSettings,
-    Recruitment,
-    ThresholdHunt,
-    ThresholdMethod,
-    ThresholdSettings,
-    check_count,
-    check_interval,
-)
+from pcmrs.tms.intervals import IntervalSettings, check_count, check_interval
+from pcmrs.tms.recruitment import Recruitment
+from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold_settings import ThresholdMethod, ThresholdSettings
 
 Answer = Callable[[float], tuple[bool, float | None]]
 METHODS: tuple[ThresholdMethod, ...] = ("ml", "relative_frequency")

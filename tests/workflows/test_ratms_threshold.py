@@ -14,7 +14,8 @@ from workflow_bench import POSES, open_bench
 from pcmrs.fsm import examine
 from pcmrs.messages import PoseMessage, Verdict
 from pcmrs.spatial import Transform, distance, rotation_angle
-from pcmrs.tms import Recruitment, ThresholdHunt
+from pcmrs.tms.recruitment import Recruitment
+from pcmrs.tms.threshold import ThresholdHunt
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.data import as_transform
 from pcmrs.workflows.motion import as_result

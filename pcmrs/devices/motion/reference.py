@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Protocol, Self
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
+from pcmrs.kinematics.spline import CubicSpline
 from pcmrs.messages import DeviceEvent, JointTrajectory
 from pcmrs.spatial import Floats
 
@@ -78,7 +78,7 @@ class Reference:
         positions = np.array(trajectory.positions)
         positions += np.linspace(present.position - positions[0], 0.0, len(positions))
         times = np.arange(len(positions)) * trajectory.period
-        spline = CubicSpline(times, positions, bc_type=((1, present.velocity), (1, np.zeros_like(present.velocity))))
+        spline = CubicSpline(times, positions, (present.velocity, np.zeros_like(present.velocity)))
         grid = np.linspace(0.0, times[-1], 1 + int(np.ceil(times[-1] / step)))
         samples = np.stack([spline(grid, order) for order in range(3)], axis=1)
         samples[-1, 2] = 0.0  # it stays there

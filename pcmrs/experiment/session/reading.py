@@ -21,9 +21,10 @@ from pcmrs.journal import JournalReader
 from pcmrs.journal.rows import JournalRow
 from pcmrs.messages import BlueprintTag, Epoch, Verdict
 from pcmrs.spatial import Transform
-from pcmrs.tms import Estimate, ThresholdHunt
 from pcmrs.tms.hotspot import HotspotSearch
 from pcmrs.tms.hotspot_settings import Hotspot
+from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold_settings import Estimate
 from pcmrs.workflows.data import Registered, as_message
 from pcmrs.workflows.tms.data import Response
 

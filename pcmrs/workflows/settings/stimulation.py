@@ -6,8 +6,10 @@ from typing import Annotated
 
 import msgspec
 
-from pcmrs.tms import IntervalSettings, MepSettings, ThresholdSettings
 from pcmrs.tms.hotspot_settings import HotspotSettings
+from pcmrs.tms.intervals import IntervalSettings
+from pcmrs.tms.mep_settings import MepSettings
+from pcmrs.tms.threshold_settings import ThresholdSettings
 from pcmrs.workflows.settings.values import Positive
 
 

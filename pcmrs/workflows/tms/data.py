@@ -9,8 +9,10 @@ import msgspec
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.fsm import Effect
 from pcmrs.messages import Epoch, PoseMessage
-from pcmrs.tms import Estimate, Mep, ThresholdHunt
 from pcmrs.tms.hotspot import HotspotSearch
+from pcmrs.tms.mep import Mep
+from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold_settings import Estimate
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.data import settle as settle_placement

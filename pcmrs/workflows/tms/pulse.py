@@ -8,7 +8,7 @@ from pcmrs.devices.protocols import Stimulator
 from pcmrs.dispatcher import Registry
 from pcmrs.errors import PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.messages import FiredPulse, StimulatorState
-from pcmrs.tms import check_count, check_interval
+from pcmrs.tms.intervals import check_count, check_interval
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message
 from pcmrs.workflows.tms.aim import check_aim

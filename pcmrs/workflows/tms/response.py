@@ -7,7 +7,7 @@ import msgspec
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher.perform import reason_of
 from pcmrs.errors import PcmrsError
-from pcmrs.tms import Mep, judge_mep
+from pcmrs.tms.mep import Mep, judge_mep
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.tms.data import Response, Run
