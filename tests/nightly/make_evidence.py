@@ -5,18 +5,17 @@ make evidence
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Sequence
-from pathlib import Path
+from itertools import takewhile
 
 from documents import DOCS, SOURCES, Cited, Promise, Source, promises
+from in_a_row import kept
 from nightly_parts import Part, chosen, holders, parts
 from nightly_results import Result, published
 
 from pcmrs.campaign.catalogue import catalogue
 
 PAGE = DOCS / "evidence.md"
-IN_A_ROW = Path(__file__).with_name("in_a_row.toml")
 WANTED_IN_A_ROW = 20
 HEAD = """\
 # Evidence
@@ -90,12 +89,23 @@ def _exceptions(result: Result) -> Iterator[str]:
 
 
 def _in_a_row() -> str:
-    runs = tomllib.loads(IN_A_ROW.read_text())["run"]
-    head = ("run", "commit", "begun, UTC", "s", "passed", "skipped", "failed", "exit code", "computing beside it")
-    keys = ("commit", "begun", "seconds", "passed", "skipped", "failed", "exit_code", "beside")
-    rows = [[str(number), *(str(run[key]) for key in keys)] for number, run in enumerate(runs, start=1)]
-    green = sum(run["exit_code"] == 0 for run in runs)
-    said = f"{green} of {WANTED_IN_A_ROW} runs that are wanted were green, of {len(runs)} that are recorded.\n"
+    runs = kept()
+    head = ("run", "commit", "begun, UTC", "min", "passed", "skipped", "failed", "exit code", "computing beside it")
+    rows = [
+        [
+            str(number),
+            run.commit[:7],
+            run.begun[:16].replace("T", " "),
+            f"{run.seconds / 60:.1f}",
+            *map(str, (run.passed, run.skipped, run.failed, run.exit_code, run.beside)),
+        ]
+        for number, run in enumerate(runs, start=1)
+    ]
+    green = list(takewhile(lambda run: run.exit_code == 0, reversed(runs)))
+    said = (
+        f"The last {len(green)} of {len(runs)} recorded runs were green, {sum(run.beside > 0 for run in green)} of "
+        f"them with computing processes beside them; {WANTED_IN_A_ROW} are wanted.\n"
+    )
     return "## Runs of make test in a row\n\n" + said + ("\n" + _table(head, rows) if rows else "")
 
 

@@ -64,7 +64,7 @@ def this_machine() -> Machine:
 
 def this_commit() -> str:
     """The commit that is checked out; what nightly runs themselves publish is no change of it."""
-    told = [":!tests/nightly/last.json", ":!docs/evidence.md"]
+    told = [":!tests/nightly/last.json", ":!tests/nightly/in_a_row.json", ":!docs/evidence.md"]
     changed = _git("status", "--porcelain", "--untracked-files=no", "--", ".", *told)
     return _git("rev-parse", "HEAD") + ("+" if changed else "")
 
