@@ -13,6 +13,7 @@ SECONDS := 30
 SEED := 0
 PART :=
 OPTIONS :=
+WORKERS := $(shell echo $$((3 * $$(nproc) / 2)))
 EXTRAS := sim hardware console imaging ros2 docs fuzz dev
 
 .PHONY: help install demo test nightly evidence mutants fuzz tools spin browser mono screenshots docs lint lock clean
@@ -26,7 +27,7 @@ demo: install ## Run a procedure on the simulated cell and print its errors; WOR
 	$(BIN)/pcmrs demo --workflow $(WORKFLOW)
 
 test: install ## Run the whole test suite; OPTIONS=--tools-installed: a test that is skipped for a missing tool fails
-	$(BIN)/pytest -n auto $(OPTIONS)
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal $(OPTIONS)
 
 nightly: install ## Run what `make test` leaves out, in parts; PART=faults for some, OPTIONS=--publish for docs/evidence.md
 	$(BIN)/python tests/nightly/run.py $(OPTIONS) $(PART)

@@ -63,7 +63,7 @@ class Daemon:
 
 @pytest.fixture
 def many_links(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One link of a test is as many links together: it has no limit of Stops."""
+    """One link of a test is as many links together: it has no limit of Stops, of which one may follow at once."""
     monkeypatch.setattr("pcmrs.bus.settings.STOPS", {})
 
 
@@ -296,6 +296,7 @@ async def test_a_command_has_arrived_when_zenoh_had_it_not_when_the_loop_got_rou
         assert min(daemon.ages[1:]) > HELD_UP / 2
 
 
+@pytest.mark.usefixtures("many_links")
 async def test_a_press_is_one_stop_and_what_names_none_is_always_one() -> None:
     async with running_daemon() as (daemon, session):
         press = json.dumps({"id": "0123456789abcdef" * 2}).encode()
@@ -311,6 +312,7 @@ async def test_a_press_is_one_stop_and_what_names_none_is_always_one() -> None:
             assert [await number("anna", payload) for _ in range(2)] == [before + 1, before + 2]
 
 
+@pytest.mark.usefixtures("many_links")
 async def test_presses_are_forgotten_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever sends the same id every time is stopped for, too."""
     monkeypatch.setattr("pcmrs.bus.stop.REPEATED", 0.0)
@@ -321,6 +323,7 @@ async def test_presses_are_forgotten_in_time(monkeypatch: pytest.MonkeyPatch) ->
         assert daemon.stops == 2
 
 
+@pytest.mark.usefixtures("many_links")
 async def test_stop_by_put_and_by_query() -> None:
     async with running_daemon() as (daemon, session):
         session.put(f"{daemon.bus.prefix}/stop/anna", b"whatever")

@@ -41,7 +41,8 @@ def test_placements_are_as_accurate_as_promised(trials: int, seed: int) -> None:
         assert 0.0 < trial["translation_error_mm"] != trial["true_translation_error_mm"] > 0.0
         assert trial["target_registration_error_mm"] > trial["true_translation_error_mm"]
     assert (report["workflow"], report["seed"], report["simulated"]) == ("ratms", seed, True)
-    assert "cell.rate=5" in report["settings"]
+    (rate,) = [each for each in report["settings"] if each.startswith("cell.rate=")]
+    assert 1.0 <= float(rate.removeprefix("cell.rate=")) <= 5.0  # a busy machine is given a lower one, and it says so
 
 
 @pytest.mark.nightly

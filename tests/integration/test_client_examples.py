@@ -41,8 +41,8 @@ async def test_each_program_does_what_it_says(tmp_path: Path) -> None:
         rows = list(csv.DictReader(StringIO(await poses)))
         assert {row["body"] for row in rows} >= {"coil", "body_ref"}
         seen = await watching
-        assert "placement.back_off: accepted" in seen
-        assert "placement=held" in seen
+        assert {"placement.approach: failed", "placement.back_off: accepted"} <= set(seen.splitlines())
+        assert "placement=retracted" in seen  # a state that lasts; whoever reads late misses those in between
         planned = await run(cell, "planner.py", str(cell.ready.links["planner"][1]))
         assert "session_reinitxx: 1_accepted_" in planned
         assert "execute_motionxx: 2_rejected_placement_retracted_" in planned

@@ -148,7 +148,7 @@ def write_map(tests: Sequence[str], workers: int, path: Path = MAP) -> CoverageM
         pytest = ["pytest", "-q", "-p", "measured_tests", f"--timeout={MEASURED_TIME}", "--ignore=tests/mutants"]
         command = [sys.executable, "-m", "coverage", "run", f"--rcfile={configuration}", "-m", *pytest]
         ended = subprocess.run(
-            [*command, *(["-n", str(workers)] if workers else ["-p", "no:xdist"]), *tests],
+            [*command, *(["-n", str(workers), "--dist", "worksteal"] if workers else ["-p", "no:xdist"]), *tests],
             cwd=TREE, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
         )  # fmt: skip
         if ended.returncode not in (0, 1) or not results.is_file():

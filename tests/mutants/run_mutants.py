@@ -1,6 +1,6 @@
 """Takes guards out of the product, one at a time, and counts how many of them the tests miss.
 
-    python tests/mutants/run_mutants.py map [TESTS ...] [--workers 2]
+    python tests/mutants/run_mutants.py map [TESTS ...] [--workers 3]
     python tests/mutants/run_mutants.py uncovered
     python tests/mutants/run_mutants.py listed [NAME ...] [--part 1/4] [--jobs 2]
     python tests/mutants/run_mutants.py generated [--sample 200] [--seed 0] [--part 1/4] [--jobs 2]
@@ -158,7 +158,7 @@ def main() -> int:
     commands = parser.add_subparsers(required=True)
     mapping = commands.add_parser("map", help="run the suite under coverage")
     mapping.add_argument("tests", nargs="*", metavar="TESTS", help="files or folders; all tests when none is given")
-    mapping.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="so many processes")
+    mapping.add_argument("--workers", type=int, default=3 * (os.cpu_count() or 1) // 2, help="so many processes")
     mapping.set_defaults(run=_map)
     trying_listed = commands.add_parser("listed", help="try the listed mutants")
     trying_listed.add_argument("names", nargs="*", metavar="NAME", help="mutants to try; all when none is given")
