@@ -52,11 +52,10 @@ async def test_each_program_does_what_it_says(tmp_path: Path) -> None:
         assert "back_off: accepted" in stopped
         rows = list(csv.DictReader(StringIO(await poses)))
         assert {row["body"] for row in rows} >= {"coil", "body_ref"}
-        seen = (
-            await end(watching)
-        ).splitlines()  # states that last 0.1 s are missed by a slow reader, verdicts are not
-        assert [line for line in seen if line in ("placement.approach: failed", "placement.back_off: accepted")] == [
-            "placement.approach: failed", "placement.back_off: accepted",
+        seen = await end(watching)  # a slow reader misses a state that lasts 0.1 s, but no verdict
+        verdicts = [line for line in seen.splitlines() if line.startswith("placement.")]
+        assert verdicts == [
+            "placement.approach: failed", "placement.approach: rejected", "placement.back_off: accepted",
         ]  # fmt: skip
         planned = await run(cell, "planner.py", str(cell.ready.links["planner"][1]))
         assert "session_reinitxx: 1_accepted_" in planned
