@@ -24,7 +24,7 @@ from pcmrs.settings import read_settings
 from pcmrs.simulation.loop import SimulatedLoop
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.opening import open_workflow
+from pcmrs.workflows.opening import open_installed, open_workflow
 from pcmrs.workflows.settings import ProcedureSettings
 
 ShowProgress = Callable[[int, int], None]
@@ -176,7 +176,7 @@ class _Workflows:
     def _open(self, tag: BlueprintTag) -> AnyWorkflow:
         try:
             if self._blueprint is None:
-                return open_workflow(tag.id)
+                return open_installed(tag.id)
             return with_blueprint(tag.id, self._blueprint)
         except PcmrsError as error:
             text = f"{self._journal} was decided under {tag.id} {tag.version}: {error.text}"
@@ -192,7 +192,7 @@ def with_blueprint(workflow: str, blueprint: Path) -> AnyWorkflow:
     if blueprint.with_suffix(".py").exists():
         return open_workflow(str(blueprint))
     try:
-        shipped = open_workflow(workflow)
+        shipped = open_installed(workflow)
     except ConfigurationError:
         return open_workflow(str(blueprint))
     loaded: Blueprint = load_blueprint(blueprint)

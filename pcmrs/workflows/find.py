@@ -43,8 +43,15 @@ def find_workflow(name: str) -> Place:
     Raises:
         ConfigurationError: There is none, or more than one; the text lists what there is.
     """
-    if name.endswith(".toml"):
-        return _at(Path(name).expanduser())
+    return _at(Path(name).expanduser()) if name.endswith(".toml") else find_installed(name)
+
+
+def find_installed(name: str) -> Place:
+    """The workflow of that name: what a file of somebody else's names must not be a path, whose code would be run.
+
+    Raises:
+        ConfigurationError: There is none, or more than one; the text lists what there is.
+    """
     found = [place for known, place in _installed() if known == name]
     if not found:
         _refuse_incomplete(name)

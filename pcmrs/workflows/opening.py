@@ -16,7 +16,7 @@ from pcmrs.workflows.connection import register_connection_operations
 from pcmrs.workflows.contact import register_contact_operations
 from pcmrs.workflows.correction import register_correction_steps
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.find import Place, find_workflow
+from pcmrs.workflows.find import Place, find_installed, find_workflow
 from pcmrs.workflows.following import register_following
 from pcmrs.workflows.landmarks import register_landmark_operations
 from pcmrs.workflows.motion import register_motion_steps
@@ -37,7 +37,20 @@ def open_workflow(name: str) -> Workflow[Cell, PlacementData]:
         ConfigurationError: There is no such workflow, or its Python file is faulty.
         BlueprintError: Its blueprint is unsound, or uses a name that nobody registers.
     """
-    place = find_workflow(name)
+    return _open(find_workflow(name))
+
+
+def open_installed(name: str) -> Workflow[Cell, PlacementData]:
+    """The same for a name that comes from elsewhere, such as another machine's journal; never a path.
+
+    Raises:
+        ConfigurationError: There is no such workflow, or its Python file is faulty.
+        BlueprintError: Its blueprint is unsound, or uses a name that nobody registers.
+    """
+    return _open(find_installed(name))
+
+
+def _open(place: Place) -> Workflow[Cell, PlacementData]:
     blueprint = load_blueprint(place.blueprint, warn=lambda warning: _log.warning("%s", warning.heading))
     code = load_code(place)
     registry = _registry_with(place, code)

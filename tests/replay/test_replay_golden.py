@@ -137,6 +137,20 @@ def test_the_status_is_2_where_the_blueprint_is_another_one(tmp_path: Path) -> N
     assert "--blueprint" in err
 
 
+@pytest.mark.parametrize("words", [(), ("--blueprint", str(BLUEPRINT))], ids=["its-own", "another"])
+def test_a_journal_names_no_file_whose_code_is_run(words: tuple[str, ...], tmp_path: Path) -> None:
+    """Whoever sends a journal, and a folder with it, must not run code on the machine where it is decided anew."""
+    (tmp_path / "sent.toml").write_text(TEXT)
+    (tmp_path / "sent.py").write_text(f"import pathlib; pathlib.Path({str(tmp_path / 'was_run')!r}).touch()\n")
+    journal = tmp_path / "sent.jsonl"
+    journal.write_text(RATMS.read_text().replace('"id":"ratms"', f'"id":"{tmp_path / "sent.toml"}"'))
+    status, _, err = run(str(journal), *words)
+    assert not (tmp_path / "was_run").exists()
+    if not words:
+        assert (status, len(err.splitlines())) == (2, 1)
+        assert "sent.toml" in err
+
+
 @pytest.mark.parametrize("content", [b"", b"no journal", b'{"sequence": 1}\n'])
 def test_the_status_is_2_for_what_is_no_journal(content: bytes, tmp_path: Path) -> None:
     file = tmp_path / "file"
