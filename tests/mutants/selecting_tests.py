@@ -35,7 +35,8 @@ class Change(msgspec.Struct, frozen=True):
 
     Attributes:
         lines: First lines of the changed statements.
-        body: Lines that are run when a changed condition holds: only a test that gets there can miss a removed guard.
+        body: Lines that are run when a changed condition holds, or an exception is caught: only a test that gets there
+            can miss a removed guard.
     """
 
     lines: frozenset[int]
@@ -86,12 +87,14 @@ def changed(tree: Path, place: Place) -> Change:
     last = source.count("\n", 0, place.start + len(place.text.rstrip())) + 1
     lines: set[int] = set()
     body: set[int] = set()
-    for statement in _statements(ast.parse(source)):
-        header = range(statement.lineno, _end_of_header(statement) + 1)
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.stmt | ast.ExceptHandler):
+            continue
+        header = range(node.lineno, _end_of_header(node) + 1)
         if header.start <= last and header.stop > first:
             lines.update(header)
-            if isinstance(statement, ast.If):
-                body.update(range(statement.body[0].lineno, (statement.body[0].end_lineno or 0) + 1))
+            if isinstance(node, ast.If | ast.ExceptHandler):
+                body.update(range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1))
     return Change(frozenset(lines), frozenset(body))
 
 
@@ -158,8 +161,8 @@ def _statements(module: ast.Module) -> Iterator[ast.stmt]:
     return (node for node in ast.walk(module) if isinstance(node, ast.stmt))
 
 
-def _end_of_header(statement: ast.stmt) -> int:
-    """Find the last line of a statement without the statements in it."""
+def _end_of_header(statement: ast.stmt | ast.ExceptHandler) -> int:
+    """Find the last line of a statement, or of an ``except``, without the statements in it."""
     inner = [*getattr(statement, "body", ()), *(case.body[0] for case in getattr(statement, "cases", ()))]
     ends = [max(node.lineno - 1, statement.lineno) for node in inner if isinstance(node, ast.stmt)]
     return min([statement.end_lineno or 0, *ends])

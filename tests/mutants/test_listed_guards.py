@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from listed_guards import Mutant, listed
 from places import TREE, find
+from selecting_tests import changed
 
 MUTANTS = listed()
 
@@ -28,6 +29,7 @@ def test_a_listed_guard_is_there_once_and_can_be_taken_out(module: str) -> None:
             altered = place.replaced(TREE, mutant.without)
             compile(altered, str(place.file), "exec")
             assert ast.dump(ast.parse(altered)) != whole(place.file), mutant.name
+            assert changed(TREE, place).lines, f"{mutant.name}: no statement, so no test could be chosen"
 
 
 def test_a_moved_function_is_found_and_a_missing_one_is_named(tmp_path: Path) -> None:
