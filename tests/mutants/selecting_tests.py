@@ -46,8 +46,9 @@ class Change(msgspec.Struct, frozen=True):
 def select(tree: Path, place: Place, coverage: CoverageMap, limits: Limits) -> list[str]:
     """Choose tests for a mutant.
 
-    Tests that reach the guard's body come first, then one instance of each test function before the second ones, then
-    those in the folder named as the package, then the fastest.
+    Tests that reach the guard's body come first; of what an import binds, such as the default of a setting, those
+    whose id has its name. Then one instance of each test function comes before the second ones, then those in the
+    folder named as the package, then the fastest.
 
     Args:
         tree: Root of the sources, unchanged.
@@ -63,15 +64,17 @@ def select(tree: Path, place: Place, coverage: CoverageMap, limits: Limits) -> l
     """
     coverage.check(tree, place.file)
     change = changed(tree, place)
-    tests = next(filter(None, (_reaching(coverage, each) for each in _circles(tree, place, change))), [])
-    in_body = {test.id for test in coverage.reaching(place.file, change.body)}
+    reaching = next(filter(None, (_reaching(coverage, each) for each in _circles(tree, place, change))), [])
+    naming = _naming(coverage, _bound_by_import(ast.parse((tree / place.file).read_text()), change))
+    tests = list({test.id: test for test in (*reaching, *naming)}.values())
+    first = {test.id for test in naming or coverage.reaching(place.file, change.body)}
     package = f"tests/{place.file.parts[1]}/" if len(place.file.parts) > 2 else "tests/"
     instances: Counter[str] = Counter()
 
     def rank(test: MappedTest) -> tuple[bool, int, bool, float]:
         function = test.id.partition("[")[0]
         instances[function] += 1
-        return test.id not in in_body, instances[function], not test.id.startswith(package), test.seconds
+        return test.id not in first, instances[function], not test.id.startswith(package), test.seconds
 
     fast = sorted((test for test in tests if test.seconds <= SLOWEST), key=lambda test: test.seconds)
     ordered = sorted([(rank(test), test.id, test.seconds) for test in fast])[: limits.tests]
@@ -105,23 +108,41 @@ def _circles(tree: Path, place: Place, change: Change) -> Iterator[list[tuple[Pa
     they bind stands for them, then their class, then their module.
     """
     module = ast.parse((tree / place.file).read_text())
-    around = [
-        node for node in ast.walk(module)
-        if isinstance(node, DEFINITIONS) and node.lineno <= min(change.lines) <= (node.end_lineno or 0)
-    ]  # fmt: skip
+    around = _around(module, change)
     inner = max(around, key=lambda node: node.lineno, default=None)
     if inner is not None and not isinstance(inner, ast.ClassDef):
         if min(change.lines) >= inner.body[0].lineno:
             yield [(place.file, change.lines)]
         yield [(place.file, _function_lines(inner))]
     else:
-        names = {name for node in _statements(module) if node.lineno in change.lines for name in _bound(node)}
+        names = _bound_by_import(module, change)
         yield [(file, lines) for name in sorted(names) for file, lines in _users(tree, name)]
     for node in sorted(around, key=lambda node: -node.lineno):
         yield [(place.file, _function_lines(node))]
     yield [(place.file, _function_lines(module))]
     names = {node.name for node in module.body if isinstance(node, DEFINITIONS)}
     yield [(file, lines) for name in sorted(names) for file, lines in _users(tree, name)]
+
+
+def _around(module: ast.Module, change: Change) -> list[ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef]:
+    """Find the classes and functions that a change is in."""
+    return [
+        node for node in ast.walk(module)
+        if isinstance(node, DEFINITIONS) and node.lineno <= min(change.lines) <= (node.end_lineno or 0)
+    ]  # fmt: skip
+
+
+def _bound_by_import(module: ast.Module, change: Change) -> set[str]:
+    """Find the names that the changed statements bind in a module or class; none where they are in a function."""
+    if any(not isinstance(node, ast.ClassDef) for node in _around(module, change)):
+        return set()
+    return {name for node in _statements(module) if node.lineno in change.lines for name in _bound(node)}
+
+
+def _naming(coverage: CoverageMap, names: set[str]) -> list[MappedTest]:
+    """Find the tests whose id has one of these, such as one instance for each default of a setting."""
+    words = re.compile("|".join(rf"\b{re.escape(name)}\b" for name in sorted(names)) or r"(?!)")
+    return [test for test in coverage.tests if words.search(test.id)]
 
 
 def _reaching(coverage: CoverageMap, circle: Iterable[tuple[Path, Iterable[int]]]) -> list[MappedTest]:
