@@ -34,7 +34,7 @@ from uncovered_guards import excuses, uncovered
 
 from pcmrs.cli.progress import progress_bar
 
-LISTED = Limits(tests=100, seconds=300.0)
+LISTED = Limits(tests=1000, seconds=300.0)
 GENERATED = Limits(tests=25, seconds=90.0)
 GENERATED_WANTED = 0.95
 """Share of the generated mutants that must be caught: some of them change nothing that could be noticed."""
