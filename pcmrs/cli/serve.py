@@ -35,8 +35,9 @@ TCP_LINKS = ("tcp", "openigtlink")
 @config_options
 @click.option("--json", "as_json", is_flag=True, help="Say where it can be reached as one line of JSON.")
 @click.option("--verbose", is_flag=True, help="Log every detail.")
+@click.option("--lifeline", is_flag=True, hidden=True, help="Also end when standard input ends.")
 @readable_errors
-def serve(file: Path | None, overrides: tuple[str, ...], as_json: bool, verbose: bool) -> None:
+def serve(file: Path | None, overrides: tuple[str, ...], as_json: bool, verbose: bool, lifeline: bool) -> None:
     """Run the daemon of one cell: by default robotic TMS on the simulated cell.
 
     Ends on SIGINT and SIGTERM; a running motion is held first. Exit status: 0 ended as told,
@@ -47,7 +48,7 @@ def serve(file: Path | None, overrides: tuple[str, ...], as_json: bool, verbose:
     reserve()
     os.umask(0o077)  # journal and recordings name the patient; the daemon's children inherit this
     log_to_stderr(verbose=verbose)
-    run(_serve(read_settings(file, overrides), as_json=as_json))
+    run(_serve(read_settings(file, overrides), as_json=as_json, lifeline=lifeline))
 
 
 @click.command(hidden=True)
@@ -88,12 +89,15 @@ def node(driver: str, devices: tuple[str, ...], file: Path | None, overrides: tu
     run(serve_devices(settings, driver, devices, opening, key, lifeline=lifeline))
 
 
-async def _serve(settings: Settings, *, as_json: bool) -> None:
+async def _serve(settings: Settings, *, as_json: bool, lifeline: bool) -> None:
+    from pcmrs.node import when_input_ends
     from pcmrs.service import Daemon
 
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
+    if lifeline:
+        when_input_ends(ended.set)
     async with Daemon(settings).running() as ready:
         if as_json:
             say_json(ready)

@@ -86,6 +86,8 @@ async def running_daemon(
         process = await asyncio.create_subprocess_exec(
             *prefix,
             *serve_command(overrides),
+            "--lifeline",  # it ends with this process, however that ends
+            stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=errors,
             env={**os.environ, **(environment or {})},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import signal
+import sys
 from contextlib import suppress
 from pathlib import Path
 
@@ -73,3 +74,31 @@ async def test_nodes_end_by_themselves_after_the_daemon_is_killed_and_its_succes
         assert "Traceback" not in successor.log
     (lost,) = (row for row in _rows(tmp_path) if row.verdict is not None and row.verdict.decision == "unknown")
     assert (lost.branch, lost.operation) == ("placement", "approach")
+
+
+STARTER = """
+import asyncio, sys
+from pathlib import Path
+from pcmrs.experiment.process import own_settings, running_daemon
+
+async def main(folder):
+    async with running_daemon(own_settings(folder / "cell", "left"), folder / "log") as daemon:
+        print(daemon.process.pid, flush=True)
+        await asyncio.sleep(3600)
+
+asyncio.run(main(Path(sys.argv[1])))
+"""
+
+
+async def test_a_daemon_that_a_program_has_started_ends_when_the_program_is_killed(tmp_path: Path) -> None:
+    """A campaign that somebody breaks off leaves nothing running, nor any port taken."""
+    (tmp_path / "cell").mkdir()
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", STARTER, str(tmp_path), stdout=asyncio.subprocess.PIPE
+    )
+    assert process.stdout is not None
+    daemon = int(await process.stdout.readline())
+    assert is_running(daemon)
+    process.kill()
+    await process.wait()
+    assert await asyncio.to_thread(wait_until, lambda: not is_running(daemon), 30.0)
