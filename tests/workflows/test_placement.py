@@ -313,7 +313,8 @@ async def test_the_tool_goes_on_to_no_other_plan_than_it_was_brought_to(unrevoke
     await unrevoked.to_standoff()
     await unrevoked.accept("toolplan.plan", **POSES[1])
     assert unrevoked.states["placement"] == "standoff"
-    for name, arguments in (("confirm", {}), ("nudge", {"translation": [0.0, 0.0, 0.001]}), ("guide", {})):
+    motions: dict[str, dict[str, Any]] = {"confirm": {}, "nudge": {"translation": [0.0, 0.0, 0.001]}, "guide": {}}
+    for name, arguments in motions.items():
         verdict = await unrevoked.refuse(f"placement.{name}", "not_at_plan", **arguments)
         assert verdict.reason is not None
         assert "approach anew" in verdict.reason.text
