@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pcmrs.errors import DegenerateMotionError, RefusalError
-from pcmrs.registration.pivot import FEWEST, calibrate_pivot
+from pcmrs.registration.pivot import FEWEST, _Fit, _fit, calibrate_pivot
+from pcmrs.registration.pose_sets import without_bad_poses
 from pcmrs.spatial import Floats, Transform
 
 TIP = np.array([0.01, -0.02, -0.15])
@@ -137,3 +138,16 @@ def shifted_sideways(poses: list[Transform], bad: int) -> list[Transform]:
     return [
         Transform(pose.rotation, pose.translation + away) if index == bad else pose for index, pose in enumerate(poses)
     ]
+
+
+def test_of_poses_that_nothing_checks_none_is_suspected() -> None:
+    """Three poses have as many equations left as there are parameters: the residuals say nothing of the noise."""
+    poses = shifted(poses_about(np.random.default_rng(9), 3, NOISE), [1], 0.05)
+    rotations, positions = np.array([p.rotation for p in poses]), np.array([p.translation for p in poses])
+
+    def fit_to(chosen: list[int]) -> _Fit:
+        return _fit(rotations[chosen], positions[chosen])
+
+    found, good, bad = without_bad_poses(3, fit_to)
+    assert (good, bad) == ([0, 1, 2], ())
+    assert np.array_equal(found.solution, fit_to([0, 1, 2]).solution)

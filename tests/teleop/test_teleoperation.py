@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
+from typing import NoReturn
 
+import msgspec
 import numpy as np
 import pytest
 from guided_bench import PERIOD, Teleoperator, danger, guided, held, moved, still, tool
 from workflow_bench import WorkflowBench, open_bench
 
+from pcmrs.errors import RefusalError
 from pcmrs.kinematics.zones import TOOL
+from pcmrs.messages import Command
 from pcmrs.messages.teleop import AT_REST, Twist
-from pcmrs.spatial import Floats, rotation_angle
+from pcmrs.spatial import Floats, Frame, distance, rotation_angle
 from pcmrs.workflows import read_workflow
+from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.guide import Guide
+from pcmrs.workflows.guiding import Activity, Guiding, planned_in_body_ref
 from pcmrs.workflows.settings import TeleoperationSettings
 from pcmrs.workflows.zones import BODY
 
@@ -261,3 +268,66 @@ def test_who_only_plans_moves_nothing(workflow: str) -> None:
             if name in ("registration", "digitization", "toolplan"):
                 assert not operation.roles, f"{name}.{key}"
     assert branches["robot"].operations["acknowledge"].roles == ["operator"], "a decision of the people on site"
+
+
+async def test_a_tool_that_is_led_along_the_edge_of_its_range_does_not_leave_it() -> None:
+    """Aside, at the edge, is outwards: by so little that no bound of the speed notices, and more with each step."""
+    async with open_bench({"teleoperation": {"range": 0.101}}) as bench:
+        await guided(bench)
+        settings, cell = bench.cell.settings.teleoperation, bench.cell
+        graph = cell.frames(bench.data)
+        guide = Guide(cell, graph.get(Frame.ROBOT_BASE, Frame.BODY_REF) @ planned_in_body_ref(cell, bench.data))
+
+        def lead(twist: Twist, steps: int) -> float:
+            """Return how far the tool is from its planned place at the end, m."""
+            for _ in range(steps):
+                guide.advance(np.array(twist), 1.0, settings.period)
+            return float(np.linalg.norm(guide.plan_from_tool.translation))
+
+        assert lead(AWAY, 300) == pytest.approx(settings.range, abs=1e-6)
+        before = guide.plan_from_tool
+        assert lead((0.02, 0.0, 0.0, 0.0, 0.0, 0.0), 300) <= settings.range + 1e-6
+        assert guide.limit == "range"
+        assert lead((0.02, 0.0, -0.01, 0.0, 0.0, 0.0), 100) < settings.range
+        assert distance(before, guide.plan_from_tool) > 0.01, "where it leads inwards, it goes"
+
+
+async def test_nothing_moves_while_the_clutch_is_open_whoever_asks(alice: Teleoperator) -> None:
+    bench = alice.bench
+    guiding = Guiding(activity(bench, bench.data))
+    for _ in range(2):
+        with pytest.raises(RefusalError, match="engage it first") as refused:
+            guiding.advance(bench.clock.monotonic(), SETTINGS.period)
+        assert refused.value.refusal_code == "not_engaged"
+        guiding.engage("alice")
+        assert not guiding.advance(bench.clock.monotonic(), SETTINGS.period).any(), "no set point has come"
+        guiding.release()
+
+
+@pytest.mark.parametrize("missing", ["registered", "plan"])
+async def test_no_tool_is_guided_without_a_registration_and_a_plan(alice: Teleoperator, missing: str) -> None:
+    """A blueprint may let it be guided: from a place that means nothing it is not."""
+    data = msgspec.structs.replace(alice.bench.data, **{missing: None})
+    with pytest.raises(RefusalError, match="no registration and plan to guide") as refused:
+        Guiding(activity(alice.bench, data))
+    assert refused.value.refusal_code == "not_registered"
+
+
+def activity(bench: WorkflowBench, data: PlacementData) -> Activity:
+    """Return what is handed to the function of the activity in ``guided``, for a procedure with such data."""
+
+    def submit(command: Command) -> NoReturn:
+        raise AssertionError(f"It has posted {command.operation}.")
+
+    return Activity(
+        name="teleoperate",
+        branch="placement",
+        state="guided",
+        command=bench.run("placement.guide").command,
+        cell=bench.cell,
+        clock=bench.clock,
+        _data=lambda: data,
+        _states=lambda: bench.states,
+        _submit=submit,
+        _show=lambda: None,
+    )

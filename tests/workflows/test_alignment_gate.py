@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from workflow_bench import WorkflowBench
 
 from pcmrs.spatial import Transform
 from pcmrs.workflows.alignment import AlignmentGate, AlignmentWatch
@@ -129,3 +130,18 @@ async def test_what_has_just_opened_closes_without_delay_and_only_repeats_wait(d
     # At the first frame after 0.1 s; refused, it is asked again after a quarter of a second; not while it still waits.
     repeated = [(56 / 64, "outside")] if decided else []
     assert posted[1:] == [(40 / 64, "outside"), *repeated]
+
+
+async def test_a_tool_whose_registration_was_given_up_is_watched_on_and_counts_as_outside(
+    unrevoked: WorkflowBench,
+) -> None:
+    """A blueprint that leaves the tool at its place then: nothing is aligned with a pose that nobody knows."""
+    await unrevoked.to_placed()
+    await unrevoked.until(lambda: unrevoked.states["alignment"] == "1")
+    await unrevoked.accept("registration.clear_registration")
+    await unrevoked.until(lambda: unrevoked.states["alignment"] == "0")
+    await unrevoked.clock.sleep(2.0)
+    assert (unrevoked.states["placement"], unrevoked.states["alignment"]) == ("placed", "0")
+    assert not unrevoked.dispatcher.snapshot().latched, "to watch has not failed"
+    await unrevoked.accept("registration.register")
+    await unrevoked.until(lambda: unrevoked.states["alignment"] == "1")

@@ -15,10 +15,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from workflow_bench import WorkflowBench, open_bench
 
+from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceEvent
 from pcmrs.spatial import Transform
 from pcmrs.workflows.data import as_transform
-from pcmrs.workflows.femoroplasty import Data, guide_pose
+from pcmrs.workflows.femoroplasty import Data, check_guide_on_plan, check_guide_pose, guide_pose
 from sim.plan import TRAJECTORIES, trajectory
 
 PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "femoroplasty_plan.json").read_text())
@@ -364,3 +365,26 @@ def test_the_example_has_the_poses_that_its_trajectories_mean() -> None:
     for course, pose in zip(TRAJECTORIES, PLAN["poses"], strict=True):
         planned = Transform.from_quat_xyzw(pose["position"], pose["quat_xyzw"])
         assert np.allclose(planned.matrix, guide_pose(*trajectory(*course)).matrix, atol=1e-7)
+
+
+async def test_a_guide_is_not_checked_against_a_hole_that_was_never_measured(femur: WorkflowBench) -> None:
+    """A blueprint may let it be asked for: without the place of the hole no needle goes in."""
+    await drill(femur)
+    run = femur.run("treatment.check_guide")
+    await check_guide_pose(run)
+    assert run.result["translation_error"] < 0.0005
+    run = femur.run("treatment.check_guide")
+    run.keep(hole=None)
+    with pytest.raises(RefusalError, match="drill through the guide first") as refused:
+        await check_guide_pose(run)
+    assert refused.value.refusal_code == "no_hole"
+    assert run.result == {}
+
+
+async def test_no_tool_is_measured_in_an_image_that_is_not_registered(femur: WorkflowBench) -> None:
+    run = femur.run("treatment.check_guide")
+    run.keep(registered=None)
+    with pytest.raises(RefusalError) as refused:
+        await check_guide_on_plan(run)
+    assert refused.value.refusal_code == "not_registered"
+    assert run.prepared is None

@@ -5,13 +5,20 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from workflow_bench import DYNAMICS, WorkflowBench, open_bench
 
+from pcmrs.devices.poses import Sighting
+from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceEvent, HeadBurst, HeadMotion, HeadStep
 from pcmrs.spatial import Floats, Transform, distance
+from pcmrs.workflows.alignment import BODIES
+from pcmrs.workflows.body_track import BodyTrack
 from pcmrs.workflows.data import as_transform
+from pcmrs.workflows.follower import Follower
+from pcmrs.workflows.settings import FollowingSettings
 from sim.settings import GeometrySettings
 
 Z = (0.0, 0.0, 1.0)
@@ -303,3 +310,31 @@ async def test_an_acknowledgement_that_came_too_late_does_not_hold_a_tool_that_f
     await following.clock.sleep(1.0)
     assert held == []
     assert following.states["placement"] == "following"
+
+
+def test_without_compensation_the_pose_wanted_is_the_newest_that_was_seen() -> None:
+    """Of a body that drifts: with compensation it is wanted where the body is by now, ahead of what was seen."""
+
+    def sighting(number: int) -> Sighting:
+        exposed = 100.0 + number / 60.0
+        there = Transform(np.eye(3), np.array((0.010 * exposed, 0.0, 1.0)))
+        return Sighting(number, exposed, captured=exposed - 100.0 + 0.05, tracker_from_body=there)
+
+    stamps = {}
+    for compensated in (True, False):
+        track = BodyTrack(FollowingSettings(compensated=compensated))
+        for number in range(10):
+            track.take({"coil": sighting(number), "body_ref": sighting(number)})
+        stamps[compensated] = track.stamp(sighting(9).captured + 0.02)
+    assert stamps[False] == sighting(9).exposed
+    assert stamps[True] > sighting(9).exposed + 0.02
+
+
+@pytest.mark.parametrize("missing", ["registered", "plan"])
+async def test_nothing_is_followed_without_a_registration_and_a_plan(bench: WorkflowBench, missing: str) -> None:
+    await bench.to_placed()
+    frames = bench.cell.poses.frames_after(0, BODIES)[-10:]
+    assert Follower(bench.cell, bench.data, frames).moved == 0.0
+    with pytest.raises(RefusalError, match="no registration and plan to follow") as refused:
+        Follower(bench.cell, msgspec.structs.replace(bench.data, **{missing: None}), frames)
+    assert refused.value.refusal_code == "not_registered"

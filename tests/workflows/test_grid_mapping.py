@@ -14,6 +14,7 @@ from clock import ManualClock
 from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
 from pcmrs.dispatcher import Workflow
+from pcmrs.errors import RefusalError
 from pcmrs.fsm import examine
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Verdict
@@ -21,7 +22,7 @@ from pcmrs.service.recorder import JournalRecorder
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message
-from pcmrs.workflows.grid_mapping import Data
+from pcmrs.workflows.grid_mapping import Data, plan_is_of_point, point_reachable, point_within_tolerance
 from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.toolplan import ToolPose, pose_of
 
@@ -285,3 +286,28 @@ def test_the_verifier_notices_points_that_could_be_performed_elsewhere(weaker: s
     assert "point_only_in_place" in finding.text
     assert finding.commands is not None
     assert "mapping.perform" in finding.commands[-1]
+
+
+async def test_the_checks_of_the_shipped_file_are_those_of_its_copy(
+    three_points: Workflow[Cell, PlacementData],
+) -> None:
+    """The other tests run the file that was copied with the smaller grid; here is its original."""
+    async with mapping(three_points) as bench:
+        plan_is_of_point(bench.run("mapping.perform"))
+        await bench.accept("toolplan.plan", **GRID[1])
+        with pytest.raises(RefusalError, match="not the pose of point_1") as refused:
+            plan_is_of_point(bench.run("mapping.perform"))
+        assert refused.value.refusal_code == "other_point_planned"
+        run = bench.run("mapping.perform")
+        limit_mm = bench.cell.settings.limits["point_tolerance_mm"]
+        run.result |= {"translation_error": 0.001 * limit_mm, "rotation_error": 0.0}
+        point_within_tolerance(run)
+        for error in (0.0011 * limit_mm, float("nan")):
+            run.result |= {"translation_error": error}
+            with pytest.raises(RefusalError, match="from the planned pose of point_1") as missed:
+                point_within_tolerance(run)
+            assert missed.value.refusal_code == "point_missed"
+        await bench.accept("mapping.abandon")
+        with pytest.raises(RefusalError, match="in abandoned") as ended:
+            point_reachable(bench.run("toolplan.aim"))
+        assert ended.value.refusal_code == "no_next_point"

@@ -23,8 +23,10 @@ from pcmrs.messages import JointState, Verdict
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.paths import along_axis
+from pcmrs.workflows.placement import planned
 from pcmrs.workflows.settings import ProcedureSettings
 from pcmrs.workflows.surface import read_surface
+from pcmrs.workflows.toolplan import ToolPose, pose_of, standoff_postures
 from pcmrs.workflows.zones import CellZones
 from sim.head import CENTRE, SEMI_AXES
 
@@ -341,3 +343,24 @@ def test_boxes_have_names_of_their_own(name: str) -> None:
     box = {"name": name, "pose": {}, "size": [0.1, 0.1, 0.1]}
     with pytest.raises(msgspec.ValidationError, match="names of their own"):
         msgspec.convert({"zones": {"boxes": [box]}}, ProcedureSettings)
+
+
+async def test_where_every_posture_is_refused_the_one_nearest_to_the_present_says_why() -> None:
+    """Of five postures four have the elbow in a box: what is wrong with the way of the other is the reason."""
+    async with open_bench() as bench:
+        await bench.register()
+        postures = list(standoff_postures(bench.run("placement.approach"), pose_of(ToolPose(**POSES[6]))))
+        elbows = [bench.cell.arm.origins(posture)[3] for posture in postures]
+    assert len(elbows) == 5
+    boxes = [
+        {"name": f"lamp_{number}", "pose": {"position": elbow.tolist()}, "size": [0.01] * 3}
+        for number, elbow in enumerate(elbows[1:])
+    ]
+    narrow = {"zones": {"cone_height": 0.2, "cone_half_angle_deg": 5.0, "boxes": boxes}}
+    async with open_bench(narrow) as bench:
+        await bench.register()
+        await bench.accept("toolplan.plan", **POSES[6])
+        run = bench.run("placement.approach")
+        (posture,) = standoff_postures(run, planned(bench.data))
+        assert np.abs(posture - postures[0]).max() < 0.02
+        await bench.refuse("placement.approach", "outside_cone")

@@ -306,3 +306,38 @@ async def test_a_retreat_waits_for_nothing_on_other_branches(bench: WorkflowBenc
     await bench.until(lambda: bool(bench.dispatcher.snapshot().running))
     assert (await bench.accept("placement.back_off")).state == "retracted"
     assert (await digitizing).decision == "accepted"
+
+
+async def test_the_tool_goes_on_to_no_other_plan_than_it_was_brought_to(unrevoked: WorkflowBench) -> None:
+    """A blueprint that forgets to take the tool from its place: the checks do not trust its states."""
+    await unrevoked.to_standoff()
+    await unrevoked.accept("toolplan.plan", **POSES[1])
+    assert unrevoked.states["placement"] == "standoff"
+    motions: dict[str, dict[str, Any]] = {"confirm": {}, "nudge": {"translation": [0.0, 0.0, 0.001]}, "guide": {}}
+    for name, arguments in motions.items():
+        verdict = await unrevoked.refuse(f"placement.{name}", "not_at_plan", **arguments)
+        assert verdict.reason is not None
+        assert "approach anew" in verdict.reason.text
+    await unrevoked.accept("placement.home")
+    await unrevoked.accept("placement.approach")
+    await unrevoked.accept("placement.confirm")
+
+
+async def test_without_a_surface_too_no_way_to_the_standoff_leads_through_the_body() -> None:
+    bare = {"body": {"surface": ""}, "placement": {"clearance": 0.14}}
+    async with open_bench(bare) as bench:
+        await bench.register()
+        await bench.accept("toolplan.plan", **POSES[8])
+        await bench.accept("placement.approach")
+        beside = bench.cell.posture().tolist()
+    async with open_bench(bare, {"arm": {"home": beside}}) as bench:
+        await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+        await bench.accept("digitization.digitize_all")
+        await bench.accept("registration.register")
+        await bench.connect()
+        assert bench.states["placement"] == "retracted"
+        await bench.accept("toolplan.plan", **POSES[11])
+        verdict = await bench.refuse("placement.approach", "path_near_body")
+        assert verdict.reason is not None
+        assert verdict.reason.fields["distance"] < 0.06, "the head is more than 60 mm thick there"
+        assert verdict.reason.fields["limit"] == pytest.approx(0.153, abs=0.01)

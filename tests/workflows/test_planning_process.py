@@ -6,6 +6,8 @@ import asyncio
 import os
 import shutil
 import signal
+import subprocess
+import sys
 from collections.abc import AsyncIterator, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
@@ -172,3 +174,9 @@ async def test_a_process_that_hangs_is_a_refusal_and_restarted(monkeypatch: pyte
     async with open_bench() as bench:
         await bench.register()
         on_the_machine(ask(bench))
+
+
+def test_it_ends_in_silence_where_the_daemon_is_gone_before_it_has_sent_the_settings() -> None:
+    command = [sys.executable, "-m", "pcmrs.workflows.planning_process"]
+    ended = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b"")

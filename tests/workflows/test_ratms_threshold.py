@@ -11,6 +11,7 @@ import pytest
 from stimulation_bench import RESPONDING, SILENT, StimulationBench, stimulation
 from workflow_bench import POSES, open_bench
 
+from pcmrs.errors import RefusalError
 from pcmrs.fsm import examine
 from pcmrs.messages import PoseMessage, Verdict
 from pcmrs.spatial import Transform, distance, rotation_angle
@@ -19,6 +20,8 @@ from pcmrs.tms.threshold import ThresholdHunt
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.data import as_transform
 from pcmrs.workflows.motion import as_result
+from pcmrs.workflows.tms.hotspot import place_known, plan_is_of_search, search_pose_reachable
+from pcmrs.workflows.tms.threshold import hunted_intensity_allowed, set_hunted_intensity
 from pcmrs.workflows.toolplan import ToolPose, pose_of
 from sim.muscle.subject import draw_subject
 
@@ -108,6 +111,24 @@ async def test_a_search_needs_a_registration_an_intensity_and_a_surface(register
         await bare.refuse("hotspot.begin", "no_intensity")
         await bare.allow()
         await bare.refuse("hotspot.begin", "no_surface")
+
+
+async def test_a_search_around_the_plan_needs_a_plan(registered: StimulationBench) -> None:
+    await registered.accept("toolplan.clear")
+    verdict = await registered.refuse("hotspot.begin", "no_plan")
+    assert verdict.reason is not None
+    assert "plan one first" in verdict.reason.text
+    await registered.accept("hotspot.begin", centre=POSES[0])
+
+
+async def test_nothing_is_taken_for_the_pose_of_a_search_that_was_not_begun(registered: StimulationBench) -> None:
+    """A blueprint may let a pulse of a search be asked for at any time: the checks do not."""
+    for check in (plan_is_of_search, search_pose_reachable, place_known):
+        with pytest.raises(RefusalError, match=r"ask for hotspot\.begin first") as refused:
+            check(registered.bench.run("hotspot.pulse"))
+        assert refused.value.refusal_code == "no_search"
+    await registered.accept("hotspot.begin")
+    plan_is_of_search(registered.bench.run("hotspot.pulse"))
 
 
 async def test_pulses_of_a_search_are_given_where_it_proposes_and_at_one_intensity(armed: StimulationBench) -> None:
@@ -271,6 +292,29 @@ async def test_a_hunt_stays_below_the_ceiling_of_the_operator(armed: Stimulation
     await armed.arm()
     await armed.refuse("threshold.pulse", "intensity_over_ceiling")
     assert not armed.stimulator.fired
+
+
+async def test_no_threshold_is_hunted_before_the_operator_has_set_a_ceiling() -> None:
+    async with stimulation(TOOLS) as bench:
+        await bench.bench.register()
+        verdict = await bench.refuse("threshold.begin", "no_ceiling")
+        assert verdict.reason is not None
+        assert "stimulation.set_ceiling" in verdict.reason.text
+        await bench.accept("stimulation.set_ceiling", percent=70.0, operator="Dr Hand")
+        await bench.accept("threshold.begin")
+        assert bench.data.hunt.settings.ceiling == 70.0
+
+
+async def test_no_intensity_is_set_for_a_hunt_that_was_not_begun(armed: StimulationBench) -> None:
+    """A blueprint may let a pulse of a hunt be asked for at any time: check and step do not."""
+    calls = len(armed.stimulator.calls)
+    run = armed.bench.run("threshold.pulse")
+    with pytest.raises(RefusalError, match=r"ask for threshold\.begin first") as refused:
+        hunted_intensity_allowed(run)
+    assert refused.value.refusal_code == "no_hunt"
+    with pytest.raises(RefusalError):
+        await set_hunted_intensity(run)
+    assert "set_intensity" not in armed.stimulator.calls[calls:]
 
 
 async def test_with_a_dial_no_pulse_is_given_before_it_is_turned() -> None:

@@ -215,3 +215,14 @@ def test_no_skin_is_kept_without_a_digitization() -> None:
     data = PlacementData(surface=((0.0, 0.0, 0.0),))
     for state, kept in {"000": False, "100": False, "110": True, "111": True}.items():
         assert bool(settle(data, {"registration": state}, []).surface) == kept
+
+
+async def test_without_a_surface_there_is_nothing_to_refine_by_until_one_is_named() -> None:
+    async with open_bench({"body": {"surface": ""}}) as bench:
+        await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+        await bench.accept("digitization.digitize_all")
+        await bench.accept("digitization.digitize_surface", points=ENOUGH)
+        verdict = await bench.refuse("registration.refine", "unknown_surface")
+        assert verdict.reason is not None
+        assert "set procedure.body.surface, or name one" in verdict.reason.text
+        await bench.accept("registration.refine", surface="head_phantom.ply")

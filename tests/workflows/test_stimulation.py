@@ -10,13 +10,14 @@ import msgspec
 import pytest
 from stimulation_bench import RESPONDING, SILENT, StimulationBench, stimulation
 
-from pcmrs.errors import DeviceError
+from pcmrs.errors import DeviceError, RefusalError
 from pcmrs.messages import Command, DeviceEvent, HeadBurst, HeadMotion
 from pcmrs.spatial import distance
 from pcmrs.workflows import read_workflow
 from pcmrs.workflows.alignment import BODIES
 from pcmrs.workflows.data import as_transform
 from pcmrs.workflows.settings import ProcedureSettings
+from pcmrs.workflows.tms.aim import coil_on_target
 
 
 @pytest.fixture
@@ -431,6 +432,51 @@ async def test_what_the_stimulator_says_is_shown(armed: StimulationBench) -> Non
     await armed.clock.sleep(0.5)
     (shown,) = [each for each in armed.bench.dispatcher.snapshot().activities if each.name == "watch_stimulator"]
     assert shown.values == {"ready": True, "intensity": 50.0, "coil_temperature": 31.0}
+
+
+# -- whatever the states say --------------------------------------------------------------------------------
+
+
+async def test_no_pulse_by_frames_of_before_the_tracker_was_restarted() -> None:
+    """They are forgotten; while the coil is hidden no new one shows where it is."""
+    async with stimulation({"alignment": {"off_time": 30.0}}) as bench:
+        await bench.to_armed()
+        await bench.bench.scene.occlude("coil", hidden=True)
+        await bench.clock.sleep(0.2)  # what has shown it is on its way for less
+        bench.bench.tracker_session = "second"
+        await bench.clock.sleep(0.5)
+        assert (bench.states["alignment"], bench.states["placement"]) == ("1", "placed")
+        verdict = await bench.refuse("stimulation.fire", "pose_stale")
+        assert verdict.reason is not None
+        assert "have not been seen together" in verdict.reason.text
+    assert not bench.stimulator.fired
+
+
+@pytest.mark.parametrize("missing", ["registered", "plan"])
+async def test_no_pulse_without_a_registration_and_a_plan(armed: StimulationBench, missing: str) -> None:
+    """A blueprint may forget to require them for its pulses: the check does not."""
+    run = armed.bench.run("stimulation.fire")
+    coil_on_target(run)
+    run.keep(**{missing: None})
+    with pytest.raises(RefusalError, match="no registration and plan") as refused:
+        coil_on_target(run)
+    assert refused.value.refusal_code == "no_plan"
+
+
+async def test_a_stimulator_that_is_not_armed_after_it_was_told_to_is_not_believed_to_be(
+    bench: StimulationBench,
+) -> None:
+    await bench.bench.to_placed()
+    await bench.allow()
+    arming = asyncio.create_task(bench.do("stimulation.arm"))
+    await bench.until(lambda: bench.stimulator.arming.armed)
+    bench.stimulator.arming.disarm()  # as it charges, by itself
+    verdict = await arming
+    assert verdict.reason is not None
+    assert (verdict.decision, verdict.reason.code, verdict.state) == ("failed", "not_armed", "disarmed")
+    assert bench.stimulator.calls[-1] == "disarm"
+    await bench.arm()
+    await bench.accept("stimulation.fire")
 
 
 # -- the workflow -------------------------------------------------------------------------------------------

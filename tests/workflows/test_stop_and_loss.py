@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from workflow_bench import AT_REST, POSES, WorkflowBench, open_bench
 
 from pcmrs.devices.standstill import MOVED
-from pcmrs.messages import DeviceEvent
+from pcmrs.messages import DeviceEvent, JointState
 from pcmrs.workflows.data import as_transform
 
 Prepare = Callable[[WorkflowBench], Awaitable[Any]]
@@ -158,3 +159,28 @@ async def test_backing_off_leads_home_where_a_joint_limit_cuts_the_straight_way_
         assert (await bench.accept("placement.back_off", confirm=True)).state == "retracted"
         assert bench.cell.joints is not None
         assert bench.cell.joints.positions == pytest.approx(bench.cell.home, abs=2e-3)
+
+
+async def test_a_robot_that_reports_joints_that_are_no_numbers_is_not_connected(
+    bench: WorkflowBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    connect, released = bench.robot.connect, list[bool]()
+
+    async def broken() -> JointState:
+        state = await connect()
+        return msgspec.structs.replace(state, positions=[*state.positions[:-1], float("nan")])
+
+    async def release(stopped: bool) -> list[str]:
+        released.append(stopped)
+        return []
+
+    monkeypatch.setattr(bench.robot, "connect", broken)
+    monkeypatch.setattr(bench.cell, "release", release)
+    verdict = await bench.refuse("robot.connect", "bad_joints", "failed")
+    assert verdict.reason is not None
+    assert "nan" in verdict.reason.text
+    assert (bench.states["robot"], bench.states["placement"], released) == ("0", "unknown", [])
+    assert np.isfinite(bench.cell.posture()).all()
+    monkeypatch.undo()
+    await bench.connect()
+    assert bench.states["placement"] == "retracted"

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from functools import cache
+from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from workflow_bench import WorkflowBench, open_bench
 
+from pcmrs.errors import RefusalError
 from pcmrs.spatial import Transform
 from pcmrs.workflows.paths import middle_of_body
 
@@ -124,3 +126,33 @@ async def test_home_heeds_the_middle_of_a_body_that_is_not_registered_any_more()
         await bench.accept("registration.clear_registration")
         bench.cell.initial_joints = placed
         await bench.refuse("placement.to_initial", "distance_shrinks")
+
+
+@pytest.mark.parametrize("registered", [True, False])
+async def test_a_tool_that_was_never_seen_with_the_body_backs_off_by_the_standoff(registered: bool) -> None:
+    """Without a registration, middle of the body and plan say nothing; with one, nobody knows where that is."""
+    async with open_placed("ratms", 0) as bench:
+        if not registered:
+            await bench.accept("registration.clear_registration")
+        await bench.scene.occlude("coil", True)
+        await bench.clock.sleep(1.0)
+        bench.cell.base_from_body_ref = None
+        with pytest.raises(RefusalError) as unknown:
+            middle_of_body(bench.cell, bench.data)
+        assert unknown.value.refusal_code == "body_unknown"
+        with pytest.raises(RefusalError) as unseen:
+            bench.cell.image_from_coil(bench.data)
+        assert unseen.value.refusal_code == "pose_stale"
+        before = coil(bench)
+        await bench.accept("placement.back_off")
+        away = (before.inverse() @ coil(bench)).translation
+        assert away == pytest.approx((0.0, 0.0, bench.cell.settings.placement.standoff), abs=0.001)
+
+
+async def test_before_the_robot_has_reported_its_joints_nothing_is_known_of_the_arm(bench: WorkflowBench) -> None:
+    await bench.register()
+    silent = replace(bench.cell, joints=None, base_from_body_ref=None)
+    for ask in (silent.posture, partial(silent.frames, bench.data), partial(silent.image_from_coil, bench.data)):
+        with pytest.raises(RefusalError, match="connect it first") as refused:
+            ask()
+        assert refused.value.refusal_code == "joints_unknown"

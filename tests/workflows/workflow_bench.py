@@ -18,7 +18,7 @@ from pcmrs.background import meanwhile
 from pcmrs.config import overlaid
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.protocols import LatchingRobot, LatchingStimulator, RobotDriver, Scene, TrackerDriver
-from pcmrs.dispatcher import Dispatcher, Recorder, Workflow
+from pcmrs.dispatcher import Dispatcher, Recorder, Run, Workflow
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
@@ -178,6 +178,12 @@ class WorkflowBench:
         if decision == "rejected":
             assert (self.states, self.data) == before
         return verdict
+
+    def run(self, name: str) -> Run[Any, Any]:
+        """Return a run as checks and steps get it: of an operation without arguments, whatever the states allow."""
+        branch, operation = name.split(".")
+        command = Command(id="run", branch=branch, operation=operation, source="test:user", arguments={})
+        return Run(command, None, self.states, self.cell, self.clock, self.data, lambda _: None)
 
     async def connect(self) -> None:
         """Connects the robot and waits until the arm has been located."""
