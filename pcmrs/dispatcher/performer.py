@@ -215,9 +215,7 @@ class Performer(Generic[C, D]):
         at_once = not attempt.worldly
         closure = self._stage.procedure.ask(command.branch, command.operation)
         if isinstance(closure, Denial):
-            error = PcmrsError(f"{closure.text} It was allowed when {attempt.name} began.")
-            self._decisions.break_off(Conclusion(command, verdict, "unknown", attempt=attempt), error)
-            return
+            raise PcmrsError(f"{closure.text} It was allowed when {attempt.name} began.")
         decision, change, reason = consequence(closure, self._still_so(attempt, ending), attempt.name)
         self._decisions.conclude(Conclusion(command, verdict, decision, reason, attempt, run, change, at_once))
 
