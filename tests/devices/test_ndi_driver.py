@@ -124,6 +124,16 @@ async def test_an_absent_tracker_is_tried_again_with_growing_pauses_and_said_so(
     assert _readers() == []
 
 
+async def test_a_serial_port_that_is_not_there_is_said_so() -> None:
+    async with _tracker(device="/dev/pts/none") as tracker:
+        reading = asyncio.create_task(_frames(tracker, 1))
+        await _until(lambda: "not been reached yet" not in tracker.trouble)
+        assert "The tracker at /dev/pts/none: this cannot be opened as a serial port." in tracker.trouble
+        reading.cancel()
+        await asyncio.gather(reading, return_exceptions=True)
+    assert _readers() == []
+
+
 async def test_a_tracker_that_comes_later_is_found() -> None:
     async with _served() as (cell, device):
         pass
