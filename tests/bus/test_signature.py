@@ -215,9 +215,7 @@ def test_a_key_that_cannot_be_read_signs_nothing(lab: Lab, tmp_path: Path) -> No
         Signer.read(replace(own, key=str(tmp_path / "none.key")), SystemClock())
     other = tmp_path / "other.key"
     other.touch(mode=0o600)
-    other.write_bytes(
-        Ed25519PrivateKey.generate().private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-    )
+    other.write_bytes(Ed25519PrivateKey.generate().private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
     with pytest.raises(ConfigurationError, match="not a key on P-256"):
         Signer.read(replace(own, key=str(other)), SystemClock())
 

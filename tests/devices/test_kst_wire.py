@@ -400,7 +400,8 @@ async def test_a_reply_that_came_while_this_process_was_held_up_is_taken() -> No
     with socket.create_server(("127.0.0.1", 0)) as listening:
         serving = threading.Thread(target=serve, args=(listening,), daemon=True)
         serving.start()
-        cabinet = await Cabinet.open(*listening.getsockname(), SystemClock(), 1.0, 0.2)
+        host, port = listening.getsockname()
+        cabinet = await Cabinet.open(host, port, SystemClock(), 1.0, 0.2)
         asking = asyncio.create_task(cabinet.joints())
         await asyncio.sleep(0)  # it is sent
         assert answered.wait(10.0)

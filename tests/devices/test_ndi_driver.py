@@ -21,7 +21,7 @@ from pcmrs.devices.drivers.ndi import NdiTracker, open_devices
 from pcmrs.devices.ndi.process import MODULE
 from pcmrs.devices.ndi.reader import known_bits
 from pcmrs.devices.ndi.tools import placeholder
-from pcmrs.devices.ndi.wire import Job, pack
+from pcmrs.devices.ndi.wire import Failed, Job, Unpacker, pack
 from pcmrs.errors import ConfigurationError
 from pcmrs.messages import BodyPose
 from sim.cell import Cell, running_cell
@@ -169,6 +169,14 @@ async def test_the_reader_ends_with_its_parent() -> None:
         reader.stdin.close()
         assert await reader.stdout.read()
         assert await reader.wait() == 0
+
+
+async def test_a_reader_that_cannot_open_a_serial_port_says_so_and_ends() -> None:
+    async with asyncio.timeout(DEADLINE):
+        reader = await asyncio.create_subprocess_exec(sys.executable, "-m", MODULE, stdin=PIPE, stdout=PIPE)
+        reported, _ = await reader.communicate(pack(Job("/dev/pts/none", 115200, {"coil": placeholder("coil")})))
+    assert Unpacker().feed(reported) == [Failed("this cannot be opened as a serial port")]
+    assert reader.returncode == 0
 
 
 @pytest.mark.parametrize(

@@ -318,9 +318,7 @@ async def test_a_plan_that_is_not_accepted_without_a_reason_is_answered_for(
     room: Room, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def undecided(command: Command) -> Verdict:
-        return Verdict(
-            id=command.id, branch="toolplan", operation="plan", decision="unknown", state="0", sequence=1
-        )
+        return Verdict(id=command.id, branch="toolplan", operation="plan", decision="unknown", state="0", sequence=1)
 
     monkeypatch.setattr(room.core, "submit", undecided)
     room.slicer.send(wire.transform(TARGET, planned_mm()))

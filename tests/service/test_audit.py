@@ -33,6 +33,12 @@ async def path(tmp_path: Path) -> Path:
     return tmp_path / "journal.sqlite"
 
 
+def damage(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[content.index(b"here")] ^= 1
+    path.write_bytes(content)
+
+
 async def test_a_sound_journal_is_logged_and_nothing_is_reported(path: Path) -> None:
     reported: list[DeviceEvent] = []
     with capture_logs() as logs:
@@ -42,9 +48,7 @@ async def test_a_sound_journal_is_logged_and_nothing_is_reported(path: Path) -> 
 
 
 async def test_a_damaged_journal_is_reported_with_its_first_bad_row_and_what_to_do(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[content.index(b"here")] ^= 1
-    path.write_bytes(content)
+    damage(path)
     found, reported = verify(path), list[DeviceEvent]()
     assert not found.sound
     with capture_logs() as logs:

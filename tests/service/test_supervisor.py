@@ -172,10 +172,13 @@ async def test_what_no_task_can_be_begun_anew_after_is_not_lost_at_the_end() -> 
         finally:
             raise Panic("the link is poisoned")
 
-    with pytest.raises(BaseExceptionGroup) as ended:
+    async def run_and_end() -> None:
         async with bench.supervisor as supervisor:
             supervisor.start("watch", work)
             await settle()
+
+    with pytest.raises(BaseExceptionGroup) as ended:
+        await run_and_end()
     assert ended.group_contains(Panic, match="poisoned")
 
 
