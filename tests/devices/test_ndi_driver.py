@@ -21,11 +21,11 @@ from pcmrs.devices.drivers.ndi import NdiTracker, open_devices
 from pcmrs.devices.ndi.process import MODULE
 from pcmrs.devices.ndi.reader import known_bits
 from pcmrs.devices.ndi.tools import placeholder
-from pcmrs.devices.ndi.wire import Failed, Job, Unpacker, pack
+from pcmrs.devices.ndi.wire import Failed, Job, Ready, Unpacker, pack
 from pcmrs.errors import ConfigurationError
 from pcmrs.messages import BodyPose
 from sim.cell import Cell, running_cell
-from sim.ndi.server import serve_ndi
+from sim.ndi.server import serve_ndi, serve_ndi_pty
 from sim.ndi.system import NdiSystem
 
 DEADLINE = 30.0
@@ -169,6 +169,14 @@ async def test_the_reader_ends_with_its_parent() -> None:
         reader.stdin.close()
         assert await reader.stdout.read()
         assert await reader.wait() == 0
+
+
+async def test_the_reader_of_a_serial_port_finds_its_tracker_and_ends_with_its_input() -> None:
+    async with asyncio.timeout(DEADLINE), running_cell({}, SystemClock()) as cell, serve_ndi_pty(cell) as device:
+        reader = await asyncio.create_subprocess_exec(sys.executable, "-m", MODULE, stdin=PIPE, stdout=PIPE)
+        reported, _ = await reader.communicate(pack(Job(device, 115200, {"coil": placeholder("coil")})))
+    assert isinstance(Unpacker().feed(reported)[0], Ready)
+    assert reader.returncode == 0
 
 
 async def test_a_reader_that_cannot_open_a_serial_port_says_so_and_ends() -> None:
