@@ -3,6 +3,8 @@
 import asyncio
 import json
 import math
+import queue
+import threading
 import time
 from collections import Counter
 from collections.abc import AsyncIterator
@@ -14,13 +16,13 @@ import zenoh
 from bus_cells import TIMEOUT, accepted, new_cell, open_bus, plain_session
 from msgspec.structs import replace
 
-from pcmrs.bus import Bus, CommandEdge
+from pcmrs.bus import Bus, CommandEdge, stop
 from pcmrs.bus.bridge import CAPACITY
 from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.commands import TOLD_AT_ONCE
 from pcmrs.bus.envelope import Envelope
 from pcmrs.bus.settings import STOPS
-from pcmrs.bus.stop import ANSWERED, OTHERS, Stopping
+from pcmrs.bus.stop import ANSWERED, OTHERS, Replies, Stopping
 from pcmrs.messages import Command, Verdict
 from pcmrs.messages.identity import Identity
 from pcmrs.messages.roles import Role
@@ -392,6 +394,40 @@ async def test_stops_under_very_many_names_are_told_as_those_of_a_few() -> None:
             while daemon.presses.total() < FLOOD + 1:
                 await daemon.stopped.get()
         assert daemon.presses[OTHERS] > FLOOD / 2
+
+
+async def test_an_answer_that_waits_behind_too_many_of_its_source_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread that sends them is slower than the loop: its link is full."""
+    begun, gate, send = threading.Event(), threading.Event(), stop._reply
+
+    def hold_up(*answer: Any) -> None:
+        begun.set()
+        gate.wait(TIMEOUT)
+        send(*answer)
+
+    monkeypatch.setattr(stop, "_reply", hold_up)
+    queries: queue.Queue[zenoh.Query] = queue.Queue()
+    replies = Replies()
+
+    def add(source: str) -> None:
+        replies.add(source, queries.get(timeout=TIMEOUT), Stopping(source=source, number=1))
+
+    async with open_bus(new_cell()) as router:
+        with plain_session(router.settings) as session:
+            key = f"{router.prefix}/asked"
+            session.declare_queryable(key, queries.put)
+            asked = [session.get(key, timeout=TIMEOUT) for _ in range(ANSWERED + 2)]
+            await asyncio.to_thread(add, "bus:eve")
+            assert await asyncio.to_thread(begun.wait, TIMEOUT), "this one is being sent: it does not wait any more"
+            for _ in range(ANSWERED + 1):
+                await asyncio.to_thread(add, "bus:eve")
+            other = session.get(key, timeout=TIMEOUT)
+            await asyncio.to_thread(add, "bus:anna")
+            gate.set()
+            assert len(await asyncio.to_thread(list, other)) == 1
+            answers = [len(await asyncio.to_thread(list, each)) for each in asked]
+            assert sum(answers) == ANSWERED + 1
+            await asyncio.to_thread(replies.close)
 
 
 @pytest.mark.usefixtures("many_links")

@@ -4,18 +4,22 @@ import asyncio
 import json
 import sys
 import threading
+import time
 from contextlib import suppress
+from pathlib import Path
 
 import msgspec
 import pytest
 import zenoh
 from bus_cells import TIMEOUT, new_cell, open_bus, open_pair, plain_session, snapshot
 
-from pcmrs.bus import Bus, Empty
+from pcmrs.bus import Bus, BusSettings, Empty
 from pcmrs.bus.codec import pack
 from pcmrs.bus.serving import ANSWERS
 from pcmrs.errors import BusError, DeviceError, PayloadError, RefusalError, UnknownOutcomeError
+from pcmrs.experiment.process import free_port
 from pcmrs.messages import BodyPose, DeviceReply, DeviceRequest, Snapshot
+from pcmrs.pki import Authority, read_credentials
 
 
 def pose(frame_number: int) -> BodyPose:
@@ -322,6 +326,15 @@ async def test_a_second_daemon_is_refused() -> None:
 async def test_without_a_daemon_a_client_is_told_so() -> None:
     with pytest.raises(BusError, match="start pcmrs-serve"):
         await Bus.open(msgspec.structs.replace(new_cell(), mode="client"))
+
+
+async def test_who_has_a_certificate_and_is_not_let_in_is_told_what_may_be_wrong(tmp_path: Path) -> None:
+    now = time.time()
+    Authority.init(tmp_path / "pki", "lab", now).issue("operator", "anna", now, into=tmp_path)
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    settings = BusSettings(endpoint=endpoint, credentials=read_credentials(tmp_path / "anna", now))
+    with pytest.raises(BusError, match=f"Nobody at {endpoint} lets anna in: nothing runs there, its certificate"):
+        await Bus.open(settings)
 
 
 async def test_names_that_are_no_part_of_a_key_are_refused() -> None:

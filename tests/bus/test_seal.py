@@ -225,6 +225,54 @@ async def test_nobody_else_can_answer_for_the_device_or_keep_a_request_from_it()
         await bench.not_sealed(bench.daemon, 1)
 
 
+async def test_an_error_reply_of_somebody_else_is_counted_and_ends_no_request() -> None:
+    """Zenoh's error replies can carry no seal."""
+    async with opened() as bench:
+        key = bench.absolute("dev/robot/cmd")
+        told: list[str] = []
+
+        def forge(query: zenoh.Query) -> None:
+            told.append(str(query.key_expr))
+            with query:
+                query.reply_err(pack({"code": "device_failed", "text": "It does not.", "fields": {}}))
+
+        bench.stranger.declare_queryable(key, forge, complete=True)
+        async with asyncio.timeout(TIMEOUT):
+            while not told:
+                assert await bench.request("joints") == "joints"
+        assert await bench.request("joints") == "joints"
+        await bench.not_sealed(bench.daemon, 1)
+
+
+async def test_what_is_listened_to_is_taken_with_its_seal_only() -> None:
+    """Nobody else on the machine can speak for the daemon whose silence holds the robot."""
+    beats: list[int] = []
+    async with opened() as bench:
+        bench.node.listen("daemon/beat", Beat, lambda _, beat: beats.append(beat.number))
+        sealed: list[zenoh.Sample] = []
+        bench.stranger.declare_subscriber(bench.absolute("daemon/beat"), sealed.append)
+        async with asyncio.timeout(TIMEOUT):
+            while not (beats and sealed):
+                bench.daemon.publish("daemon/beat", Beat(number=1, session="a", alive=0.0, sent=0.0))
+                await asyncio.sleep(0.01)
+        forged = pack(Beat(number=2, session="a", alive=1.0, sent=1.0))
+        own = sealed[0]
+        assert own.attachment is not None
+        key = bench.absolute("daemon/beat")
+        bench.stranger.put(key, forged)
+        bench.stranger.put(key, forged, attachment=bytes(LENGTH))
+        bench.stranger.put(key, forged, attachment=own.attachment)
+        bench.stranger.put(key, own.payload, attachment=own.attachment)
+        await bench.not_sealed(bench.node, 4)
+        taken = len(beats)
+        async with asyncio.timeout(TIMEOUT):
+            while 3 not in beats:
+                bench.daemon.publish("daemon/beat", Beat(number=3, session="a", alive=0.0, sent=0.0))
+                await asyncio.sleep(0.01)
+        assert set(beats[:taken]) == {1}
+        assert set(beats) == {1, 3}
+
+
 async def test_a_failure_comes_back_sealed_and_another_key_leaves_the_outcome_unknown() -> None:
     async with opened() as bench:
         with pytest.raises(DeviceError, match="It does not"):

@@ -14,6 +14,8 @@ import msgspec
 import pytest
 import zenoh
 from bus_cells import TIMEOUT, accepted, open_bus, snapshot
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from msgspec.structs import replace
 
 from pcmrs.bus import Bus, BusSettings, CommandEdge, Empty
@@ -150,6 +152,16 @@ def test_only_the_newest_certificate_in_the_register_counts(bench: Bench, tmp_pa
     assert Bench(other).why(old.sign("put", KEY, PAYLOAD)) == "certificate"
 
 
+@pytest.mark.parametrize("days", [31.0, -1.0])
+def test_a_certificate_counts_in_its_own_time_whatever_the_register_says(bench: Bench, days: float) -> None:
+    settings = bench.lab.daemon()
+    always = tuple(replace(each, begins=0.0, ends=2.0 * time.time()) for each in settings.members)
+    bench.clock.now += days * 86400.0
+    bench.signatures = Signatures(replace(settings, members=always), bench.clock)
+    bench.clock.now += 0.001
+    assert bench.why(bench.sign()) == "certificate"
+
+
 def test_a_message_is_taken_while_it_is_fresh_and_clocks_that_differ_are_named(bench: Bench) -> None:
     assert bench.why(bench.sign(ahead=FRESH_FOR - 0.01)) == ""
     assert bench.why(bench.sign(ahead=FRESH_FOR + 0.01)) == "ahead"
@@ -201,6 +213,11 @@ def test_a_key_that_cannot_be_read_signs_nothing(lab: Lab, tmp_path: Path) -> No
     own = read_credentials(lab.folder / "tom", time.time())
     with pytest.raises(ConfigurationError, match="cannot be read"):
         Signer.read(replace(own, key=str(tmp_path / "none.key")), SystemClock())
+    other = tmp_path / "other.key"
+    other.touch(mode=0o600)
+    other.write_bytes(Ed25519PrivateKey.generate().private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    with pytest.raises(ConfigurationError, match="not a key on P-256"):
+        Signer.read(replace(own, key=str(other)), SystemClock())
 
 
 @dataclass

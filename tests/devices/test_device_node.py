@@ -13,6 +13,7 @@ from clock import ManualClock, settle
 from memory_link import MemoryLink
 
 from pcmrs.devices.deadman import DEADMAN, DELIVERY, HELD_UP, TURN, beat_period
+from pcmrs.devices.gate import LATCHED
 from pcmrs.devices.node import DAEMON_BEAT, REQUEST_DELAY, DeviceNode
 from pcmrs.devices.remote import ANSWER_TIME, MOTION_MARGIN, RemotePointer, RemoteRobot, RemoteScene
 from pcmrs.errors import DeviceError, UnknownOutcomeError
@@ -50,6 +51,7 @@ class FakeRobot:
 
     def __init__(self) -> None:
         self.error: Exception | None = None
+        self.state = STATE
         self.followed: list[JointTrajectory] = []
         self.holds = 0
         self.stream: asyncio.Queue[JointState] = asyncio.Queue()
@@ -67,7 +69,7 @@ class FakeRobot:
         await asyncio.sleep(0)
 
     async def joints(self) -> JointState:
-        return STATE
+        return self.state
 
     async def follow(self, trajectory: JointTrajectory) -> MotionResult:
         self.followed.append(trajectory)
@@ -221,6 +223,35 @@ class SlowLink(MemoryLink):
 
     async def request(self, *_: Any, **__: Any) -> Any:
         return await self.reply
+
+
+async def test_an_arm_that_moves_is_not_released(bench: Bench) -> None:
+    await bench.robot.stop()
+    bench.robot_device.state = msgspec.structs.replace(STATE, moving=True)
+    with pytest.raises(DeviceError, match="still moves") as refused:
+        await bench.robot.release_latch()
+    assert refused.value.fields["code"] == "moving"
+    assert bench.robot.latched
+    with pytest.raises(DeviceError) as refused:
+        await bench.robot.follow(TRAJECTORY)
+    assert refused.value.fields["code"] == LATCHED
+    assert bench.robot_device.followed == []
+    bench.robot_device.state = STATE
+    await bench.robot.release_latch()
+    await bench.robot.follow(TRAJECTORY)
+    assert bench.robot_device.followed == [TRAJECTORY]
+
+
+async def test_a_device_whose_node_was_never_heard_is_asked_for_nothing_and_released_by_nobody(bench: Bench) -> None:
+    unheard = RemoteRobot(bench.link, bench.clock, "a")
+    await bench.robot.stop()
+    for ask in (lambda: unheard.follow(TRAJECTORY), unheard.begin_servo, unheard.release_latch):
+        with pytest.raises(DeviceError, match="has not been heard yet: wait for it, then ask again"):
+            await ask()
+    assert unheard.unreleased is None
+    await bench.robot.joints()
+    assert bench.robot.latched
+    assert bench.robot_device.followed == []
 
 
 @pytest.mark.parametrize("method", ["stop", "joints"])

@@ -108,6 +108,35 @@ async def test_a_cabinet_that_is_absent_at_the_start_is_no_obstacle() -> None:
         await robot.disconnect()
 
 
+async def test_a_cabinet_that_accepts_and_does_not_answer_may_have_another_client() -> None:
+    peer = Peer()
+    peer.answers["getJointsPositions"] = None
+    async with laboratory(peer) as lab:
+        with pytest.raises(UnknownOutcomeError, match=r"did not answer in time.*accepts several clients.*answers one"):
+            await lab.robot.connect()
+        with pytest.raises(DeviceError, match="not connected"):
+            await lab.robot.joints()
+        peer.answers["getJointsPositions"] = "garbage\n"
+        with pytest.raises(UnknownOutcomeError, match="see that no other is connected"):
+            await lab.robot.connect()
+        peer.answers["getJointsPositions"] = "nak\n"
+        with pytest.raises(DeviceRefusedError) as refused:
+            await lab.robot.connect()
+        assert "clients" not in refused.value.text, "it has answered us"
+
+
+async def test_an_arm_that_tells_nothing_says_why(lab: Lab) -> None:
+    assert lab.robot.trouble == ""
+    await lose(lab, "closed")
+    await lab.when(lambda: len(lab.events) == 1)
+    assert lab.robot.trouble == lab.events[0].text
+    assert "connect again" in lab.robot.trouble
+    await lab.robot.connect()
+    assert lab.robot.trouble == ""
+    await lab.robot.disconnect()
+    assert lab.robot.trouble == "The robot is not connected; connect it first."
+
+
 async def test_a_connected_arm_tells_its_joints_by_itself(lab: Lab) -> None:
     state = await lab.robot.connect()
     assert np.allclose(state.positions, START)

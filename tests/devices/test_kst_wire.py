@@ -1,6 +1,9 @@
 """The KST protocol byte by byte, and whatever a network or a stranger makes of it."""
 
 import asyncio
+import socket
+import threading
+import time
 from collections.abc import Awaitable, Callable
 from itertools import pairwise
 from typing import Any
@@ -362,6 +365,51 @@ async def test_an_answer_that_is_none_loses_the_link(answer: bytes) -> None:
 
     _, heard = await conversation(step, [(b"getJointsPositions\n", answer)])
     assert heard == b"getJointsPositions\n", "nothing follows"
+
+
+@pytest.mark.parametrize("answer", [b"Done\n", b"ok\n", SEVEN])
+@pytest.mark.parametrize("what", ["servo starts", "servo stops", "impedance stops", "joint motion"])
+async def test_what_does_not_say_done_is_no_acknowledgement(what: str, answer: bytes) -> None:
+    ask, script, _ = TRANSCRIPTS[what]
+    request = script[0][0]
+
+    async def step(cabinet: Cabinet) -> None:
+        with pytest.raises(UnknownOutcomeError, match=r"The cabinet answered '.+', not 'done'"):
+            await ask(cabinet)
+        with pytest.raises(UnknownOutcomeError):
+            cabinet.stream(Q)
+
+    _, heard = await conversation(step, [(request, answer)])
+    assert heard == request, "nothing follows"
+
+
+async def test_a_reply_that_came_while_this_process_was_held_up_is_taken() -> None:
+    """The time for it is over by then, but the cabinet has answered in time."""
+    answered = threading.Event()
+
+    def serve(listening: socket.socket) -> None:
+        connection, _ = listening.accept()
+        with connection:
+            assert connection.recv(100) == b"getJointsPositions\n"
+            connection.sendall(SEVEN)
+            answered.set()
+            assert connection.recv(100) == b"Torques_ext_J\n"
+            connection.sendall(SEVEN)
+            connection.recv(100)
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        serving = threading.Thread(target=serve, args=(listening,), daemon=True)
+        serving.start()
+        host, port = listening.getsockname()
+        cabinet = await Cabinet.open(host, port, SystemClock(), 1.0, 0.2)
+        asking = asyncio.create_task(cabinet.joints())
+        await asyncio.sleep(0)  # it is sent
+        assert answered.wait(10.0)
+        time.sleep(0.3)  # noqa: ASYNC251 - the loop does something else meanwhile
+        assert (await asking).tolist() == SEVEN_VALUES
+        assert (await cabinet.external_torques(10.0)).tolist() == SEVEN_VALUES, "the link goes on"
+        cabinet.end()
+        await asyncio.to_thread(serving.join)
 
 
 async def test_an_answer_nobody_asked_for_loses_the_link() -> None:

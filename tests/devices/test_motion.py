@@ -195,6 +195,21 @@ def test_a_target_that_leads_too_fast_to_a_joints_end_is_left_while_the_arm_can_
 
 
 @STEPS
+def test_of_two_set_points_that_must_not_be_followed_the_first_is_told(step: float) -> None:
+    """Both may come before the next sample."""
+    arm = follower(step)
+    servo = arm.servo()
+    far = (HOME + 0.5).tolist()
+    for number, (positions, velocities) in enumerate([(far, [0.0] * 7), ([], [])], start=1):
+        servo.take(JointSetpoint(session=1, number=number, sent=0.0, positions=positions, velocities=velocities))
+    run(arm, Spring(1.0), step, 1.0)
+    (alarm,) = arm.alarms
+    assert (arm.stopped, alarm.fields["reason"]) == ("jump", "jump")
+    assert "0.500 rad from the present posture" in alarm.text
+    assert np.array_equal(arm.reference.position, HOME)
+
+
+@STEPS
 def test_a_press_that_leads_out_of_a_joints_range_is_held(step: float) -> None:
     free, sensor = follower(step), Spring(1.0)
     request = PressRequest(force=3.0, direction_in_flange=(0.0, 0.0, 1.0), travel=0.010, speed=0.02, timeout=8.0)

@@ -21,11 +21,11 @@ from pcmrs.devices.drivers.ndi import NdiTracker, open_devices
 from pcmrs.devices.ndi.process import MODULE
 from pcmrs.devices.ndi.reader import known_bits
 from pcmrs.devices.ndi.tools import placeholder
-from pcmrs.devices.ndi.wire import Job, pack
+from pcmrs.devices.ndi.wire import Failed, Job, Ready, Unpacker, pack
 from pcmrs.errors import ConfigurationError
 from pcmrs.messages import BodyPose
 from sim.cell import Cell, running_cell
-from sim.ndi.server import serve_ndi
+from sim.ndi.server import serve_ndi, serve_ndi_pty
 from sim.ndi.system import NdiSystem
 
 DEADLINE = 30.0
@@ -124,6 +124,16 @@ async def test_an_absent_tracker_is_tried_again_with_growing_pauses_and_said_so(
     assert _readers() == []
 
 
+async def test_a_serial_port_that_is_not_there_is_said_so() -> None:
+    async with _tracker(device="/dev/pts/none") as tracker:
+        reading = asyncio.create_task(_frames(tracker, 1))
+        await _until(lambda: "not been reached yet" not in tracker.trouble)
+        assert "The tracker at /dev/pts/none: this cannot be opened as a serial port." in tracker.trouble
+        reading.cancel()
+        await asyncio.gather(reading, return_exceptions=True)
+    assert _readers() == []
+
+
 async def test_a_tracker_that_comes_later_is_found() -> None:
     async with _served() as (cell, device):
         pass
@@ -159,6 +169,22 @@ async def test_the_reader_ends_with_its_parent() -> None:
         reader.stdin.close()
         assert await reader.stdout.read()
         assert await reader.wait() == 0
+
+
+async def test_the_reader_of_a_serial_port_finds_its_tracker_and_ends_with_its_input() -> None:
+    async with asyncio.timeout(DEADLINE), running_cell({}, SystemClock()) as cell, serve_ndi_pty(cell) as device:
+        reader = await asyncio.create_subprocess_exec(sys.executable, "-m", MODULE, stdin=PIPE, stdout=PIPE)
+        reported, _ = await reader.communicate(pack(Job(device, 115200, {"coil": placeholder("coil")})))
+    assert isinstance(Unpacker().feed(reported)[0], Ready)
+    assert reader.returncode == 0
+
+
+async def test_a_reader_that_cannot_open_a_serial_port_says_so_and_ends() -> None:
+    async with asyncio.timeout(DEADLINE):
+        reader = await asyncio.create_subprocess_exec(sys.executable, "-m", MODULE, stdin=PIPE, stdout=PIPE)
+        reported, _ = await reader.communicate(pack(Job("/dev/pts/none", 115200, {"coil": placeholder("coil")})))
+    assert Unpacker().feed(reported) == [Failed("this cannot be opened as a serial port")]
+    assert reader.returncode == 0
 
 
 @pytest.mark.parametrize(

@@ -174,9 +174,16 @@ async def test_an_absent_server_is_waited_for_and_found_again_when_it_comes_back
 async def test_a_server_that_says_nothing_is_connected_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracker, "SILENCE", 0.01)
     plus = FakePlus()
-    async with plus.serving() as port, opened(port):
-        for _ in range(2):
-            (await plus.clients.get()).close()
+    with capture_logs() as logs:
+        async with asyncio.timeout(10.0), plus.serving() as port, opened(port) as frames:
+            first = await beginning(frames)
+            silent = [await plus.clients.get() for _ in range(3)]  # the server itself closes none of them
+            assert not first.done(), "a frame without any body"
+            first.cancel()
+            await asyncio.gather(first, return_exceptions=True)
+            for each in silent:
+                each.close()
+    assert [each["reason"] for each in logs] == ["it does not answer, or sends nothing"]
 
 
 @pytest.mark.parametrize(("name", "advance"), [("ProbeToTracker", 0.001), ("CoilToTracker", 0.0)])

@@ -102,6 +102,22 @@ async def test_a_read_that_is_cancelled_loses_nothing() -> None:
     np.testing.assert_array_equal(message.matrix, MATRIX)
 
 
+async def test_a_read_that_is_cancelled_in_a_message_that_is_skipped_finds_the_next_one() -> None:
+    """Its body looks like a header that nobody can read."""
+    stream, skipped = asyncio.StreamReader(), wire.message("IMAGE", "I", bytes(200))
+    reader = MessageReader(stream, KINDS)
+    for data in (skipped[:100], skipped[100:150]):
+        stream.feed_data(data)
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0):
+                await reader.read()
+    stream.feed_data(skipped[150:] + wire.string("S", "stop"))
+    assert await reader.read() is None
+    message = await reader.read()
+    assert message is not None
+    assert message.string == "stop"
+
+
 def test_a_damaged_message_is_refused_and_the_next_one_read() -> None:
     damaged = bytearray(wire.transform("A", MATRIX))
     damaged[-1] ^= 1

@@ -161,6 +161,32 @@ async def test_what_would_be_said_comes_from_the_planner(bench: Bench, planner: 
     assert prospect.reason.code == "latched"
 
 
+@pytest.mark.parametrize("refuses", [True, False])
+async def test_a_step_that_has_its_motion_planned_again_does_not_go_on_where_that_is_refused(
+    bench: Bench, planner: GatedPlanner, refuses: bool
+) -> None:
+    moved: list[str] = []
+
+    async def plan_again_and_move(run: Run[Any, Notes]) -> None:
+        if refuses:
+            planner.refused = Reason(code="unreachable", text="Too far by now.", fields={"distance": 0.9})
+        await run.plan_anew()
+        moved.append(run.command.operation)
+
+    await bench.go(RETRACTED)
+    planner.asked.clear()
+    bench.script.steps["placement.approach"] = plan_again_and_move
+    verdict = await bench.do("placement.approach")
+    assert len(planner.asked) > 1, "again by the step"
+    if refuses:
+        assert told(verdict) == ("failed", "unreachable")
+        assert verdict.reason is not None
+        assert (verdict.reason.text, verdict.reason.fields["distance"]) == ("Too far by now.", 0.9)
+        assert (moved, bench.joint) == ([], HELD)
+    else:
+        assert (verdict.decision, set(moved), bench.joint) == ("accepted", {"approach"}, STANDOFF)
+
+
 async def test_a_stop_during_a_planned_motion_is_as_ever(bench: Bench) -> None:
     await bench.go(RETRACTED)
     bench.script.hang("placement.approach")

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from pcmrs.gateway import links
+from pcmrs.gateway.intake import Intake
 
 
 async def test_what_a_peer_queued_before_a_stop_from_elsewhere_never_runs(cell: Any) -> None:
@@ -22,6 +23,25 @@ async def test_what_a_peer_queued_before_a_stop_from_elsewhere_never_runs(cell: 
         cell.core.arrived.clear()
         await cell.core.arrived.wait()
     assert cell.core.operations == ["digitize_all", "connect"]
+
+
+async def test_what_came_in_the_turn_of_the_loop_before_a_stop_never_begins(
+    cell: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    receive = Intake.receive
+
+    def receive_and_stop(intake: Intake, *datagram: Any) -> Any:
+        received = receive(intake, *datagram)
+        intake.halt()  # nothing that came has begun yet
+        return received
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Intake, "receive", receive_and_stop)
+        assert await cell.ask("execute_motionxx_#1;") == "1_rejected_placement_retracted_stopped;"
+        assert (await cell.ask("stop_now_xxxxxxx_#2;")).startswith("2_accepted"), "Stop itself is never too late"
+    assert cell.core.operations == []
+    assert (await cell.ask("execute_motionxx_#3;")).startswith("3_accepted")
+    assert cell.core.operations == ["approach"]
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import asyncio
 import csv
+import errno
 import math
 import os
+import resource
 import time
 from contextlib import aclosing
 from pathlib import Path
@@ -20,7 +22,7 @@ from structlog.testing import capture_logs
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.beats import beats_of, kernel_beats
 from pcmrs.gateway.records import Records, placement_text
-from pcmrs.gateway.settings import GatewayConfig
+from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from pcmrs.gateway.streams import Streams, point_message, pose_message, unity_message
 from pcmrs.gateway.tasks import Repetition, Tasks
 from pcmrs.spatial import Transform
@@ -106,6 +108,16 @@ async def test_a_stream_outlives_a_network_that_is_down() -> None:
         streams.start_tip()
         await sent.wait(2)
     assert [entry["reason"] for entry in logged] == ["[Errno 101] Network is unreachable"]
+    await tasks.close()
+
+
+async def test_a_display_without_a_port_is_sent_nothing() -> None:
+    sent, tasks = Sent(), Tasks()
+    config = GatewayConfig(mixed_reality=LinkConfig())
+    streams = Streams(FakeCore(), beats_of(ManualClock()), config, sent, tasks)
+    streams.start_poses()
+    await sent.wait(10)
+    assert {port for _, port in sent.messages} == {8079}
     await tasks.close()
 
 
@@ -215,6 +227,17 @@ async def test_beats_that_end_leave_no_timer_behind() -> None:
         repetition.stop()
         await tasks.close()
     assert open_files() == before
+
+
+async def test_where_no_timer_can_be_made_the_beats_say_so() -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (0, hard))
+    try:
+        with pytest.raises(OSError, match="timerfd") as failed:
+            await anext(kernel_beats(0.01))
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert failed.value.errno == errno.EMFILE
 
 
 async def test_a_rate_beyond_what_a_timer_can_do_does_not_end_the_beats() -> None:

@@ -22,7 +22,7 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.links import Gateway, open_gateway
 from pcmrs.gateway.openigtlink import link
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig, OpenIgtLinkConfig
-from pcmrs.messages import Running
+from pcmrs.messages import Command, Running, Verdict
 
 TARGET = "ToolTargetToImage"
 LANDMARKS_MM = [(80.0, 10.0, 0.0), (-80.0, 10.0, 0.0), (0.0, 95.5, -20.0)]
@@ -312,6 +312,18 @@ async def test_a_daemon_that_breaks_is_answered_for(room: Room, monkeypatch: pyt
     monkeypatch.setattr(room.core, "submit", broken)
     room.slicer.send(wire.transform(TARGET, planned_mm()))
     assert (await room.slicer.verdict()).startswith("failed toolplan.plan internal_error")
+
+
+async def test_a_plan_that_is_not_accepted_without_a_reason_is_answered_for(
+    room: Room, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def undecided(command: Command) -> Verdict:
+        return Verdict(id=command.id, branch="toolplan", operation="plan", decision="unknown", state="0", sequence=1)
+
+    monkeypatch.setattr(room.core, "submit", undecided)
+    room.slicer.send(wire.transform(TARGET, planned_mm()))
+    assert (await room.slicer.verdict()).startswith("unknown toolplan.plan unknown")
+    assert (await room.slicer.status(2)).error_name == "unknown"
 
 
 async def test_other_messages_change_nothing_and_are_not_answered(room: Room) -> None:

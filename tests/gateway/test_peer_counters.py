@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import resource
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -144,6 +145,32 @@ def test_a_torn_write_leaves_what_was_kept_before(tmp_path: Path, cut: int) -> N
     torn.close()
     assert torn.kept in ({"planner": 5}, FULL)
     assert torn.kept == {"planner": 5} or cut == 8191
+
+
+def test_a_write_of_a_part_is_an_error_and_the_next_whole_one_counts(tmp_path: Path) -> None:
+    """As on a full disk; here the limit of a file's size cuts what is written into the second slot."""
+    path = tmp_path / COUNTERS
+    file = CounterFile(path)
+    file.write({"planner": 4})
+    file.write({"planner": 5})
+    cut = path.read_bytes().index(b"planner", 8192) + 3
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    file.write({"planner": 6})
+    resource.setrlimit(resource.RLIMIT_FSIZE, (cut, hard))
+    try:
+        for _ in range(2):
+            with pytest.raises(OSError, match="only a part"):
+                file.write({"planner": 7})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    kept = CounterFile(path)
+    kept.close()
+    assert kept.kept == {"planner": 6}, "the other slot was not touched"
+    file.write({"planner": 8})
+    file.close()
+    again = CounterFile(path)
+    again.close()
+    assert again.kept == {"planner": 8}
 
 
 @pytest.mark.parametrize("content", [b"", b"x", b"\0" * 16384, b"PCMRSPC1" * 2048])

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import socket
+import struct
 from pathlib import Path
 from typing import Any
 
 import pytest
-from clock import settle
+import uvloop
+from clock import ManualClock, settle
+from gateway_fakes import FakeCore
 from hypothesis import given
 from hypothesis import strategies as st
 from signed_room import open_room, peer
@@ -16,7 +20,8 @@ from pcmrs.errors import PayloadError
 from pcmrs.gateway.commands import COMMANDS
 from pcmrs.gateway.frames import Frames
 from pcmrs.gateway.grammar import MAX_BYTES
-from pcmrs.gateway.settings import GatewayConfig
+from pcmrs.gateway.links import open_gateway
+from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from pcmrs.gateway.tcp import FIRST_WITHIN, MOST_OF_A_HOST
 
 CONNECT = b"rob_conn_onxxxxx_#1;"
@@ -149,6 +154,29 @@ async def test_a_host_has_so_many_connections_and_gets_a_place_when_one_ends(cel
         pass
     for each in opened:
         each.close()
+
+
+def test_a_connection_that_was_reset_before_it_is_taken_disturbs_nobody(tmp_path: Path) -> None:
+    """In uvloop, in which the daemon runs, it has no address any more."""
+
+    async def serve() -> None:
+        troubles: list[dict[str, Any]] = []
+        asyncio.get_running_loop().set_exception_handler(lambda _, trouble: troubles.append(trouble))
+        links = GatewayConfig(
+            planner=LinkConfig(), robot=LinkConfig(), visualization=LinkConfig(), mep=LinkConfig(), tcp_port=0
+        )
+        async with open_gateway(FakeCore(), links, ManualClock(), tmp_path) as gateway:
+            for _ in range(MOST_OF_A_HOST + 1):
+                with socket.create_connection(gateway.addresses["tcp"]) as gone:
+                    gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            opened = list[asyncio.StreamWriter]()
+            assert await is_served(gateway.addresses["tcp"], opened)
+            opened[0].close()
+            assert gateway.counters.refused == 0
+        assert troubles == []
+
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        runner.run(serve())
 
 
 async def test_who_has_to_sign_and_is_silent_loses_its_place(tmp_path: Path) -> None:

@@ -162,6 +162,27 @@ async def test_a_lock_of_another_process_ends_it_until_it_is_gone(
     await journal.close()
 
 
+async def test_a_journal_whose_very_first_write_failed_begins_with_the_next_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There is no row yet whose session a row about the failure could belong to."""
+    monkeypatch.setattr(schema, "LOCK_TIMEOUT", 0.05)
+    path = tmp_path / "journal.sqlite"
+    journal = Journal.open(path)
+    locker = sqlite3.connect(path, isolation_level=None)
+    locker.execute("BEGIN IMMEDIATE")
+    with pytest.raises(JournalError, match="locked"):
+        await journal.append([row()])
+    locker.execute("ROLLBACK")
+    locker.close()
+    assert await journal.reopen() == 0
+    assert journal.broken is None
+    assert await journal.append([row(result={"first": True})]) == 1
+    assert [stored.row.result for stored in journal.reader.read()] == [{"first": True}]
+    await journal.close()
+    assert verify(path).sound
+
+
 @pytest.mark.parametrize("durable", [True, False])
 @pytest.mark.parametrize(
     ("chained", "with_key", "word"),

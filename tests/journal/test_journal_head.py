@@ -8,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ec import SECP256R1, generate_private_key
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 from journal_rows import row
 from whole_journal import LOG, Sample, sample
 
@@ -19,6 +21,12 @@ from pcmrs.journal.rows import encode_row
 from pcmrs.journal.writer import JournalWriter
 
 OLD = Path(__file__).with_name("version_1.sqlite.gz")
+_P256 = generate_private_key(SECP256R1())
+OTHER_KIND = (
+    _P256.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()),
+    _P256.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo),
+)
+"""A private key and its public one, as PEM, of a kind that signs no head."""
 
 
 @pytest.fixture
@@ -151,12 +159,21 @@ async def test_one_torn_slot_is_enough_and_is_journalled(path: Path) -> None:
         (lambda folder: (folder / "journal.key").chmod(0o644), "others than its owner may use this key"),
         (lambda folder: (folder / "journal.key").write_text("no key"), "not a private key"),
         (lambda folder: (folder / "journal.pub").write_text("no key"), "not the public key"),
+        (lambda folder: (folder / "journal.key").write_bytes(OTHER_KIND[0]), r"journal\.key is not an Ed25519 key"),
+        (lambda folder: (folder / "journal.pub").write_bytes(OTHER_KIND[1]), r"journal\.pub is not an Ed25519 key"),
     ],
 )
 def test_without_its_head_or_key_nothing_is_written(path: Path, spoil: Callable[[Path], object], word: str) -> None:
     spoil(path.parent)
     with pytest.raises(JournalError, match=word):
         Journal.open(path)
+
+
+def test_a_public_key_of_another_kind_verifies_nothing(path: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.pub"
+    other.write_bytes(OTHER_KIND[1])
+    with pytest.raises(JournalError, match=r"other\.pub is not an Ed25519 key"):
+        verify(path, public=other)
 
 
 async def test_a_replaced_key_pair_is_told(path: Path, tmp_path: Path) -> None:

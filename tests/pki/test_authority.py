@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from cryptography import x509
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.x509.oid import NameOID
 
 from pcmrs.cli import main
@@ -119,6 +121,27 @@ def test_keys_are_their_owners_alone(authority: Authority, tmp_path: Path, now: 
     assert [each.name for each in authority.identities()] == ["vera"]
     with pytest.raises(ConfigurationError, match="cannot be read"):
         read_key(tmp_path / "nothing.key")
+
+
+def test_a_key_of_another_kind_signs_no_certificate(authority: Authority, tmp_path: Path, now: float) -> None:
+    key = authority.folder / "ca.key"
+    key.write_bytes(
+        Ed25519PrivateKey.generate().private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        )
+    )
+    with pytest.raises(ConfigurationError, match=r"ca\.key is not a key on P-256"):
+        read_key(key)
+    with pytest.raises(ConfigurationError, match="P-256"):
+        authority.issue("viewer", "vito", now, into=tmp_path)
+    assert authority.identities() == []
+
+
+def test_a_role_that_does_not_exist_is_given_to_nobody(authority: Authority, tmp_path: Path, now: float) -> None:
+    with pytest.raises(ConfigurationError, match="'surgeon' is no role; choose operator"):
+        authority.issue("surgeon", "anna", now, into=tmp_path)  # type: ignore[arg-type]
+    assert authority.identities() == []
+    assert not (tmp_path / "anna").exists()
 
 
 def test_a_name_is_never_given_to_two(authority: Authority, tmp_path: Path, now: float) -> None:

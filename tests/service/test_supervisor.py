@@ -159,6 +159,29 @@ async def test_an_error_of_the_daemon_itself_stays_what_it_is() -> None:
         await run(bench, start)
 
 
+class Panic(BaseException):
+    """As a library in Rust raises it: no `Exception`."""
+
+
+async def test_what_no_task_can_be_begun_anew_after_is_not_lost_at_the_end() -> None:
+    bench = Bench()
+
+    async def work() -> None:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            raise Panic("the link is poisoned")
+
+    async def run_and_end() -> None:
+        async with bench.supervisor as supervisor:
+            supervisor.start("watch", work)
+            await settle()
+
+    with pytest.raises(BaseExceptionGroup) as ended:
+        await run_and_end()
+    assert ended.group_contains(Panic, match="poisoned")
+
+
 async def test_a_failure_that_is_nobodys_is_logged_and_counted() -> None:
     bench = Bench()
 
