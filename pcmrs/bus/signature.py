@@ -18,7 +18,12 @@ from typing import Final, Literal
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
-from cryptography.hazmat.primitives.asymmetric.ec import ECDSA, EllipticCurvePrivateKey, EllipticCurvePublicKey
+from cryptography.hazmat.primitives.asymmetric.ec import (
+    ECDSA,
+    SECP256R1,
+    EllipticCurvePrivateKey,
+    EllipticCurvePublicKey,
+)
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
@@ -71,7 +76,7 @@ class Signer:
         except (OSError, ValueError, TypeError) as error:
             text = f"{own.certificate} and its key cannot be read: {error}. Have them issued again."
             raise ConfigurationError(text, certificate=own.certificate, key=own.key) from None
-        if not isinstance(key, EllipticCurvePrivateKey):
+        if not (isinstance(key, EllipticCurvePrivateKey) and isinstance(key.curve, SECP256R1)):
             raise ConfigurationError(f"{own.key} is not a key on P-256. Have it issued again.", key=own.key)
         return cls(certificate, key, clock)
 

@@ -64,5 +64,8 @@ def _timer(period: float) -> int:
     timer: int = _libc.timerfd_create(time.CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC)
     every = _Timespec(*divmod(max(1, round(period * 1e9)), 10**9))  # 0 would mean that it never expires
     if timer < 0 or _libc.timerfd_settime(timer, 0, ctypes.byref(_Timer(every, every)), None) != 0:
-        raise OSError(ctypes.get_errno(), "timerfd")
+        failed = OSError(ctypes.get_errno(), "timerfd")
+        if timer >= 0:
+            os.close(timer)
+        raise failed
     return timer

@@ -35,6 +35,6 @@ def read_key(path: Path) -> EllipticCurvePrivateKey:
         raise ConfigurationError(f"The key {path} cannot be read: {error.strerror}.", path=str(path)) from None
     except (ValueError, TypeError) as error:
         raise ConfigurationError(f"{path} is not a private key: {error}.", path=str(path)) from None
-    if not isinstance(key, EllipticCurvePrivateKey):
+    if not (isinstance(key, EllipticCurvePrivateKey) and isinstance(key.curve, SECP256R1)):
         raise ConfigurationError(f"{path} is not a key on P-256.", path=str(path))
     return key

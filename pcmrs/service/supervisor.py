@@ -174,13 +174,13 @@ class Supervisor:
         """Does the work until it dies; None when it has ended without an error."""
         try:
             await work
-        except asyncio.CancelledError as error:
+        except (KeyboardInterrupt, SystemExit, GeneratorExit):
+            raise
+        except BaseException as error:  # a panic of a library in Rust is no Exception
             task = asyncio.current_task()
             if task is not None and task.cancelling():
-                raise
-            return error  # of something that it waited for: nobody has cancelled the task itself
-        except Exception as error:
-            return error
+                raise  # the context ends: nothing is begun anew
+            return error  # a cancellation, too, where something was cancelled that it has waited for
         return None
 
     def _note(self, name: str, error: BaseException | None) -> None:

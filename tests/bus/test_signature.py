@@ -14,6 +14,7 @@ import msgspec
 import pytest
 import zenoh
 from bus_cells import TIMEOUT, accepted, open_bus, snapshot
+from cryptography.hazmat.primitives.asymmetric.ec import SECP384R1, generate_private_key
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from msgspec.structs import replace
@@ -215,9 +216,10 @@ def test_a_key_that_cannot_be_read_signs_nothing(lab: Lab, tmp_path: Path) -> No
         Signer.read(replace(own, key=str(tmp_path / "none.key")), SystemClock())
     other = tmp_path / "other.key"
     other.touch(mode=0o600)
-    other.write_bytes(Ed25519PrivateKey.generate().private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
-    with pytest.raises(ConfigurationError, match="not a key on P-256"):
-        Signer.read(replace(own, key=str(other)), SystemClock())
+    for key in (Ed25519PrivateKey.generate(), generate_private_key(SECP384R1())):
+        other.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+        with pytest.raises(ConfigurationError, match="not a key on P-256"):
+            Signer.read(replace(own, key=str(other)), SystemClock())
 
 
 @dataclass

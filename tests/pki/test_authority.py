@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric.ec import SECP384R1, EllipticCurvePrivateKey, generate_private_key
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.x509.oid import NameOID
 
@@ -123,12 +124,13 @@ def test_keys_are_their_owners_alone(authority: Authority, tmp_path: Path, now: 
         read_key(tmp_path / "nothing.key")
 
 
-def test_a_key_of_another_kind_signs_no_certificate(authority: Authority, tmp_path: Path, now: float) -> None:
+@pytest.mark.parametrize("other", [Ed25519PrivateKey.generate(), generate_private_key(SECP384R1())], ids=["Ed", "P384"])
+def test_a_key_of_another_kind_signs_no_certificate(
+    authority: Authority, tmp_path: Path, now: float, other: Ed25519PrivateKey | EllipticCurvePrivateKey
+) -> None:
     key = authority.folder / "ca.key"
     key.write_bytes(
-        Ed25519PrivateKey.generate().private_bytes(
-            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
-        )
+        other.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
     )
     with pytest.raises(ConfigurationError, match=r"ca\.key is not a key on P-256"):
         read_key(key)

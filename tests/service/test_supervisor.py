@@ -92,6 +92,21 @@ async def test_a_task_that_simply_ends_has_died_too() -> None:
         await run(bench, lambda supervisor: supervisor.start("watch", work))
 
 
+class Panic(BaseException):
+    """As a library in Rust raises it: no `Exception`."""
+
+
+async def test_a_task_whose_library_panics_has_died_too() -> None:
+    bench = Bench()
+
+    async def work() -> None:
+        raise Panic("index out of bounds")
+
+    with pytest.raises(SupervisionError, match="Panic: index out of bounds"):
+        await run(bench, lambda supervisor: supervisor.start("watch", work))
+    assert [event.danger for event in bench.events[-2:]] == [False, True]
+
+
 async def test_a_task_whose_inner_work_was_cancelled_by_somebody_else_has_died_too() -> None:
     bench = Bench()
     inner: list[asyncio.Future[None]] = []
@@ -159,18 +174,15 @@ async def test_an_error_of_the_daemon_itself_stays_what_it_is() -> None:
         await run(bench, start)
 
 
-class Panic(BaseException):
-    """As a library in Rust raises it: no `Exception`."""
-
-
-async def test_what_no_task_can_be_begun_anew_after_is_not_lost_at_the_end() -> None:
+@pytest.mark.parametrize("error", [Panic("the link is poisoned"), DeviceError("the link is poisoned")], ids=repr)
+async def test_a_task_that_breaks_at_the_end_is_not_begun_anew_and_its_error_is_not_lost(error: BaseException) -> None:
     bench = Bench()
 
     async def work() -> None:
         try:
             await asyncio.Event().wait()
         finally:
-            raise Panic("the link is poisoned")
+            raise error
 
     async def run_and_end() -> None:
         async with bench.supervisor as supervisor:
@@ -178,8 +190,8 @@ async def test_what_no_task_can_be_begun_anew_after_is_not_lost_at_the_end() -> 
             await settle()
 
     with pytest.raises(BaseExceptionGroup) as ended:
-        await run_and_end()
-    assert ended.group_contains(Panic, match="poisoned")
+        await asyncio.wait_for(run_and_end(), 10.0)
+    assert ended.group_contains(type(error), match="poisoned")
 
 
 async def test_a_failure_that_is_nobodys_is_logged_and_counted() -> None:
