@@ -16,6 +16,8 @@ from places import DEFINITIONS, Place
 
 SLOWEST = 40.0
 """A test that takes longer than this (s, under coverage) is not chosen."""
+QUICK = 2.0
+"""Tests that take no longer (s, under coverage) come before the others: many of them fit into a limit."""
 
 
 class Limits(msgspec.Struct, frozen=True):
@@ -46,9 +48,9 @@ class Change(msgspec.Struct, frozen=True):
 def select(tree: Path, place: Place, coverage: CoverageMap, limits: Limits) -> list[str]:
     """Choose tests for a mutant.
 
-    Tests that reach the guard's body come first; of what an import binds, such as the default of a setting, those
-    whose id has its name. Then one instance of each test function comes before the second ones, then those in the
-    folder named as the package, then the fastest.
+    Quick tests come first. Among them, and then among the others, come first those that reach the guard's body; of what
+    an import binds, such as the default of a setting, those whose id has its name. Then one instance of each test
+    function comes before the second ones, then those in the folder named as the package, then the fastest.
 
     Args:
         tree: Root of the sources, unchanged.
@@ -71,10 +73,11 @@ def select(tree: Path, place: Place, coverage: CoverageMap, limits: Limits) -> l
     package = f"tests/{place.file.parts[1]}/" if len(place.file.parts) > 2 else "tests/"
     instances: Counter[str] = Counter()
 
-    def rank(test: MappedTest) -> tuple[bool, int, bool, float]:
+    def rank(test: MappedTest) -> tuple[bool, bool, int, bool, float]:
         function = test.id.partition("[")[0]
         instances[function] += 1
-        return test.id not in first, instances[function], not test.id.startswith(package), test.seconds
+        place = instances[function], not test.id.startswith(package), test.seconds
+        return test.seconds > QUICK, test.id not in first, *place
 
     fast = sorted((test for test in tests if test.seconds <= SLOWEST), key=lambda test: test.seconds)
     ordered = sorted([(rank(test), test.id, test.seconds) for test in fast])[: limits.tests]

@@ -283,8 +283,10 @@ async def test_a_tool_too_near_may_back_off_but_not_approach() -> None:
         assert reason(await bench.refuse("toolplan.plan", "zone_violated", **POSES[0]))["zone"] == "body"
 
 
-async def test_the_last_way_to_the_body_is_slow() -> None:
-    async with open_bench({"motion": {"near_velocity": 0.04}}) as bench:
+@pytest.mark.parametrize("surface", ["head_phantom.ply", ""])
+async def test_the_last_way_to_the_body_is_slow(surface: str) -> None:
+    """Also where nobody knows the body's surface."""
+    async with open_bench({"body": {"surface": surface}, "motion": {"near_velocity": 0.04}}) as bench:
         await bench.to_standoff()
         points = np.array([coil(bench, q) for q in await recorded(bench, "placement.confirm")])
         speeds = np.linalg.norm(np.diff(points, axis=0), axis=1) * 100.0  # states come at 100 Hz
