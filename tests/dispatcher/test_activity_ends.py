@@ -45,19 +45,21 @@ async def test_nothing_is_asked_for_when_the_daemon_ends(bench: Bench) -> None:
     assert asked_by_activities(bench) == []
 
 
-async def test_none_begins_after_a_fail_stop(bench: Bench) -> None:
-    """Although the decision that enters its state was under way, and is committed."""
-    await go(bench, "approach")
+@pytest.mark.parametrize(("before", "entering"), [(["approach"], "follow"), (["approach", "follow"], "stand")])
+async def test_none_begins_after_a_fail_stop(bench: Bench, before: list[str], entering: str) -> None:
+    """Although the decision that enters its state was under way and is committed, whether it moves the robot or not."""
+    await go(bench, *before)
+    begun = list(bench.script.acting)
     gate = bench.recorder.gates["decision"] = asyncio.Event()
-    following = await bench.begin("placement.follow")
+    entered = await bench.begin(f"placement.{entering}")
     bench.recorder.failing.add("recall")
     await bench.do("plan.change")
     assert bench.dispatcher.broken is not None
     bench.recorder.failing.clear()
     gate.set()
-    await following
+    assert (await entered).decision == "accepted"
     await settle()
-    assert bench.script.acting == []
+    assert bench.script.acting == begun
 
 
 async def test_a_state_that_cannot_be_left_without_its_activity_is_fail_stop() -> None:

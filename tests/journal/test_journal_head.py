@@ -159,6 +159,15 @@ def test_without_its_head_or_key_nothing_is_written(path: Path, spoil: Callable[
         Journal.open(path)
 
 
+@pytest.mark.parametrize("lost", [("journal.key",), ("journal.key", "journal.pub")])
+def test_a_lost_key_is_not_replaced(path: Path, lost: tuple[str, ...]) -> None:
+    for name in lost:
+        path.with_name(name).unlink()
+    with pytest.raises(JournalError, match=r"journal\.key is missing, .*put it back from a copy"):
+        Journal.open(path)
+    assert not any(path.with_name(name).exists() for name in lost)
+
+
 async def test_a_replaced_key_pair_is_told(path: Path, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     await Journal.open(tmp_path / "other" / NAME).close()
