@@ -15,9 +15,50 @@ from ratms_oracle import USER_OPERATIONS
 from pcmrs.dispatcher import Run
 from pcmrs.dispatcher.attempt import Locks
 from pcmrs.dispatcher.lanes import MAX_WAITING
+from pcmrs.fsm import parse_blueprint
 from pcmrs.messages import Verdict
 
 PLANNED = ("100", "0", "0", "0", "unknown", "0", "off")
+
+
+TURNING = parse_blueprint(
+    b"""
+id = "turning"
+version = "1"
+
+[branches.table]
+states = { flat = "flat", turning = "not locked", tilted = "tilted and locked" }
+[branches.table.operations.turn]
+from = ["flat"]
+to = "turning"
+[branches.table.operations.lock]
+from = ["turning"]
+to = "tilted"
+steps = ["move"]
+[branches.table.operations.strap_changed]
+from = ["tilted"]
+to = "tilted"
+iio = true
+
+[branches.strap]
+level = 2
+states = { open = "open", closed = "closed" }
+emits = { "*" = "strap_changed" }
+[branches.strap.parent]
+branch = "table"
+start = "flat"
+compatible = { "*" = ["flat", "turning", "tilted"] }
+[branches.strap.operations.close]
+from = ["open"]
+to = "closed"
+[branches.strap.operations.reinit]
+from = ["*"]
+to = "open"
+rio = true
+""",
+    origin="turning.toml",
+)
+"""`strap.close` is denied by the state of its parent, which it does not name in its requirements."""
 
 
 def code(verdict: Verdict) -> str:
@@ -154,6 +195,21 @@ async def test_what_its_parent_forbids_waits_for_the_parent(bench: Bench) -> Non
     gate.set()
     await connecting
     assert (await locating).decision == "accepted"
+
+
+async def test_what_its_parent_would_refuse_waits_for_the_parent() -> None:
+    """The parent's operation leaves the branch that waits as it is, so that only the parent's lock keeps it waiting."""
+    bench = Bench(TURNING, ["table"])
+    assert (await bench.do("table.turn")).decision == "accepted"
+    assert code(await bench.do("strap.close")) == "parent_refuses"
+    locked = bench.script.hang("table.lock")
+    locking = await bench.begin("table.lock")
+    closing = await bench.begin("strap.close")
+    assert not closing.done()
+    locked.set()
+    assert (await locking).decision == "accepted"
+    assert (await closing).decision == "accepted"
+    await bench.dispatcher.close()
 
 
 async def test_what_waits_longer_than_its_sender_wanted_is_not_done(worldly_bench: Bench) -> None:
