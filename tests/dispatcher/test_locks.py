@@ -61,6 +61,53 @@ rio = true
 """`strap.close` is denied by the state of its parent, which it does not name in its requirements."""
 
 
+def _side(own: str, other: str) -> str:
+    """A motor, a clamp that it opens, and a rail with the clamp on it that the other side's motor may take away."""
+    return f"""
+[branches.{own}_motor]
+states = {{ still = "still", turned = "turned" }}
+[branches.{own}_motor.operations.turn]
+from = ["still"]
+to = "turned"
+steps = ["move"]
+
+[branches.{own}_rail]
+revocations = [{{ by = ["{other}_motor"], from = ["out"], to = "gone" }}]
+states = {{ in = "in", out = "out", gone = "away" }}
+[branches.{own}_rail.operations.extend]
+from = ["in"]
+to = "out"
+[branches.{own}_rail.operations.clamp_changed]
+from = ["*"]
+to = {{ in = "in", out = "out", gone = "gone" }}
+iio = true
+
+[branches.{own}_clamp]
+level = 2
+revocations = [{{ by = ["{own}_motor"], from = ["shut"], to = "open" }}]
+states = {{ open = "open", shut = "shut" }}
+emits = {{ "*" = "clamp_changed" }}
+[branches.{own}_clamp.parent]
+branch = "{own}_rail"
+start = "in"
+compatible = {{ open = ["in", "out", "gone"], shut = ["in", "out"] }}
+[branches.{own}_clamp.operations.close]
+from = ["open"]
+to = "shut"
+[branches.{own}_clamp.operations.reinit]
+from = ["*"]
+to = "open"
+rio = true
+"""
+
+
+CROSSED = parse_blueprint(
+    ('id = "crossed"\nversion = "1"\n' + _side("left", "right") + _side("right", "left")).encode(),
+    origin="crossed.toml",
+)
+"""Once the rails are out, each motor would open the other side's clamp, which that side's motor has locked."""
+
+
 def code(verdict: Verdict) -> str:
     assert verdict.reason is not None
     return verdict.reason.code
@@ -314,3 +361,21 @@ async def test_stop_ends_both_when_a_commit_waits_for_a_motion(bench: Bench) -> 
     assert (await homing).decision == "failed"
     assert (await digitizing).decision == "accepted"
     assert bench.joint == ("110", "1", "1", "1", "held", "0", "off")
+
+
+async def test_two_commits_that_would_revoke_each_other_s_branches_do_not_wait_for_each_other() -> None:
+    bench = Bench(CROSSED, ["left_motor", "right_motor"])
+    for side in ("left", "right"):
+        assert (await bench.do(f"{side}_clamp.close")).decision == "accepted"
+    ends = {side: bench.script.hang(f"{side}_motor.turn") for side in ("left", "right")}
+    turning = [await bench.begin(f"{side}_motor.turn") for side in ends]
+    for side in ends:
+        assert (await bench.do(f"{side}_rail.extend")).decision == "accepted"
+    ends["left"].set()
+    await settle()
+    assert [each.done() for each in turning] == [False, False], "the left one waits for the right one"
+    ends["right"].set()
+    await settle()
+    assert [each.done() for each in turning] == [True, True]
+    assert [(await each).decision for each in turning] == ["accepted"] * 2
+    await bench.dispatcher.close()
