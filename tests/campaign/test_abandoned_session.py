@@ -143,6 +143,7 @@ async def test_an_operation_that_takes_long_is_not_abandoned() -> None:
 
 async def test_devices_are_nobody() -> None:
     session = Session(placement="following")
+    session.accept("placement", "follow", "operator")
     for _ in range(3):
         await session.let(AFTER / 3.0)
         session.accept("alignment", "within", "daemon")

@@ -45,19 +45,29 @@ async def test_nothing_is_asked_for_when_the_daemon_ends(bench: Bench) -> None:
     assert asked_by_activities(bench) == []
 
 
-async def test_none_begins_after_a_fail_stop(bench: Bench) -> None:
-    """Although the decision that enters its state was under way, and is committed."""
-    await go(bench, "approach")
+async def enter_in_a_fail_stop(bench: Bench, name: str) -> None:
+    """Fail while the decision that enters the state of an activity is under way; it is committed nevertheless."""
     gate = bench.recorder.gates["decision"] = asyncio.Event()
-    following = await bench.begin("placement.follow")
+    entering = await bench.begin(name)
     bench.recorder.failing.add("recall")
     await bench.do("plan.change")
     assert bench.dispatcher.broken is not None
     bench.recorder.failing.clear()
     gate.set()
-    await following
+    assert (await entering).decision == "accepted"
     await settle()
+
+
+async def test_none_begins_after_a_fail_stop(bench: Bench) -> None:
+    await go(bench, "approach")
+    await enter_in_a_fail_stop(bench, "placement.follow")
     assert bench.script.acting == []
+
+
+async def test_what_moves_nothing_does_not_begin_after_a_fail_stop_either(bench: Bench) -> None:
+    await go(bench, "approach", "follow")
+    await enter_in_a_fail_stop(bench, "placement.stand")
+    assert [act.name for act in bench.script.acting] == ["follow_head"]
 
 
 async def test_a_state_that_cannot_be_left_without_its_activity_is_fail_stop() -> None:

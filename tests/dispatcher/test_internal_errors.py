@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 from clock import settle
 from dispatcher_fakes import RETRACTED, STANDOFF, Bench
@@ -67,6 +69,27 @@ async def test_what_waits_behind_one_that_cannot_be_asked_again(
     await settle()
     assert (first.done(), second.done(), third.done()) == (True, True, True)
     assert (code(await second), code(await third)) == ("internal_error", "internal_error")
+    expect_fail_stop(bench)
+
+
+async def test_what_stop_turns_away_and_cannot_be_concluded(
+    worldly_bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = worldly_bench
+    await bench.go(RETRACTED)
+    bench.script.hang("toolplan.plan")
+    running = await bench.begin("toolplan.plan")
+    waiting = await bench.begin("toolplan.clear")
+
+    def broken(*_: object, **__: object) -> None:
+        raise RuntimeError("The test wants it to fail.")
+
+    monkeypatch.setattr(bench.recorder, "decision", broken)
+    stop = asyncio.create_task(bench.dispatcher.stop("test:user"))
+    await settle()
+    assert (running.done(), waiting.done(), stop.done()) == (True, True, True)
+    assert await stop
+    assert (code(await running), code(await waiting)) == ("internal_error", "internal_error")
     expect_fail_stop(bench)
 
 

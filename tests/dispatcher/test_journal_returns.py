@@ -283,6 +283,25 @@ async def test_a_daemon_that_ends_while_it_resumes_is_not_brought_back_either(be
     assert reasons(await bench.do("toolplan.plan")) == ("rejected", "ending")
 
 
+async def test_what_is_journalled_when_a_resume_is_cancelled_is_published(bench: Bench) -> None:
+    """A daemon that ends cancels its resume: nobody waits for the verdict any more; what follows from it happens."""
+    await bench.go(RETRACTED)
+    bench.recorder.failing.add("decision")
+    await bench.do("placement.approach", id="a1")
+    bench.recorder.failing.clear()
+    gate = bench.recorder.gates["decision"] = asyncio.Event()
+    resumed = asyncio.create_task(bench.dispatcher.resume(begun={("test:user", "a1")}))
+    await settle()
+    bench.published.clear()
+    resumed.cancel()
+    gate.set()
+    await settle()
+    assert resumed.cancelled()
+    assert bench.joint[4] == "unknown"
+    assert [(each.id, each.decision) for each in bench.verdicts()] == [("a1", "unknown")]
+    assert bench.snapshots()[-1].branches["placement"] == "unknown"
+
+
 async def test_what_a_user_asked_for_meanwhile_is_not_done_later(bench: Bench) -> None:
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")

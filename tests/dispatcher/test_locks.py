@@ -15,9 +15,97 @@ from ratms_oracle import USER_OPERATIONS
 from pcmrs.dispatcher import Run
 from pcmrs.dispatcher.attempt import Locks
 from pcmrs.dispatcher.lanes import MAX_WAITING
+from pcmrs.fsm import parse_blueprint
 from pcmrs.messages import Verdict
 
 PLANNED = ("100", "0", "0", "0", "unknown", "0", "off")
+
+
+TURNING = parse_blueprint(
+    b"""
+id = "turning"
+version = "1"
+
+[branches.table]
+states = { flat = "flat", turning = "not locked", tilted = "tilted and locked" }
+[branches.table.operations.turn]
+from = ["flat"]
+to = "turning"
+[branches.table.operations.lock]
+from = ["turning"]
+to = "tilted"
+steps = ["move"]
+[branches.table.operations.strap_changed]
+from = ["tilted"]
+to = "tilted"
+iio = true
+
+[branches.strap]
+level = 2
+states = { open = "open", closed = "closed" }
+emits = { "*" = "strap_changed" }
+[branches.strap.parent]
+branch = "table"
+start = "flat"
+compatible = { "*" = ["flat", "turning", "tilted"] }
+[branches.strap.operations.close]
+from = ["open"]
+to = "closed"
+[branches.strap.operations.reinit]
+from = ["*"]
+to = "open"
+rio = true
+""",
+    origin="turning.toml",
+)
+"""`strap.close` is denied by the state of its parent, which it does not name in its requirements."""
+
+
+def _side(own: str, other: str) -> str:
+    """A motor, a clamp that it opens, and a rail with the clamp on it that the other side's motor may take away."""
+    return f"""
+[branches.{own}_motor]
+states = {{ still = "still", turned = "turned" }}
+[branches.{own}_motor.operations.turn]
+from = ["still"]
+to = "turned"
+steps = ["move"]
+
+[branches.{own}_rail]
+revocations = [{{ by = ["{other}_motor"], from = ["out"], to = "gone" }}]
+states = {{ in = "in", out = "out", gone = "away" }}
+[branches.{own}_rail.operations.extend]
+from = ["in"]
+to = "out"
+[branches.{own}_rail.operations.clamp_changed]
+from = ["*"]
+to = {{ in = "in", out = "out", gone = "gone" }}
+iio = true
+
+[branches.{own}_clamp]
+level = 2
+revocations = [{{ by = ["{own}_motor"], from = ["shut"], to = "open" }}]
+states = {{ open = "open", shut = "shut" }}
+emits = {{ "*" = "clamp_changed" }}
+[branches.{own}_clamp.parent]
+branch = "{own}_rail"
+start = "in"
+compatible = {{ open = ["in", "out", "gone"], shut = ["in", "out"] }}
+[branches.{own}_clamp.operations.close]
+from = ["open"]
+to = "shut"
+[branches.{own}_clamp.operations.reinit]
+from = ["*"]
+to = "open"
+rio = true
+"""
+
+
+CROSSED = parse_blueprint(
+    ('id = "crossed"\nversion = "1"\n' + _side("left", "right") + _side("right", "left")).encode(),
+    origin="crossed.toml",
+)
+"""Once the rails are out, each motor would open the other side's clamp, which that side's motor has locked."""
 
 
 def code(verdict: Verdict) -> str:
@@ -156,6 +244,21 @@ async def test_what_its_parent_forbids_waits_for_the_parent(bench: Bench) -> Non
     assert (await locating).decision == "accepted"
 
 
+async def test_what_its_parent_would_refuse_waits_for_the_parent() -> None:
+    """The parent's operation leaves the branch that waits as it is, so that only the parent's lock keeps it waiting."""
+    bench = Bench(TURNING, ["table"])
+    assert (await bench.do("table.turn")).decision == "accepted"
+    assert code(await bench.do("strap.close")) == "parent_refuses"
+    locked = bench.script.hang("table.lock")
+    locking = await bench.begin("table.lock")
+    closing = await bench.begin("strap.close")
+    assert not closing.done()
+    locked.set()
+    assert (await locking).decision == "accepted"
+    assert (await closing).decision == "accepted"
+    await bench.dispatcher.close()
+
+
 async def test_what_waits_longer_than_its_sender_wanted_is_not_done(worldly_bench: Bench) -> None:
     gate = worldly_bench.script.hang("toolplan.plan")
     running = await worldly_bench.begin("toolplan.plan")
@@ -258,3 +361,21 @@ async def test_stop_ends_both_when_a_commit_waits_for_a_motion(bench: Bench) -> 
     assert (await homing).decision == "failed"
     assert (await digitizing).decision == "accepted"
     assert bench.joint == ("110", "1", "1", "1", "held", "0", "off")
+
+
+async def test_two_commits_that_would_revoke_each_other_s_branches_do_not_wait_for_each_other() -> None:
+    bench = Bench(CROSSED, ["left_motor", "right_motor"])
+    for side in ("left", "right"):
+        assert (await bench.do(f"{side}_clamp.close")).decision == "accepted"
+    ends = {side: bench.script.hang(f"{side}_motor.turn") for side in ("left", "right")}
+    turning = [await bench.begin(f"{side}_motor.turn") for side in ends]
+    for side in ends:
+        assert (await bench.do(f"{side}_rail.extend")).decision == "accepted"
+    ends["left"].set()
+    await settle()
+    assert [each.done() for each in turning] == [False, False], "the left one waits for the right one"
+    ends["right"].set()
+    await settle()
+    assert [each.done() for each in turning] == [True, True]
+    assert [(await each).decision for each in turning] == ["accepted"] * 2
+    await bench.dispatcher.close()

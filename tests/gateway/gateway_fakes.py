@@ -16,6 +16,9 @@ from pcmrs.spatial import Floats, Transform
 
 POSE = Transform.from_quat_xyzw([0.01, 0.02, 0.03], [0.5, 0.5, 0.5, 0.5])
 
+WITHIN = 10.0
+"""A test fails when what it waits for has not come after so long, s."""
+
 CONFIRMED = {
     "measured": {"position": [0.1, 0.2, 0.3], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]},
     "translation_error": 0.00025,
@@ -174,11 +177,25 @@ class ManualClock:
             timeout.reschedule(0.0)
 
 
+async def rest_of(reader: asyncio.StreamReader) -> bytes:
+    """Return what comes until the peer ends the connection."""
+    async with asyncio.timeout(WITHIN):
+        return await reader.read()
+
+
+class Received(asyncio.Queue[str]):
+    """Datagrams that have come; `get` fails when none comes."""
+
+    async def get(self) -> str:
+        async with asyncio.timeout(WITHIN):
+            return await super().get()
+
+
 class UdpClient(asyncio.DatagramProtocol):
     """A socket that keeps what it receives."""
 
     def __init__(self) -> None:
-        self.received: asyncio.Queue[str] = asyncio.Queue()
+        self.received = Received()
 
     @classmethod
     async def open(cls) -> Self:

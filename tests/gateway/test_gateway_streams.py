@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from gateway_fakes import POSE, FakeCore, ManualClock
+from gateway_fakes import POSE, WITHIN, FakeCore, ManualClock
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -59,9 +59,10 @@ class Sent:
         self._grown.set()
 
     async def wait(self, count: int) -> None:
-        while len(self.messages) < count:
-            self._grown.clear()
-            await self._grown.wait()
+        async with asyncio.timeout(WITHIN):
+            while len(self.messages) < count:
+                self._grown.clear()
+                await self._grown.wait()
 
     def to(self, port: int) -> list[str]:
         return [text.split("_")[0] if port == 8051 else text for text, to in self.messages if to == port]

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import resource
 import sys
+import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-from clock import ManualClock
+from clock import ManualClock, settle
 from gateway_fakes import FakeCore, UdpClient
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,6 +21,7 @@ from signed_room import config, open_room, peer, signer
 
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.counters import MOST_NAMES, CounterFile, check_room
+from pcmrs.gateway.keeper import CounterKeeper
 from pcmrs.gateway.links import COUNTERS, open_gateway
 from pcmrs.gateway.settings import MAX_PEERS
 
@@ -187,6 +190,34 @@ async def test_a_file_that_cannot_be_made_starts_nothing(tmp_path: Path) -> None
     with pytest.raises(ConfigurationError, match="cannot be used"):
         async with open_gateway(FakeCore(), config({"a": key}), ManualClock(), tmp_path / "file"):
             pass
+
+
+async def test_who_waits_for_the_disk_when_it_closes_is_cancelled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Or else a command would begin while the daemon ends; its counter is kept nevertheless."""
+    file, errors, answers = CounterFile(tmp_path / COUNTERS), list[OSError](), threading.Event()
+    sync = os.fdatasync
+
+    def hanging(descriptor: int) -> None:
+        answers.wait(10.0)
+        sync(descriptor)
+
+    monkeypatch.setattr("pcmrs.gateway.counters.os.fdatasync", hanging)
+    keeper = CounterKeeper(file, errors.append)
+    waits = keeper.keep("planner", 5)
+    closing = asyncio.create_task(keeper.close())
+    await settle()
+    assert not closing.done()
+    answers.set()
+    await closing
+    await settle()
+    assert waits.cancelled()
+    assert errors == []
+    file.close()
+    again = CounterFile(tmp_path / COUNTERS)
+    again.close()
+    assert again.kept == {"planner": 5}
 
 
 def test_as_many_peers_are_remembered_as_fit(tmp_path: Path) -> None:

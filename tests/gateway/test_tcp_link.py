@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import uvloop
 from clock import ManualClock, settle
-from gateway_fakes import FakeCore
+from gateway_fakes import WITHIN, FakeCore, rest_of
 from hypothesis import given
 from hypothesis import strategies as st
 from signed_room import open_room, peer
@@ -104,7 +104,7 @@ async def test_what_breaks_the_grammar_ends_the_connection_before_anything_after
     reader, writer = await asyncio.open_connection(*cell.gateway.addresses["tcp"])
     writer.write(sent)
     try:
-        answer = await reader.read()
+        answer = await rest_of(reader)
     except ConnectionResetError:  # bytes were left unread
         answer = b""
     writer.close()
@@ -120,7 +120,7 @@ async def test_what_breaks_the_grammar_ends_the_connection_before_anything_after
 async def test_a_command_without_an_end_fills_no_memory(cell: Any) -> None:
     reader, writer = await asyncio.open_connection(*cell.gateway.addresses["tcp"])
     writer.write(b"icp_registerxxxx_" + b"a" * MAX_BYTES)
-    assert await reader.read() == b""
+    assert await rest_of(reader) == b""
     writer.close()
     assert cell.gateway.counters.refused == 1
 
@@ -128,7 +128,7 @@ async def test_a_command_without_an_end_fills_no_memory(cell: Any) -> None:
 async def test_a_stop_before_the_wrong_byte_is_honoured(cell: Any) -> None:
     reader, writer = await asyncio.open_connection(*cell.gateway.addresses["tcp"])
     writer.write(STOP + b"\r\n" + CONNECT)
-    await reader.read()
+    await rest_of(reader)
     writer.close()
     assert len(cell.core.stops) == 1
     assert cell.core.commands == []
@@ -150,8 +150,9 @@ async def test_a_host_has_so_many_connections_and_gets_a_place_when_one_ends(cel
     assert [await is_served(address, opened) for _ in range(MOST_OF_A_HOST + 1)] == [*[True] * MOST_OF_A_HOST, False]
     assert cell.gateway.counters.refused == 1
     opened[0].close()
-    while not await is_served(address, opened):
-        pass
+    async with asyncio.timeout(WITHIN):
+        while not await is_served(address, opened):
+            pass
     for each in opened:
         each.close()
 
@@ -188,7 +189,7 @@ async def test_who_has_to_sign_and_is_silent_loses_its_place(tmp_path: Path) -> 
         writer.write(b"|;")
         await settle()
         await room.clock.advance(FIRST_WITHIN + 1.0)
-        assert await reader.read() == b""
+        assert await rest_of(reader) == b""
         signed_writer.write(room.sign("rob_conn_onxxxxx_#2;") + b";")
         assert (await signed.readuntil(b";")).startswith(b"2_accepted")
         assert room.gateway.counters.refused == 1

@@ -176,6 +176,15 @@ def test_a_public_key_of_another_kind_verifies_nothing(path: Path, tmp_path: Pat
         verify(path, public=other)
 
 
+@pytest.mark.parametrize("lost", [("journal.key",), ("journal.key", "journal.pub")])
+def test_a_lost_key_is_not_replaced(path: Path, lost: tuple[str, ...]) -> None:
+    for name in lost:
+        path.with_name(name).unlink()
+    with pytest.raises(JournalError, match=r"journal\.key is missing, .*put it back from a copy"):
+        Journal.open(path)
+    assert not any(path.with_name(name).exists() for name in lost)
+
+
 async def test_a_replaced_key_pair_is_told(path: Path, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     await Journal.open(tmp_path / "other" / NAME).close()

@@ -185,13 +185,21 @@ def test_the_latch_outlives_a_run_until_somebody_acknowledges(rows: list[Any], l
     assert ledger.kept.latched == latched
 
 
-@pytest.mark.parametrize(("robot", "latched"), [("1", True), ("0", False)])
-def test_a_connected_robot_that_nobody_saw_stand_at_an_orderly_end_is_latched(robot: str, latched: bool) -> None:
+def after_an_unsure_end(robot: str) -> Kept:
+    """Ledger after an orderly end with the robot in this state, which did not confirm that it stood."""
     ledger = Ledger(RATMS, Kept())
     ledger.take(as_row("device", f"{SHUTDOWN}.stopped", True, None))
     unsure = as_row("device", f"{SHUTDOWN}.{NOT_CONFIRMED}", True, None)
     ledger.take(msgspec.structs.replace(unsure, states={"robot": robot}))
-    assert ledger.kept.latched == latched
+    return ledger.kept
+
+
+def test_a_connected_robot_that_nobody_saw_stand_at_an_orderly_end_is_latched() -> None:
+    assert after_an_unsure_end(robot="1").latched
+
+
+def test_a_robot_that_was_not_connected_at_an_orderly_end_is_not_latched() -> None:
+    assert not after_an_unsure_end(robot="0").latched
 
 
 # -- the start of a run --------------------------------------------------------------------------------------------
