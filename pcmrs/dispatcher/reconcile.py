@@ -74,7 +74,7 @@ class Reconciliation(Generic[C, D]):
             self._unsettled.withdraw(command.source, command.id)
             return None
         self._decisions.conclude(self._unknown(command, verdict))
-        return await verdict
+        return await asyncio.shield(verdict)  # others may wait for it when the resume is cancelled
 
     def _take_recorded(self, conclusion: Conclusion[C, D], recorded: Verdict) -> Verdict:
         command = conclusion.command

@@ -300,6 +300,7 @@ async def test_what_is_journalled_when_a_resume_is_cancelled_is_published(bench:
     assert bench.joint[4] == "unknown"
     assert [(each.id, each.decision) for each in bench.verdicts()] == [("a1", "unknown")]
     assert bench.snapshots()[-1].branches["placement"] == "unknown"
+    assert await bench.do("placement.approach", id="a1") == bench.verdicts()[0], "and who asks again hears it"
 
 
 async def test_what_a_user_asked_for_meanwhile_is_not_done_later(bench: Bench) -> None:
