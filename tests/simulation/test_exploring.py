@@ -66,6 +66,17 @@ def test_a_frame_stamped_ahead_while_two_tools_are_taken_for_each_other_makes_ne
     assert (found.invariant, found.text) == ("", "")
 
 
+def test_poses_go_on_after_a_restart_where_the_head_has_moved_while_two_tools_were_taken_for_each_other() -> None:
+    """Seed 8781342: the reference came to where the other tool had been; the tracker is restarted, as is advised."""
+    swap = {"first": "body_ref", "second": "witness", "on": True, "lasts": 12.954}
+    acts = [
+        Act(0.13, "fault:tool_swap", "", swap, waits=False),
+        Act(1.465, "fault:dash_head", "", {"millimetres_per_second": 145.7869697011158}, waits=False),
+    ]
+    found = run_session(Script(8781342, workflow="femoroplasty", slow=0.1, acts=acts))
+    assert (found.invariant, found.text) == ("", "")
+
+
 @pytest.mark.nightly
 def test_a_pulse_is_given_when_nothing_is_wrong() -> None:
     """What is explored must come to what matters: rates that are too low for a pulse would hide all that follows."""

@@ -24,8 +24,8 @@ FROM_OUTSIDE = ("guide_by_hand", "offset_joint", "push_tool")
 """Faults that move the arm beside what it is told."""
 
 
-LEAPS = ("shift_body", "bump_reference")
-"""A tracked body is elsewhere at once."""
+MOVES = ("shift_body", "bump_reference", "dash_head")
+"""A tracked body comes elsewhere, perhaps to where another one was."""
 
 
 class Faults:
@@ -38,7 +38,7 @@ class Faults:
 
     Attributes:
         reached: How often each was brought about.
-        mistaken: While two tools were taken for each other, a feed of poses has begun anew, or one of them has leapt:
+        mistaken: While two tools were taken for each other, a feed of poses has begun anew, or one of them has moved:
             no feed can tell then who is who, and the tracker has to be restarted.
     """
 
@@ -108,7 +108,7 @@ class Faults:
 
     def _begin(self, name: str) -> None:
         view = self._witness.view
-        self.mistaken = self.mistaken or (name in LEAPS and self._wrong["tool_swap"] > 0)
+        self.mistaken = self.mistaken or (name in MOVES and self._wrong["tool_swap"] > 0)
         self._wrong[name] += 1
         view.now = asyncio.get_running_loop().time()
         view.calm.become(False, view.now)
