@@ -10,40 +10,29 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
-import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime
 from pathlib import Path
 
 import msgspec
-from nightly_counts import counted
-from nightly_parts import ROOT
-from nightly_results import Machine, this_commit, this_machine
+from nightly_parts import Part
+from nightly_results import FOLDER, Result, this_commit
+from run import run_part, told
 
 LIST = Path(__file__).with_name("in_a_row.json")
+SUITE = "make-test"
+COMMAND = f"make test OPTIONS='--tools-installed --junitxml={FOLDER / SUITE}.xml'"
 
 
 class SuiteRun(msgspec.Struct, frozen=True, kw_only=True):
     """What became of one run of the suite.
 
     Attributes:
-        begun: ISO 8601, UTC.
         beside: Computing processes that ran beside it.
-        failures: Names of what failed.
     """
 
-    commit: str
-    machine: Machine
-    begun: str
-    seconds: float
+    result: Result
     beside: int
-    passed: int
-    failed: int
-    skipped: int
-    failures: list[str]
-    exit_code: int
 
 
 def kept() -> list[SuiteRun]:
@@ -53,30 +42,19 @@ def kept() -> list[SuiteRun]:
 
 def run_suite(beside: int) -> SuiteRun:
     """Runs the suite once."""
-    begun, start = datetime.now(UTC).isoformat(timespec="seconds"), time.monotonic()
-    with tempfile.TemporaryDirectory() as folder, computing(beside):
-        report = Path(folder) / "report.xml"
-        command = ["make", "test", f"OPTIONS=--tools-installed --junitxml={report}"]
-        code = subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, check=False).returncode
-        found = counted("pytest", report, "", code)
-    return SuiteRun(
-        commit=this_commit(),
-        machine=this_machine(),
-        begun=begun,
-        seconds=round(time.monotonic() - start, 1),
-        beside=beside,
-        passed=found.passed,
-        failed=found.failed,
-        skipped=sum(found.skipped.values()),
-        failures=found.failures,
-        exit_code=code,
-    )
+    with computing(beside):
+        result = run_part(Part(name=SUITE, command=COMMAND, counted="pytest", minutes=20), this_commit())
+    return SuiteRun(result=result, beside=beside)
 
 
 @contextmanager
 def computing(number: int) -> Iterator[None]:
-    """So many processes that do nothing but compute, for as long as the context lasts."""
-    processes = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(number)]
+    """So many processes that do nothing but compute, for as long as the context lasts.
+
+    Each in a session of its own: Linux may give all processes of a session one share of the processors.
+    """
+    words = [sys.executable, "-c", "while True: pass"]
+    processes = [subprocess.Popen(words, start_new_session=True) for _ in range(number)]
     try:
         yield
     finally:
@@ -94,9 +72,9 @@ def main() -> int:
     for _ in range(options.runs):
         run = run_suite(options.beside)
         LIST.write_bytes(msgspec.json.format(msgspec.json.encode([*kept(), run]), indent=1) + b"\n")
-        sys.stdout.write(f"{run.passed} passed, {run.failed} failed, {run.skipped} skipped, {run.seconds:.0f} s\n")
+        sys.stdout.write(told(run.result) + "\n")
         sys.stdout.flush()
-        if run.exit_code:
+        if not run.result.green:
             return 1
     return 0
 

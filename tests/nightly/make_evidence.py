@@ -65,16 +65,17 @@ def _last(known: dict[str, Result]) -> str:
 def _line(part: Part, result: Result | None, machines: list[str]) -> list[str]:
     if result is None:
         return [f"`{part.name}`", "not run", *[""] * 5, f"expected: {part.minutes:g}", ""]
+    machine = str(machines.index(_machine(result)) + 1)
+    return [f"`{part.name}`", _state(result), *_seen(result), machine]
+
+
+def _seen(result: Result) -> list[str]:
+    """Cells of a table: commit, begin, how many passed, failed and were skipped, and minutes."""
     return [
-        f"`{part.name}`",
-        _state(result),
         result.commit[:7] + result.commit[40:],
         result.begun[:16].replace("T", " "),
-        str(result.passed),
-        str(result.failed),
-        str(sum(result.skipped.values())),
+        *map(str, (result.passed, result.failed, sum(result.skipped.values()))),
         f"{result.seconds / 60:.1f}",
-        str(machines.index(_machine(result)) + 1),
     ]
 
 
@@ -90,18 +91,12 @@ def _exceptions(result: Result) -> Iterator[str]:
 
 def _in_a_row() -> str:
     runs = kept()
-    head = ("run", "commit", "begun, UTC", "min", "passed", "skipped", "failed", "exit code", "computing beside it")
+    head = ("run", "commit", "begun, UTC", "passed", "failed", "skipped", "min", "exit code", "computing beside it")
     rows = [
-        [
-            str(number),
-            run.commit[:7],
-            run.begun[:16].replace("T", " "),
-            f"{run.seconds / 60:.1f}",
-            *map(str, (run.passed, run.skipped, run.failed, run.exit_code, run.beside)),
-        ]
+        [str(number), *_seen(run.result), str(run.result.exit_code), str(run.beside)]
         for number, run in enumerate(runs, start=1)
     ]
-    green = list(takewhile(lambda run: run.exit_code == 0, reversed(runs)))
+    green = list(takewhile(lambda run: run.result.green, reversed(runs)))
     said = (
         f"The last {len(green)} of {len(runs)} recorded runs were green, {sum(run.beside > 0 for run in green)} of "
         f"them with computing processes beside them; {WANTED_IN_A_ROW} are wanted.\n"
