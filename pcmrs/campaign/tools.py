@@ -16,16 +16,22 @@ def require(needs: Iterable[Need]) -> None:
         raise NotRun(f"missing here: {', '.join(missing)}; `make tools` installs what can be installed")
 
 
+async def ended(words: Sequence[str]) -> tuple[int, str]:
+    """Runs a program to its end and returns its exit status and what it printed."""
+    process = await asyncio.create_subprocess_exec(
+        *words, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT
+    )
+    output, _ = await process.communicate()
+    return process.returncode or 0, output.decode(errors="replace")
+
+
 async def tool(words: Sequence[str]) -> str:
     """Runs a program of the machine and returns what it printed.
 
     Raises:
         NotRun: This machine does not let it do that; the text has its last words.
     """
-    process = await asyncio.create_subprocess_exec(
-        *words, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT
-    )
-    output, _ = await process.communicate()
-    if process.returncode != 0:
-        raise NotRun(f"{' '.join(words)} failed here: {output.decode(errors='replace').strip()}")
-    return output.decode(errors="replace")
+    status, output = await ended(words)
+    if status != 0:
+        raise NotRun(f"{' '.join(words)} failed here: {output.strip()}")
+    return output

@@ -65,9 +65,9 @@ def select(tree: Path, place: Place, coverage: CoverageMap, limits: Limits) -> l
         MapError: The map is of another source.
     """
     coverage.check(tree, place.file)
-    change = changed(tree, place)
-    reaching = next(filter(None, (_reaching(coverage, each) for each in _circles(tree, place, change))), [])
-    naming = _naming(coverage, _bound_by_import(ast.parse((tree / place.file).read_text()), change))
+    change, module = changed(tree, place), ast.parse((tree / place.file).read_text())
+    reaching = next(filter(None, (_reaching(coverage, each) for each in _circles(tree, place, change, module))), [])
+    naming = _naming(coverage, _bound_by_import(module, change))
     tests = list({test.id: test for test in (*reaching, *naming)}.values())
     first = {test.id for test in naming or coverage.reaching(place.file, change.body)}
     package = f"tests/{place.file.parts[1]}/" if len(place.file.parts) > 2 else "tests/"
@@ -104,13 +104,14 @@ def changed(tree: Path, place: Place) -> Change:
     return Change(frozenset(lines), frozenset(body))
 
 
-def _circles(tree: Path, place: Place, change: Change) -> Iterator[list[tuple[Path, Iterable[int]]]]:
+def _circles(
+    tree: Path, place: Place, change: Change, module: ast.Module
+) -> Iterator[list[tuple[Path, Iterable[int]]]]:
     """Yield files and lines in ever wider circles round a change.
 
     Lines that an import runs belong to no test, nor do those in threads that are not traced: who uses the names that
     they bind stands for them, then their class, then their module.
     """
-    module = ast.parse((tree / place.file).read_text())
     around = _around(module, change)
     inner = max(around, key=lambda node: node.lineno, default=None)
     if inner is not None and not isinstance(inner, ast.ClassDef):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import sys
 import zipfile
@@ -13,6 +12,7 @@ from pcmrs.campaign.fault import Evidence, fault
 from pcmrs.campaign.lab import Lab
 from pcmrs.campaign.needs import module
 from pcmrs.campaign.sham import is_sham
+from pcmrs.campaign.tools import ended
 from pcmrs.clock import SystemClock
 from pcmrs.pki import Authority
 
@@ -83,13 +83,10 @@ async def _install(folder: Path, into: str, *words: str) -> tuple[int, str]:
     return await _run("pip", "install", *own, *words)
 
 
-async def _run(name: str, *words: str) -> tuple[int, str]:
+async def _run(module_name: str, *words: str) -> tuple[int, str]:
     """Status and last words of a module that is run as a program."""
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", name, *words, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT
-    )
-    output, _ = await process.communicate()
-    return process.returncode or 0, output.decode(errors="replace")[-300:]
+    status, output = await ended([sys.executable, "-m", module_name, *words])
+    return status, output[-300:]
 
 
 def _digest(path: Path) -> str:
