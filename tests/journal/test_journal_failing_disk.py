@@ -8,6 +8,8 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -138,6 +140,15 @@ def test_a_disk_that_stalls_is_waited_for(tmp_path: Path) -> None:
     assert found["waited"] > 0.5
 
 
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Another process writes to the journal, and is not ready."""
+    with closing(sqlite3.connect(path, isolation_level=None)) as locker:
+        locker.execute("BEGIN IMMEDIATE")
+        yield
+        locker.execute("ROLLBACK")
+
+
 async def test_a_lock_of_another_process_ends_it_until_it_is_gone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,16 +156,13 @@ async def test_a_lock_of_another_process_ends_it_until_it_is_gone(
     path = tmp_path / "journal.sqlite"
     journal = Journal.open(path)
     await journal.append([row()])
-    locker = sqlite3.connect(path, isolation_level=None)
-    locker.execute("BEGIN IMMEDIATE")
-    with pytest.raises(JournalError, match="locked"):
-        await journal.append([row()])
-    with pytest.raises(JournalError, match="locked"):
-        await journal.reopen()
-    assert journal.broken is not None
-    assert [stored.sequence for stored in journal.reader.read()] == [1]
-    locker.execute("ROLLBACK")
-    locker.close()
+    with locked(path):
+        with pytest.raises(JournalError, match="locked"):
+            await journal.append([row()])
+        with pytest.raises(JournalError, match="locked"):
+            await journal.reopen()
+        assert journal.broken is not None
+        assert [stored.sequence for stored in journal.reader.read()] == [1]
     assert await journal.reopen() == 1
     assert journal.broken is None
     assert [stored.row.operation for stored in journal.reader.read(source="journal")] == ["reopened"]
@@ -169,12 +177,8 @@ async def test_a_journal_whose_very_first_write_failed_begins_with_the_next_one(
     monkeypatch.setattr(schema, "LOCK_TIMEOUT", 0.05)
     path = tmp_path / "journal.sqlite"
     journal = Journal.open(path)
-    locker = sqlite3.connect(path, isolation_level=None)
-    locker.execute("BEGIN IMMEDIATE")
-    with pytest.raises(JournalError, match="locked"):
+    with locked(path), pytest.raises(JournalError, match="locked"):
         await journal.append([row()])
-    locker.execute("ROLLBACK")
-    locker.close()
     assert await journal.reopen() == 0
     assert journal.broken is None
     assert await journal.append([row(result={"first": True})]) == 1
