@@ -155,9 +155,12 @@ class Activities(Generic[C, D]):
             self._broken(PcmrsError(f"{act.branch} is {act.state} without {act.name}: {ended} has not led out of it."))
 
     def _submit_ended(self, pursuit: Pursuit[C, D]) -> list[asyncio.Future[Verdict]]:
-        """Submits its `ended` where the branch is still in its state, and no motion leads out of that."""
+        """Submits its `ended` where the branch is still in its state.
+
+        Behind a motion that leads out of that state, it is denied without a trace.
+        """
         act = pursuit.act
-        if self._closed or pursuit.relieved or self._current.get(act.branch) is not pursuit:
+        if self._closed or self._current.get(act.branch) is not pursuit:
             return []
         pursuit.left = self._submit(act.command_to(act.branch, pursuit.spec.ended, {}))
         return [pursuit.left]

@@ -101,6 +101,18 @@ def test_without_touch_there_is_no_force(gap: float) -> None:
     assert not arm._data.xfrc_applied.any()
 
 
+def test_a_body_that_leaves_the_tool_presses_on_it_no_more() -> None:
+    arm = make_arm()
+    arm.contact.place(body_before_tool(-0.002))
+    arm.step(10)
+    assert arm.contact.force > 0.0
+    arm.contact.place(body_before_tool(0.02))
+    assert not arm.contact.clear(arm._data), "the face is still as near as the body reaches in another direction"
+    arm.step(1)
+    assert arm.contact.force == 0.0
+    assert not arm._data.xfrc_applied.any()
+
+
 def test_beside_the_face_there_is_no_touch() -> None:
     solid, crown = head.HEAD.solid, head.surface_point((0.0, 0.0, 1.0))
     inward = np.array([0.0, 0.0, -0.005])
