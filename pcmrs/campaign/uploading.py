@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import itertools
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import Final
 
@@ -36,15 +35,23 @@ class Uploader:
         self._console = console
         self._place = place
 
-    async def send(self, pieces: Iterable[bytes]) -> int:
-        """Sends a file in pieces, without its length; returns the status, 0 where the connection is ended instead."""
-        body = _chunked(itertools.chain((_BEGIN,), pieces, (_END,)))
-        status, _ = await self._console.request(f"POST {self._place}", _FORM, "Transfer-Encoding: chunked", body=body)
+    async def send(self, content: bytes) -> int:
+        """Sends a file; returns the status, 0 where the connection is ended instead."""
+        body = _BEGIN + content + _END
+        status, _ = await self._post(_length(len(body)), [body])
         return status
+
+    async def send_without_length(self, content: bytes) -> tuple[int, str]:
+        """Sends a file in HTTP's form of a body without a length; returns status and text of the answer."""
+        body = (b"%x\r\n%b\r\n" % (len(piece), piece) for piece in (_BEGIN, content, _END))
+        return await self._post("Transfer-Encoding: chunked", [*body, b"0\r\n\r\n"])
 
     async def announce(self, length: int) -> tuple[int, str]:
         """Sends the head of an upload of so many bytes, and none of them; returns status and text of the answer."""
-        status, answer = await self._console.request(f"POST {self._place}", _FORM, f"Content-Length: {length}")
+        return await self._post(_length(length), [])
+
+    async def _post(self, header: str, body: Iterable[bytes]) -> tuple[int, str]:
+        status, answer = await self._console.request(f"POST {self._place}", _FORM, header, body=body)
         return status, answer.decode(errors="replace")
 
 
@@ -64,8 +71,5 @@ async def uploader(console: RunningConsole) -> Uploader:
     raise Unmet(f"The page has no place for files within {PATIENCE:g} s.")
 
 
-def _chunked(pieces: Iterable[bytes]) -> Iterator[bytes]:
-    """HTTP's form of a body without a length."""
-    for piece in pieces:
-        yield b"%x\r\n%b\r\n" % (len(piece), piece)
-    yield b"0\r\n\r\n"
+def _length(length: int) -> str:
+    return f"Content-Length: {length}"

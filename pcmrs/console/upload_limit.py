@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import MutableMapping
-from typing import Any
-
 from pcmrs.console.guard import App, Receive, Scope, Send, answer
 
 
 class UploadLimit:
-    """Stands before the application and ends a request at the byte that is too much.
+    """Stands before the application and refuses a request whose body is too long, or of unknown length, unread.
+
+    The server in front reads no more of a body than its ``content-length`` says.
 
     Args:
         app: What is behind it.
@@ -22,20 +21,11 @@ class UploadLimit:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Lets a request through as long as it is short enough."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        length = dict(scope["headers"]).get(b"content-length", b"")
-        if length.isdigit() and int(length) > self._largest:
+        headers = dict(scope["headers"]) if scope["type"] == "http" else {}
+        length = headers.get(b"content-length", b"")
+        if b"transfer-encoding" in headers:
+            await answer(send, 411, "A request says how long its body is: Content-Length.", {"connection": "close"})
+        elif length.isdigit() and int(length) > self._largest:
             await answer(send, 413, f"The limit is {self._largest} bytes.", {"connection": "close"})
-            return
-        taken = 0
-
-        async def counted() -> MutableMapping[str, Any]:
-            nonlocal taken
-            message = await receive()
-            taken += len(message.get("body", b""))
-            # What comes without a length, in pieces, is told apart only here; the application then gives up.
-            return message if taken <= self._largest else {"type": "http.disconnect"}
-
-        await self._app(scope, counted, send)
+        else:
+            await self._app(scope, receive, send)

@@ -2,53 +2,67 @@
 
 from __future__ import annotations
 
-from collections.abc import MutableMapping
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import Any
 
-import pytest
+import uvicorn
 
 from pcmrs.console.upload_limit import UploadLimit
 
 LIMIT = 1000
 
 
-async def post(pieces: list[bytes], length: int | None) -> tuple[int | None, list[str]]:
-    """Status, and what the application was given, of a request of these pieces."""
-    given: list[str] = []
-    statuses: list[int] = []
-    waiting = [{"type": "http.request", "body": piece, "more_body": True} for piece in pieces]
-    waiting.append({"type": "http.request", "body": b"", "more_body": False})
-
-    async def receive() -> MutableMapping[str, Any]:
-        return waiting.pop(0)
-
-    async def send(message: MutableMapping[str, Any]) -> None:
-        if message["type"] == "http.response.start":
-            statuses.append(message["status"])
+async def post(*headers: str, body: bytes) -> tuple[int, list[bytes]]:
+    """Status, and what the application was given, of a request to the server that the console uses."""
+    given: list[bytes] = []
 
     async def application(scope: Any, receive: Any, send: Any) -> None:
         message = {"more_body": True}
         while message.get("more_body"):
             message = await receive()
-            given.append(message["type"])
+            given.append(message["body"])
         await send({"type": "http.response.start", "status": 200})
+        await send({"type": "http.response.body", "body": b""})
 
-    headers = [] if length is None else [(b"content-length", str(length).encode())]
-    await UploadLimit(application, LIMIT)({"type": "http", "headers": headers}, receive, send)
-    return statuses[0] if statuses else None, given
+    async with serving(UploadLimit(application, LIMIT)) as port:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        head = "\r\n".join(("POST / HTTP/1.1", "Host: here", "Connection: close", *headers))
+        writer.write(head.encode() + b"\r\n\r\n" + body)
+        status = int((await reader.readline()).split()[1])
+        writer.close()
+    return status, given
+
+
+@asynccontextmanager
+async def serving(application: Any) -> AsyncIterator[int]:
+    """The port at which it is served."""
+    server = uvicorn.Server(uvicorn.Config(application, port=0, lifespan="off", log_level="critical"))
+    server.config.load()
+    server.lifespan = server.config.lifespan_class(server.config)
+    await server.startup()
+    try:
+        yield server.servers[0].sockets[0].getsockname()[1]
+    finally:
+        await server.shutdown()
 
 
 async def test_what_fits_is_taken() -> None:
-    status, given = await post([bytes(600), bytes(400)], LIMIT)
-    assert (status, given) == (200, ["http.request"] * 3)
+    status, given = await post(f"Content-Length: {LIMIT}", body=bytes(LIMIT))
+    assert (status, b"".join(given)) == (200, bytes(LIMIT))
 
 
-async def test_what_says_that_it_is_longer_is_refused_unread() -> None:
-    assert await post([bytes(600), bytes(401)], LIMIT + 1) == (413, [])
+async def test_what_says_that_it_is_too_long_is_refused_unread() -> None:
+    assert await post(f"Content-Length: {LIMIT + 1}", body=bytes(LIMIT + 1)) == (413, [])
 
 
-@pytest.mark.parametrize("length", [None, 10])
-async def test_what_is_longer_than_it_says_ends_at_the_limit(length: int | None) -> None:
-    """In pieces without a length; a server takes no more than a length says, but that is its matter."""
-    _, given = await post([bytes(600), bytes(400), bytes(1), bytes(600)], length)
-    assert given == ["http.request", "http.request", "http.disconnect"]
+async def test_what_does_not_say_how_long_it_is_is_refused_unread() -> None:
+    pieces = b"".join(b"%x\r\n%b\r\n" % (length, bytes(length)) for length in (600, 500)) + b"0\r\n\r\n"
+    assert await post("Transfer-Encoding: chunked", body=pieces) == (411, [])
+    assert await post("Content-Length: 10", "Transfer-Encoding: chunked", body=pieces) in ((411, []), (400, []))
+
+
+async def test_of_what_is_longer_than_it_says_only_that_is_taken() -> None:
+    _, given = await post("Content-Length: 10", body=bytes(2 * LIMIT))
+    assert b"".join(given) == bytes(10)
