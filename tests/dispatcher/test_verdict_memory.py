@@ -38,6 +38,14 @@ async def test_older_verdicts_are_those_of_the_journal(monkeypatch: pytest.Monke
     assert {name: asked.result().sequence for name, (asked, _) in found.items()} == {"c3": 2, "c1": 100}
 
 
+async def test_the_first_answer_stands(remembered: Memory) -> None:
+    """What breaks after the answer is concluded a second time."""
+    asked, _ = remembered.verdict_of(command("c1"))
+    remembered.settle(asked, verdict("c1", 1))
+    remembered.settle(asked, verdict("c1", 2))
+    assert asked.result().sequence == 1
+
+
 async def test_what_is_under_way_is_never_forgotten(remembered: Memory) -> None:
     """Its verdict is not in the journal yet: a repeat would be taken for a new command, and perform it again."""
     running, _ = remembered.verdict_of(command("motion"))

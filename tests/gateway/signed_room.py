@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from clock import ManualClock, settle
-from gateway_fakes import FakeCore, UdpClient
+from gateway_fakes import WITHIN, FakeCore, UdpClient
 
 from pcmrs.gateway.keys import new_key, read_key
 from pcmrs.gateway.links import Gateway, open_gateway
@@ -79,8 +80,9 @@ class Room:
         """Sends a datagram and returns once the gateway has it."""
         before = self.gateway.counters.received
         self.client.send(data, self.planner)
-        while self.gateway.counters.received == before:
-            await settle()
+        async with asyncio.timeout(WITHIN):
+            while self.gateway.counters.received == before:
+                await settle()
 
     @property
     def unanswered(self) -> bool:

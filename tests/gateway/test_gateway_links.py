@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import pytest
-from gateway_fakes import CONFIRMED, FakeCore, ManualClock, UdpClient
+from gateway_fakes import CONFIRMED, WITHIN, FakeCore, ManualClock, UdpClient
 
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.intake import Intake
@@ -331,10 +331,17 @@ async def test_tool_points_from_mixed_reality_reach_the_planner(cell: Any) -> No
     assert await cell.stream.received.get() == "__msg_toolpose_1.00000_2.00000_3.00000_4.00000_5.00000_6.50000"
 
 
+class Refusals(asyncio.Semaphore):
+    """Released once for every refusal, which by design nobody is told of; `acquire` fails when none comes."""
+
+    async def acquire(self) -> Literal[True]:
+        async with asyncio.timeout(WITHIN):
+            return await super().acquire()
+
+
 @pytest.fixture
-def refused(monkeypatch: pytest.MonkeyPatch) -> asyncio.Semaphore:
-    """Released once for every refusal, which by design nobody is told of."""
-    semaphore, refuse = asyncio.Semaphore(0), Intake.refuse
+def refused(monkeypatch: pytest.MonkeyPatch) -> Refusals:
+    semaphore, refuse = Refusals(0), Intake.refuse
 
     def refuse_and_tell(*args: Any) -> None:
         refuse(*args)
@@ -344,7 +351,7 @@ def refused(monkeypatch: pytest.MonkeyPatch) -> asyncio.Semaphore:
     return semaphore
 
 
-async def test_a_link_that_is_not_on_loopback_refuses_everything(tmp_path: Path, refused: asyncio.Semaphore) -> None:
+async def test_a_link_that_is_not_on_loopback_refuses_everything(tmp_path: Path, refused: Refusals) -> None:
     core, replies = FakeCore(), await UdpClient.open()
     config = GatewayConfig(
         host="0.0.0.0",
@@ -366,7 +373,7 @@ async def test_a_link_that_is_not_on_loopback_refuses_everything(tmp_path: Path,
     replies.transport.close()
 
 
-async def test_a_loopback_peer_that_is_not_listed_is_refused(tmp_path: Path, refused: asyncio.Semaphore) -> None:
+async def test_a_loopback_peer_that_is_not_listed_is_refused(tmp_path: Path, refused: Refusals) -> None:
     core, client = FakeCore(), await UdpClient.open()
     config = GatewayConfig(
         planner=LinkConfig(port=0),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import openigtlink_bytes as wire
 import pytest
+from gateway_fakes import WITHIN
 from hypothesis import given
 from hypothesis import strategies as st
 from igtl_client import Slicer, SlicerCore, planned_mm, slicer_only
@@ -72,9 +73,10 @@ async def test_a_client_that_does_not_read_holds_up_nobody_and_is_cut_off(
             idle.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             idle.connect(gateway.addresses["openigtlink"])
             reading = await Slicer.connect(gateway.addresses["openigtlink"])
-            while not (stalled := [each for each in logs if each["event"] == "openigtlink_stalled"]):
-                # The one that reads is served all the while.
-                await reading.next("CoilToImage")
+            async with asyncio.timeout(WITHIN):
+                while not (stalled := [each for each in logs if each["event"] == "openigtlink_stalled"]):
+                    # The one that reads is served all the while.
+                    await reading.next("CoilToImage")
             reading.send(wire.transform("ToolTargetToImage", planned_mm()))
             assert await reading.verdict() == "accepted toolplan.plan"
             reading.close()
