@@ -28,6 +28,7 @@ MAP = TREE / "build" / "mutants" / "map.json"
 MEASURED_TIME = 300
 """Limit of a test that is measured, s: tracing makes it slower."""
 
+_COMMAND = "python tests/mutants/run_mutants.py map"
 _PHASE = re.compile(r" \((?:setup|call|teardown)\)$")
 _CONFIGURATION = """
 [run]
@@ -96,6 +97,33 @@ class CoverageMap(msgspec.Struct):
             found |= int(mapped.get(line, "0"), 16)
         return [test for number, test in enumerate(self.tests) if found >> number & 1]
 
+    def updated(self, newer: CoverageMap) -> CoverageMap:
+        """Return this map with the tests that a newer one has measured.
+
+        Raises:
+            MapError: The newer one measured another state of a file.
+        """
+        measured = {test.id for test in newer.tests} | set(newer.failed)
+        kept = [test for test in self.tests if test.id not in measured]
+        again = [number for number, test in enumerate(self.tests) if test.id in measured][::-1]
+        files = {}
+        for name in sorted(self.files.keys() | newer.files.keys()):
+            old, new = self.files.get(name), newer.files.get(name)
+            if old is not None and new is not None and old.digest != new.digest:
+                raise MapError(f"{name} has changed since all was measured. Measure all again: {_COMMAND}")
+            lines = {line: _without(int(bits, 16), again) for line, bits in (old.lines if old else {}).items()}
+            for line, bits in (new.lines if new else {}).items():
+                lines[line] = lines.get(line, 0) | int(bits, 16) << len(kept)
+            arcs = set[tuple[int, int]]().union(*(each.arcs for each in (old, new) if each is not None))
+            digest = (new or old or MappedFile("", {}, set())).digest
+            files[name] = MappedFile(digest, {line: f"{each:x}" for line, each in lines.items()}, arcs)
+        return CoverageMap(
+            tests=kept + newer.tests,
+            failed=[name for name in self.failed if name not in measured] + newer.failed,
+            files=files,
+            lost=self.lost + newer.lost,
+        )
+
     def check(self, tree: Path, file: Path) -> None:
         """Compare a file with the one that was measured.
 
@@ -104,9 +132,7 @@ class CoverageMap(msgspec.Struct):
         """
         mapped = self.files.get(str(file))
         if mapped is None or mapped.digest != _digest(tree / file):
-            raise MapError(
-                f"{file} is not the file that was measured. Measure again: python tests/mutants/run_mutants.py map"
-            )
+            raise MapError(f"{file} is not the file that was measured. Measure again: {_COMMAND}")
 
 
 def read_map(path: Path = MAP) -> CoverageMap:
@@ -116,20 +142,23 @@ def read_map(path: Path = MAP) -> CoverageMap:
         MapError: There is none.
     """
     if not path.is_file():
-        raise MapError(f"{path} is missing. Make it (about an hour): python tests/mutants/run_mutants.py map")
+        raise MapError(f"{path} is missing. Make it (about half an hour): {_COMMAND}")
     return msgspec.json.decode(path.read_bytes(), type=CoverageMap)
 
 
-def write_map(tests: Sequence[str], workers: int, path: Path = MAP) -> CoverageMap:
+def write_map(
+    tests: Sequence[str], workers: int, path: Path = MAP, *, before: CoverageMap | None = None
+) -> CoverageMap:
     """Run tests under coverage and write the map.
 
     Args:
         tests: Files or folders below the tree.
         workers: Number of processes; 0 for none beside pytest's own.
         path: Output file.
+        before: Map that is updated with these tests.
 
     Raises:
-        MapError: pytest did not run to its end.
+        MapError: pytest did not run to its end, or `before` is of another state of the sources.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent) as name:
@@ -154,6 +183,7 @@ def write_map(tests: Sequence[str], workers: int, path: Path = MAP) -> CoverageM
         if ended.returncode not in (0, 1) or not results.is_file():
             raise MapError(f"pytest ended with {ended.returncode}:\n{ended.stdout[-4000:]}")
         found = _reduced(folder, msgspec.json.decode(results.read_bytes(), type=dict[str, Result]))
+    found = found if before is None else before.updated(found)
     path.write_bytes(msgspec.json.encode(found))
     return found
 
@@ -186,6 +216,13 @@ def _reduced(folder: Path, results: dict[str, Result]) -> CoverageMap:
         },
         lost=lost,
     )
+
+
+def _without(bits: int, numbers: Sequence[int]) -> int:
+    """Return a set of tests without these, given in falling order; those behind them move up."""
+    for number in numbers if bits else ():
+        bits = bits >> number + 1 << number | bits & (1 << number) - 1
+    return bits
 
 
 def _digest(file: Path) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from coverage_map import CoverageMap, MapError, read_map, write_map
+from coverage_map import CoverageMap, MapError, MappedFile, MappedTest, read_map, write_map
 from listed_guards import listed
 from places import TREE, find
 from run_mutants import allowed, candidates
@@ -84,6 +84,23 @@ def test_a_map_of_another_source_or_none_says_how_to_make_one(coverage: Coverage
         select(TREE, place, other, FEW)
     with pytest.raises(MapError, match=r"run_mutants\.py map"):
         read_map(tmp_path / "map.json")
+
+
+def measured(tests: dict[str, set[int]], digest: str = "as it is") -> CoverageMap:
+    """A map of one file, with the lines that each test runs."""
+    lines = {line: sum(1 << bit for bit, each in enumerate(tests.values()) if line in each) for line in range(1, 6)}
+    file = MappedFile(digest, {line: f"{bits:x}" for line, bits in lines.items() if bits}, set())
+    return CoverageMap([MappedTest(name, 1.0) for name in tests], [], {"f.py": file}, 0)
+
+
+def test_tests_that_are_measured_again_replace_themselves_in_the_map() -> None:
+    before = measured({"a": {1, 2}, "b": {1, 3}, "c": {3}, "d": {2, 3, 4}})
+    after = before.updated(measured({"c": {2, 5}, "e": {1}, "a": {5}}))
+
+    reached = {line: {test.id for test in after.reaching(Path("f.py"), [line])} for line in range(1, 6)}
+    assert reached == {1: {"b", "e"}, 2: {"c", "d"}, 3: {"b", "d"}, 4: {"d"}, 5: {"a", "c"}}
+    with pytest.raises(MapError, match=r"run_mutants\.py map"):
+        before.updated(measured({"e": {1}}, digest="changed"))
 
 
 def test_what_need_not_be_caught_is_listed_and_has_a_reason() -> None:
