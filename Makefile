@@ -58,8 +58,8 @@ spin: ## Install the model checker SPIN and a C compiler (Debian packages, as ro
 	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends spin gcc libc6-dev >/dev/null
 
 browser: ## Install the browser that the console is tested in (Debian packages, as root); without it those tests are skipped
-	apt-get update -qq
-	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends chromium >/dev/null
+	command -v chromium >/dev/null || { apt-get update -qq && \
+	    DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends chromium >/dev/null; }
 
 mono: ## Install the C# compiler that the Unity client is tested with (Debian packages, as root); without it those tests are skipped
 	apt-get update -qq
