@@ -16,12 +16,12 @@ OPTIONS :=
 WORKERS := $(shell echo $$((3 * $$(nproc) / 2)))
 EXTRAS := sim hardware console imaging ros2 docs fuzz dev
 
-.PHONY: help install demo test nightly evidence mutants fuzz tools spin browser mono screenshots docs lint lock clean
+.PHONY: help install demo test nightly evidence mutants fuzz tools spin browser mono screenshots docs lint lock release clean
 
 help: ## List these targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  make \1\t\2/p' Makefile
 
-install: $(INSTALLED) ## Create .venv with the locked versions; done once, again when they change
+install: $(INSTALLED) ## Create .venv with the locked versions; done once, again when they change; PYTHON=python3.13 for another Python
 
 demo: install ## Run a procedure on the simulated cell and print its errors; WORKFLOW=femoroplasty for another
 	$(BIN)/pcmrs demo --workflow $(WORKFLOW)
@@ -58,8 +58,8 @@ spin: ## Install the model checker SPIN and a C compiler (Debian packages, as ro
 	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends spin gcc libc6-dev >/dev/null
 
 browser: ## Install the browser that the console is tested in (Debian packages, as root); without it those tests are skipped
-	apt-get update -qq
-	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends chromium >/dev/null
+	command -v chromium >/dev/null || { apt-get update -qq && \
+	    DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends chromium >/dev/null; }
 
 mono: ## Install the C# compiler that the Unity client is tested with (Debian packages, as root); without it those tests are skipped
 	apt-get update -qq
@@ -81,6 +81,9 @@ lint: install ## Check style, format, types and import contracts
 lock: install ## Remake requirements.lock from pyproject.toml; keeps the versions that still fit
 	$(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url --no-strip-markers --custom-compile-command "make lock" \
 	    $(EXTRAS:%=--extra %) --output-file requirements.lock pyproject.toml
+
+release: install ## Build wheel, source archive, SBOM and checksums into dist/; publishes nothing
+	.ci/release
 
 clean: ## Remove .venv, caches and what was built
 	rm -rf $(VENV) build dist site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -15,6 +15,8 @@ ROOT = Path(__file__).parents[2]
 HOME = "index.md"
 PAGES = (
     Path("CHANGELOG.md"),
+    Path("CODE_OF_CONDUCT.md"),
+    Path("CONTRIBUTING.md"),
     Path("SECURITY.md"),
     *(path.relative_to(ROOT) for path in sorted((ROOT / "deploy").rglob("README.md"))),
 )
