@@ -7,8 +7,9 @@ import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from itertools import count
+from itertools import count, product
 from pathlib import Path
+from typing import cast
 
 import msgspec
 import pytest
@@ -377,13 +378,54 @@ async def test_set_points_are_signed_and_forged_ones_replace_none(lab: Lab) -> N
                 if not cell.steered.empty():
                     break
         assert cell.steered.get_nowait().sequence < 666
+        replaced = cell.daemon.counters()["bus.replaced"]
         tom.steer(setpoint(333))
         wait_blocking(lambda: cell.daemon.counters()["bus.waiting"] >= 1)
         cell.thief.put(cell.absolute("teleop/tom"), pack(setpoint(666)))
-        wait_blocking(lambda: cell.daemon.counters()["bus.waiting"] >= 2 or cell.daemon.counters()["bus.replaced"] >= 1)
+        wait_blocking(
+            lambda: cell.daemon.counters()["bus.waiting"] >= 2 or cell.daemon.counters()["bus.replaced"] > replaced
+        )
         async with asyncio.timeout(TIMEOUT):
             while (await cell.steered.get()).sequence != 333:
                 pass
+
+
+@dataclass(frozen=True)
+class Received:
+    """A message as Zenoh's thread hands it over."""
+
+    key_expr: str
+    payload: zenoh.ZBytes
+    attachment: zenoh.ZBytes | None
+
+
+async def test_a_busy_loop_gets_the_newest_signed_set_point_however_many_forged_ones_come(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    receivers: list[Callable[[Received], None]] = []
+    monkeypatch.setattr("pcmrs.bus.session.declare_subscriber", lambda *given: receivers.append(given[-1]))
+    bus = Bus(cast(zenoh.Session, None), bench.lab.daemon(), signatures=bench.signatures)
+    taken: list[int] = []
+    refused: list[str] = []
+    bus.subscribe(
+        "teleop/*",
+        TeleopSetpoint,
+        lambda _, setpoint: taken.append(setpoint.sequence),
+        lambda _, error: refused.append(error.code),
+    )
+    (receive,) = receivers
+    key = f"{bus.prefix}/teleop/tom"
+    for signed in product((True, False), repeat=4):
+        for number, own in enumerate(signed):
+            payload = pack(setpoint(number))
+            signature = zenoh.ZBytes(bench.signer.sign("put", key, payload)) if own else None
+            receive(Received(key, zenoh.ZBytes(payload), signature))
+        for _ in range(10):
+            await asyncio.sleep(0)
+        assert taken == [number for number, own in enumerate(signed) if own][-1:]
+        assert set(refused) == ({"access_denied"} if not all(signed) else set())
+        taken.clear()
+        refused.clear()
 
 
 async def test_stop_needs_no_signature(lab: Lab) -> None:
