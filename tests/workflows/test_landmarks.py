@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from trials import examples
 from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
+from pcmrs.workflows.data import Landmark, PlacementData, Point
 from pcmrs.workflows.settings import PoseSetting
 
 COUNT = len(LANDMARKS)
@@ -19,6 +20,25 @@ COUNT = len(LANDMARKS)
 
 def _named(points: Any) -> list[dict[str, Any]]:
     return [{"name": f"p{index}", "position": list(point)} for index, point in enumerate(points)]
+
+
+@pytest.mark.parametrize(
+    ("planned", "digitized", "complete"),
+    [
+        (0, (), False),
+        (2, (), False),
+        (2, (None, None), False),
+        (2, ((0.0, 0.1, 0.2), None), False),
+        (2, (None, (0.0, 0.1, 0.2)), False),
+        (2, ((0.0, 0.1, 0.2), (0.3, 0.4, 0.5)), True),
+    ],
+)
+def test_a_digitization_is_complete_when_every_landmark_has_a_point(
+    planned: int, digitized: tuple[Point | None, ...], complete: bool
+) -> None:
+    landmarks = tuple(Landmark(f"p{index}", (float(index), 0.0, 0.0)) for index in range(planned))
+    data = PlacementData(landmarks=landmarks, digitized=digitized)
+    assert data.complete_digitization() == (digitized if complete else ())
 
 
 async def _plan(bench: WorkflowBench) -> None:
