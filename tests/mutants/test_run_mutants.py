@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -11,7 +12,7 @@ from listed_guards import listed
 from places import TREE, find
 from run_mutants import allowed, candidates
 from selecting_tests import Limits, changed, select
-from trying import Candidate, Found, try_mutants
+from trying import Candidate, Found, Run, run_importable, try_mutants
 
 SHOWN = ("a_series_is_planned_twice", "a_rotation_of_any_age")
 """Mutants whose tests are quick: the way of trying them works."""
@@ -57,6 +58,29 @@ def test_a_removed_guard_is_caught_and_what_takes_none_out_is_not(coverage: Cove
     assert {each.by.partition("::")[0] for each in report.mutants[:2]} == {"tests/gateway/test_gateway_series.py"}
     assert (report.caught, report.share, report.unfit, report.good) == (2, 0.5, [], False)
     assert shown == report.mutants
+
+
+NOT_IMPORTED = """ERROR tests/{0}.py - NameError: no_such_name
+ERROR: found no collectors for /tmp/copy/tests/{0}.py::one
+"""
+
+
+@pytest.mark.parametrize("failing", [True, False])
+def test_a_file_that_cannot_be_imported_hides_no_failure_of_another(failing: bool) -> None:
+    asked: list[list[str]] = []
+
+    def run(tests: Sequence[str]) -> Run:
+        asked.append([test[6:7] for test in tests])
+        for name in "ab":
+            if name in asked[-1]:
+                return Run(4, [], NOT_IMPORTED.format(name))
+        return Run(1, ["tests/d.py::one"], "") if failing else Run(0, [], "")
+
+    found = run_importable([f"tests/{name}.py::one" for name in "cabd"], run)
+
+    assert asked == [list("cabd"), list("cbd"), list("cd")]
+    assert (found.code, found.failed) == ((1, ["tests/d.py::one"]) if failing else (4, []))
+    assert run_importable(["tests/a.py::one", "tests/a.py::two"], run).code == 4, "there is no other file"
 
 
 def test_tests_that_reach_the_body_of_a_guard_come_first(coverage: CoverageMap) -> None:
