@@ -206,7 +206,9 @@ async def test_a_key_that_does_not_belong_to_the_other_is_told(path: Path, tmp_p
         Journal.open(path)
 
 
-def test_a_journal_without_head_and_keys_is_not_taken_for_one_that_never_had_them(path: Path) -> None:
+def test_a_journal_without_head_and_keys_is_not_taken_for_one_that_never_had_them(tmp_path: Path) -> None:
+    path = tmp_path / NAME
+    JournalWriter(path, durable=False).close()
     for name in (HEAD, "journal.key", "journal.pub"):
         path.with_name(name).unlink()
     found = verify(path)

@@ -22,23 +22,15 @@ def _named(points: Any) -> list[dict[str, Any]]:
     return [{"name": f"p{index}", "position": list(point)} for index, point in enumerate(points)]
 
 
-@pytest.mark.parametrize(
-    ("planned", "digitized", "complete"),
-    [
-        (0, (), False),
-        (2, (), False),
-        (2, (None, None), False),
-        (2, ((0.0, 0.1, 0.2), None), False),
-        (2, (None, (0.0, 0.1, 0.2)), False),
-        (2, ((0.0, 0.1, 0.2), (0.3, 0.4, 0.5)), True),
-    ],
-)
-def test_a_digitization_is_complete_when_every_landmark_has_a_point(
-    planned: int, digitized: tuple[Point | None, ...], complete: bool
-) -> None:
-    landmarks = tuple(Landmark(f"p{index}", (float(index), 0.0, 0.0)) for index in range(planned))
-    data = PlacementData(landmarks=landmarks, digitized=digitized)
-    assert data.complete_digitization() == (digitized if complete else ())
+def test_a_digitization_is_complete_when_every_landmark_has_a_point() -> None:
+    landmarks = (Landmark("a", (0.0, 0.0, 0.0)), Landmark("b", (1.0, 0.0, 0.0)))
+    first, second = (0.0, 0.1, 0.2), (0.3, 0.4, 0.5)
+    open_ones: list[tuple[Point | None, ...]] = [(), (None, None), (first, None), (None, second)]
+    for digitized in open_ones:
+        assert PlacementData(landmarks=landmarks, digitized=digitized).complete_digitization() == ()
+    complete = PlacementData(landmarks=landmarks, digitized=(first, second))
+    assert complete.complete_digitization() == (first, second)
+    assert PlacementData().complete_digitization() == ()
 
 
 async def _plan(bench: WorkflowBench) -> None:
