@@ -119,12 +119,23 @@ def measured(tests: dict[str, set[int]], digest: str = "as it is") -> CoverageMa
 
 def test_tests_that_are_measured_again_replace_themselves_in_the_map() -> None:
     before = measured({"a": {1, 2}, "b": {1, 3}, "c": {3}, "d": {2, 3, 4}})
-    after = before.updated(measured({"c": {2, 5}, "e": {1}, "a": {5}}))
+    after = before.updated(measured({"c": {2, 5}, "e": {1}, "a": {5}}), ["a", "c", "e"])
 
     reached = {line: {test.id for test in after.reaching(Path("f.py"), [line])} for line in range(1, 6)}
     assert reached == {1: {"b", "e"}, 2: {"c", "d"}, 3: {"b", "d"}, 4: {"d"}, 5: {"a", "c"}}
     with pytest.raises(MapError, match=r"run_mutants\.py map"):
-        before.updated(measured({"e": {1}}, digest="changed"))
+        before.updated(measured({"e": {1}}, digest="changed"), ["e"])
+
+
+@pytest.mark.parametrize("again", ["t/a.py", "t/a.py/", "t/a.py::renamed", "t", "t/"])
+def test_what_is_not_found_any_more_is_not_kept_in_the_map(again: str) -> None:
+    before = measured({"t/a.py::renamed[1]": {1}, "t/a.py::same": {1}, "t/ab.py::other": {1}, "other/c.py::own": {1}})
+    after = before.updated(measured({"t/a.py::same": {2}, "t/a.py::new": {1}}), [again])
+
+    kept = {"t/a.py::renamed[1]"} if "::" in again else set()
+    kept |= set() if again.rstrip("/") == "t" else {"t/ab.py::other"}
+    assert {test.id for test in after.tests} == {"t/a.py::same", "t/a.py::new", "other/c.py::own"} | kept
+    assert {test.id for test in after.reaching(Path("f.py"), [1])} == {"t/a.py::new", "other/c.py::own"} | kept
 
 
 def test_what_need_not_be_caught_is_listed_and_has_a_reason() -> None:
