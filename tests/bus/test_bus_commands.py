@@ -22,7 +22,7 @@ from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.commands import TOLD_AT_ONCE
 from pcmrs.bus.envelope import Envelope
 from pcmrs.bus.settings import STOPS
-from pcmrs.bus.stop import ANSWERED, OTHERS, Replies, Stopping
+from pcmrs.bus.stop import ANSWERED, LONGEST, OTHERS, Replies, Stopping
 from pcmrs.messages import Command, Verdict
 from pcmrs.messages.identity import Identity
 from pcmrs.messages.roles import Role
@@ -309,9 +309,18 @@ async def test_a_press_is_one_stop_and_what_names_none_is_always_one() -> None:
 
         assert [await number("anna", press) for _ in range(3)] == [1, 1, 1]
         assert await number("bert", press) == 2  # nobody can take a Stop from somebody else by its id
-        for payload in (b" {}", b' {"id": ""}', b' {"id": 3}', b' {"id": "pressed"}', press[:-1]):
+        long = press.ljust(LONGEST + 1)
+        for payload in (b" {}", b' {"id": ""}', b' {"id": 3}', b' {"id": "pressed"}', press[:-1], long):
             before = daemon.stops
             assert [await number("anna", payload) for _ in range(2)] == [before + 1, before + 2]
+
+
+def test_an_id_is_looked_for_in_a_short_message_only() -> None:
+    """Reading long ones would hold up the Stops behind them: each of them is a Stop of its own, unread."""
+    press = json.dumps({"id": "0123456789abcdef" * 2}).encode()
+    for length in range(LONGEST - 1, LONGEST + 3):
+        assert (stop._press_of(press.ljust(length)) is None) == (length > LONGEST), length
+    assert stop._press_of(b"") is None
 
 
 @pytest.mark.usefixtures("many_links")

@@ -7,8 +7,9 @@ import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from itertools import count
+from itertools import count, product
 from pathlib import Path
+from typing import cast
 
 import msgspec
 import pytest
@@ -22,6 +23,7 @@ from msgspec.structs import replace
 from pcmrs.bus import Bus, BusSettings, CommandEdge, Empty
 from pcmrs.bus.codec import pack
 from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.session import _signing
 from pcmrs.bus.settings import open_session
 from pcmrs.bus.signature import FRESH_FOR, Kind, Signatures, Signer
 from pcmrs.client import Client
@@ -210,6 +212,19 @@ def test_nobody_else_needs_a_signature(bench: Bench) -> None:
     assert bench.why(b"", user="nobody") == "unknown"
 
 
+def test_who_comes_by_a_certificate_signs_and_a_daemon_with_a_register_checks(lab: Lab) -> None:
+    far, near, register = "tls/127.0.0.1:1", "tcp/127.0.0.1:1", tuple(read_register(lab.register))
+    for name, endpoint, members, signs, checks in (
+        ("tom", far, (), True, False),
+        ("tom", near, (), False, False),
+        ("c1", near, register, False, True),
+        ("c1", near, (), False, False),
+    ):
+        signer, signatures = _signing(replace(lab.joined(name, endpoint), members=members))
+        assert (signer is not None, signatures is not None) == (signs, checks), (name, endpoint, members)
+        assert _signing(BusSettings(endpoint=endpoint, cell="c1", members=members)) == (None, None)
+
+
 def test_a_key_that_cannot_be_read_signs_nothing(lab: Lab, tmp_path: Path) -> None:
     own = read_credentials(lab.folder / "tom", time.time())
     with pytest.raises(ConfigurationError, match="cannot be read"):
@@ -377,13 +392,54 @@ async def test_set_points_are_signed_and_forged_ones_replace_none(lab: Lab) -> N
                 if not cell.steered.empty():
                     break
         assert cell.steered.get_nowait().sequence < 666
+        replaced = cell.daemon.counters()["bus.replaced"]
         tom.steer(setpoint(333))
         wait_blocking(lambda: cell.daemon.counters()["bus.waiting"] >= 1)
         cell.thief.put(cell.absolute("teleop/tom"), pack(setpoint(666)))
-        wait_blocking(lambda: cell.daemon.counters()["bus.waiting"] >= 2 or cell.daemon.counters()["bus.replaced"] >= 1)
+        wait_blocking(
+            lambda: cell.daemon.counters()["bus.waiting"] >= 2 or cell.daemon.counters()["bus.replaced"] > replaced
+        )
         async with asyncio.timeout(TIMEOUT):
             while (await cell.steered.get()).sequence != 333:
                 pass
+
+
+@dataclass(frozen=True)
+class Received:
+    """A message as Zenoh's thread hands it over."""
+
+    key_expr: str
+    payload: zenoh.ZBytes
+    attachment: zenoh.ZBytes | None
+
+
+async def test_a_busy_loop_gets_the_newest_signed_set_point_however_many_forged_ones_come(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    receivers: list[Callable[[Received], None]] = []
+    monkeypatch.setattr("pcmrs.bus.session.declare_subscriber", lambda *given: receivers.append(given[-1]))
+    bus = Bus(cast(zenoh.Session, None), bench.lab.daemon(), signatures=bench.signatures)
+    taken: list[int] = []
+    refused: list[str] = []
+    bus.subscribe(
+        "teleop/*",
+        TeleopSetpoint,
+        lambda _, setpoint: taken.append(setpoint.sequence),
+        lambda _, error: refused.append(error.code),
+    )
+    (receive,) = receivers
+    key = f"{bus.prefix}/teleop/tom"
+    for signed in product((True, False), repeat=4):
+        for number, own in enumerate(signed):
+            payload = pack(setpoint(number))
+            signature = zenoh.ZBytes(bench.signer.sign("put", key, payload)) if own else None
+            receive(Received(key, zenoh.ZBytes(payload), signature))
+        for _ in range(10):
+            await asyncio.sleep(0)
+        assert taken == [number for number, own in enumerate(signed) if own][-1:]
+        assert set(refused) == ({"access_denied"} if not all(signed) else set())
+        taken.clear()
+        refused.clear()
 
 
 async def test_stop_needs_no_signature(lab: Lab) -> None:

@@ -122,6 +122,19 @@ async def test_the_next_touch_is_not_where_the_last_one_was(hand: Hand) -> None:
     assert hand.done
 
 
+async def test_a_rest_before_the_prompt_is_no_touch(hand: Hand) -> None:
+    """The tip is away from the last touch already, but nobody has said yet that it is where it should be."""
+    await hand.ask()
+    await hand.rest(NASION, 1.0)
+    await hand.go(NASION, TRAGUS, 0.5)
+    await hand.rest(TRAGUS, 2.0)
+    await hand.ask()
+    await hand.rest(TRAGUS, SETTINGS.time - 2 * PERIOD)
+    assert not hand.done
+    await hand.rest(TRAGUS, 0.2)
+    assert hand.done
+
+
 async def test_the_same_place_is_touched_again_after_lifting_the_tip(hand: Hand) -> None:
     await hand.ask()
     await hand.rest(NASION, 1.0)

@@ -148,15 +148,24 @@ async def test_a_tracker_that_comes_later_is_found() -> None:
 
 async def test_a_reader_that_is_killed_or_stopped_is_begun_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pcmrs.devices.ndi.process.FRAME_TIME", 0.5)
-    async with _served() as (_, device), _tracker(device=device) as tracker, aclosing(tracker.frames()) as frames:
-        assert await anext(frames)
-        for ending in (signal.SIGKILL, signal.SIGSTOP):
-            (reader,) = _readers()
-            os.kill(reader, ending)
-            while _readers() in ([], [reader]):
-                await anext(frames)
+    reasons = {
+        signal.SIGKILL: "the reader ended with exit status -9",
+        signal.SIGSTOP: "the reader has reported nothing for 0.5 s",
+        signal.SIGALRM: "it does not answer",
+        signal.SIGSEGV: "an answer was corrupted",
+    }
+    with structlog.testing.capture_logs() as logs:
+        async with _served() as (_, device), _tracker(device=device) as tracker, aclosing(tracker.frames()) as frames:
             assert await anext(frames)
+            for ending in reasons:
+                (reader,) = _readers()
+                os.kill(reader, ending)
+                while _readers() in ([], [reader]):
+                    await anext(frames)
+                assert await anext(frames)
     assert _readers() == []
+    told = [entry["reason"] for entry in logs if entry["event"] == "tracker_not_there"]
+    assert told == [f"The tracker at {device}: {why}. Check that it is on, and its cable." for why in reasons.values()]
 
 
 async def test_the_reader_ends_with_its_parent() -> None:

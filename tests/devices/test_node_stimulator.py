@@ -119,6 +119,9 @@ async def test_an_armed_stimulator_is_disarmed_when_the_daemon_falls_silent(benc
     assert bench.device.disarms == 0
     await bench.clock.advance(DEADMAN + BEAT_PERIOD)
     assert bench.device.disarms == 1
+    (silent,) = bench.link.published["dev/stimulator/event"]
+    assert silent.code == "daemon_silent"
+    assert "dev/robot/event" not in bench.link.published, "there is no robot that could move"
     await bench.clock.advance(10.0)
     assert bench.device.disarms == 1, "one that is not armed is left alone"
 

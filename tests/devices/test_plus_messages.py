@@ -23,11 +23,24 @@ MATRIX = np.array([[0.0, -1.0, 0.0, 10.5], [1.0, 0.0, 0.0, -20.25], [0.0, 0.0, 1
 HEAD = {"timestamp": wire.STAMP}
 
 
+class Ending(asyncio.StreamReader):
+    """A stream that is not read again and again after its end."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._reads_after_end = 0
+
+    async def read(self, n: int = -1) -> bytes:
+        self._reads_after_end += self.at_eof()
+        assert self._reads_after_end <= 1, "what is at its end brings nothing more"
+        return await super().read(n)
+
+
 def read_all(data: bytes, cuts: list[int] | None = None) -> list[Any]:
     """What the reader makes of `data` that comes in pieces: messages, None for skipped ones, and errors."""
 
     async def read() -> list[Any]:
-        stream = asyncio.StreamReader()
+        stream = Ending()
         places = [0, *sorted(cuts or []), len(data)]
         for start, end in itertools.pairwise(places):
             stream.feed_data(data[start:end])

@@ -110,7 +110,8 @@ async def test_a_pulse_is_one_byte_on_the_port(line: tuple[int, str]) -> None:
     controller, port = line
     async with stimulator(ManualClock(), port=port, byte=0xA5) as device:
         await device.arm()
-        await device.fire(1)
+        async with asyncio.timeout(PATIENCE):
+            await device.fire(1)
         assert os.read(controller, 16) == b"\xa5"
         with pytest.raises(DeviceError, match="given already"):
             await device.fire(1)
@@ -175,7 +176,8 @@ async def test_a_port_that_fails_leaves_the_outcome_unknown_and_disarms() -> Non
         await device.arm()
         port.broken = True
         with pytest.raises(UnknownOutcomeError, match="counter"):
-            await device.fire(1)
+            async with asyncio.timeout(PATIENCE):
+                await device.fire(1)
         assert (await event).code == "disarmed"
         state = await device.state()
         assert (state.armed, state.pulse) == (False, 1)

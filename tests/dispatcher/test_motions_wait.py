@@ -10,9 +10,54 @@ from dispatcher_fakes import HELD, PLACED, RATMS, STANDOFF, Bench
 from test_locks import code
 
 from pcmrs.dispatcher import admission
+from pcmrs.fsm import parse_blueprint
 from pcmrs.messages import Verdict
 
 TRACKER = "activity:watch_alignment"
+
+
+def _arm(name: str) -> str:
+    return f"""
+[branches.{name}]
+states = {{ back = "back", held = "held" }}
+[branches.{name}.operations.turn]
+from = ["back"]
+to = "back"
+on_failure = "held"
+on_unknown = "held"
+motion = "approach"
+steps = ["move"]
+requires = {{ door = ["shut"] }}
+[branches.{name}.operations.retreat]
+from = ["held"]
+to = "back"
+on_failure = "held"
+on_unknown = "held"
+motion = "retreat"
+steps = ["move"]
+"""
+
+
+ARMS = parse_blueprint(
+    f"""
+id = "arms"
+version = "1"
+[branches.door]
+states = {{ open = "open", shut = "shut" }}
+[branches.door.operations.shut]
+from = ["*"]
+to = "shut"
+event = true
+[branches.door.operations.acknowledge]
+from = ["*"]
+to = {{ open = "open", shut = "shut" }}
+unlatches = true
+{_arm("left")}
+{_arm("right")}
+""".encode(),
+    origin="arms.toml",
+)
+"""Two motions that are in nobody's way but of the door's event."""
 
 
 async def within_on_its_way(bench: Bench) -> tuple[asyncio.Event, asyncio.Task[Verdict]]:
@@ -46,6 +91,17 @@ async def test_one_motion_waits_and_nothing_that_acts_otherwise(bench: Bench) ->
     gate.set()
     assert code(await other) == "busy"
     assert [(await task).decision for task in (event, motion)] == ["accepted", "accepted"]
+
+
+async def test_one_motion_waits_also_where_another_one_would_not_be_in_its_way() -> None:
+    bench = Bench(ARMS, ["left", "right"])
+    gate = bench.recorder.gates["decision"] = asyncio.Event()
+    event = await bench.begin("door.shut", source="device:door")
+    first, second = [await bench.begin(f"{arm}.turn") for arm in ("left", "right")]
+    gate.set()
+    assert [(await task).decision for task in (event, first, second)] == ["accepted", "accepted", "rejected"]
+    assert code(await second) == "busy"
+    await bench.dispatcher.close()
 
 
 async def test_a_motion_waits_for_no_command(bench: Bench) -> None:

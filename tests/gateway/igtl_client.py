@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any, Self
 
 import numpy as np
-from gateway_fakes import POSE, FakeCore
+from gateway_fakes import POSE, WITHIN, FakeCore
 
 from pcmrs.devices.plus.framing import MessageReader
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig, OpenIgtLinkConfig
@@ -78,10 +78,11 @@ class Slicer:
         self.writer.write(data)
 
     async def next(self, name: str) -> Any:
-        """The next message of that name."""
-        while not self._kept.get(name):
-            message: Any = await self._reader.read()
-            self._kept.setdefault(message.device_name, deque(maxlen=1000)).append(message)
+        """The next message of that name; fails when none comes, though others do."""
+        async with asyncio.timeout(WITHIN):
+            while not self._kept.get(name):
+                message: Any = await self._reader.read()
+                self._kept.setdefault(message.device_name, deque(maxlen=1000)).append(message)
         return self._kept[name].popleft()
 
     async def verdict(self) -> str:
@@ -89,13 +90,15 @@ class Slicer:
 
     async def names(self, count: int) -> set[str]:
         """The names of the next `count` messages."""
-        messages: list[Any] = [await self._reader.read() for _ in range(count)]
+        async with asyncio.timeout(WITHIN):
+            messages: list[Any] = [await self._reader.read() for _ in range(count)]
         return {message.device_name for message in messages}
 
     async def status(self, code: int) -> Any:
-        """The next status of that code."""
-        while (status := await self.next("PcmrsStatus")).code != code:
-            pass
+        """The next status of that code; fails when none comes, though others do."""
+        async with asyncio.timeout(WITHIN):
+            while (status := await self.next("PcmrsStatus")).code != code:
+                pass
         return status
 
     def close(self) -> None:

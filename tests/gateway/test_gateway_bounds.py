@@ -9,11 +9,12 @@ from typing import Any
 
 import pytest
 from clock import settle
-from gateway_fakes import UdpClient
+from gateway_fakes import WITHIN, UdpClient
 from structlog.testing import capture_logs
 
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway import intake, links, session
+from pcmrs.gateway.session import SECOND_WITHIN
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.hosts import is_loopback
 
@@ -28,6 +29,21 @@ async def test_what_is_refused_to_a_client_without_verdicts_is_logged(cell: Any)
     assert (refused["command"], refused["decision"], refused["reason"]) == (
         "execute_motionxx", "rejected", "not_registered",
     )  # fmt: skip
+
+
+async def test_a_refusal_that_comes_later_than_clients_wait_is_logged_too(cell: Any) -> None:
+    cell.core.refusals["register"] = "residual_too_large"
+    cell.core.gates["register"].clear()
+    with capture_logs() as logged:
+        await cell.tell("start_registrati;")
+        async with asyncio.timeout(WITHIN):
+            await cell.core.arrived.wait()
+        cell.clock.expire(SECOND_WITHIN)
+        assert await cell.replies.received.get() == "no_data_returned;"
+        cell.core.gates["register"].set()
+        await cell.tell("start_useprevreg;")
+        await cell.replies.received.get()  # the second command has ended, and so has the first
+    assert [(line["event"], line.get("reason")) for line in logged] == [("command_refused", "residual_too_large")]
 
 
 async def test_a_refusal_makes_up_for_no_plan(cell: Any) -> None:

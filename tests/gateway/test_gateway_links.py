@@ -9,7 +9,7 @@ import pytest
 from gateway_fakes import CONFIRMED, WITHIN, FakeCore, ManualClock, UdpClient
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.gateway.intake import Intake
+from pcmrs.gateway.intake import Intake, source_of
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.session import MAX_WAITING
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
@@ -36,6 +36,19 @@ async def test_the_acknowledgement_does_not_wait_for_the_operation(cell: Any) ->
     assert cell.core.operations == ["digitize_all"]
     command = cell.core.commands[0]
     assert (command.branch, command.source) == ("digitization", f"udp:planner:127.0.0.1:{cell.client.port}")
+
+
+@pytest.mark.parametrize(
+    ("link", "source"),
+    [
+        ("planner", "udp:planner:127.0.0.1:5000"),
+        ("robot", "udp:robot:127.0.0.1:5000"),
+        ("tcp", "tcp:127.0.0.1:5000"),
+        ("openigtlink", "openigtlink:127.0.0.1:5000"),
+    ],
+)
+def test_a_source_is_named_by_its_link_and_address(link: str, source: str) -> None:
+    assert source_of(link, ("127.0.0.1", 5000)) == source
 
 
 async def test_an_unmodified_client_plans_landmarks_and_registers(cell: Any) -> None:

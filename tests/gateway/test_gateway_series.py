@@ -39,6 +39,8 @@ def test_one_landmark_too_many_drops_the_series(order: list[int], extra: int, pl
     with pytest.raises(RefusalError) as refusal:
         send([*order[:place], extra, *order[place:]])
     assert refusal.value.refusal_code == "bad_series"
+    fault = "came twice" if extra < len(order) else f"lies outside the {len(order)} announced"
+    assert f"Landmark {extra} {fault};" in refusal.value.text
     with pytest.raises(RefusalError, match="announce"):
         series.finish()
 

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 import openigtlink_bytes as wire
 import pytest
-from gateway_fakes import UdpClient
+from gateway_fakes import WITHIN, UdpClient
 from igtl_client import BODY_REF_FROM_IMAGE, SEEN, Slicer, SlicerCore, planned_mm, slicer_only
 
 from pcmrs.clock import SystemClock
@@ -202,7 +202,8 @@ async def test_what_slicer_sends_again_is_submitted_once(room: Room) -> None:
 async def test_while_a_plan_is_decided_only_the_newest_waits(room: Room) -> None:
     room.core.gates["plan"].clear()
     room.slicer.send(wire.transform(TARGET, planned_mm((9.0, 60.0, 80.0))))
-    await room.core.arrived.wait()
+    async with asyncio.timeout(WITHIN):
+        await room.core.arrived.wait()
     for x in range(30):
         room.slicer.send(wire.transform(TARGET, planned_mm((10.0 + x, 60.0, 80.0))))
     room.slicer.send(wire.points("Landmarks", LANDMARKS_MM, FACES))
@@ -287,7 +288,8 @@ async def test_a_refused_plan_holds_the_motions_of_its_host_back(room: Room, by_
 async def test_stop_passes_a_plan_under_way_and_rejects_what_waits(room: Room) -> None:
     room.core.gates["plan"].clear()
     room.slicer.send(wire.transform(TARGET, planned_mm()))
-    await room.core.arrived.wait()
+    async with asyncio.timeout(WITHIN):
+        await room.core.arrived.wait()
     room.slicer.send(wire.points("Landmarks", LANDMARKS_MM, FACES) + wire.string("Anything", " Stop\n"))
     assert (await room.slicer.verdict()).startswith("rejected registration.plan_landmarks stopped")
     assert await room.slicer.verdict() == "accepted stop"
@@ -388,9 +390,10 @@ async def test_a_link_that_is_not_on_loopback_shows_but_takes_no_commands(tmp_pa
     async with open_gateway(core, exposed, SystemClock(), tmp_path) as gateway:
         slicer = await Slicer.connect(("127.0.0.1", gateway.addresses["openigtlink"][1]))
         slicer.send(wire.transform(TARGET, planned_mm()) + wire.string("S", "stop"))
-        await slicer.next("CoilToImage")
-        while gateway.counters.refused < 2:
+        async with asyncio.timeout(WITHIN):
             await slicer.next("CoilToImage")
+            while gateway.counters.refused < 2:
+                await slicer.next("CoilToImage")
         slicer.close()
     assert (core.commands, core.stops) == ([], [])
 

@@ -12,7 +12,7 @@ import pytest
 import uvloop
 from clock import ManualClock, settle
 from gateway_fakes import WITHIN, FakeCore, rest_of
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from signed_room import open_room, peer
 
@@ -67,6 +67,7 @@ def test_frames_do_not_depend_on_segments(sent: list[bytes], sizes: list[int]) -
 
 
 @given(st.lists(frames), pieces, st.integers(1, 10**18))
+@example([CONNECT], [1] * 40, 1)
 def test_a_signed_stream_has_a_signature_in_each_frame(sent: list[bytes], sizes: list[int], counter: int) -> None:
     signed = [each + b"|planner|%d|" % counter + b"0f" * 16 for each in sent]
     assert taken(cut(b"|;" + b"".join(each + b";" for each in signed), sizes)) == signed

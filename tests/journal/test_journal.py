@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from clock import settle
 from hypothesis import given
 from hypothesis import strategies as st
 from journal_rows import intent, outcome, row
@@ -19,6 +20,9 @@ from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalReader, StoredRow
 from pcmrs.journal.rows import GENESIS, decode_row, encode_row
 from pcmrs.journal.writer import Encoded, JournalWriter
+
+WITHIN = 10.0
+"""A test fails when what it waits for has not come after so long, s."""
 
 
 @pytest.fixture
@@ -217,6 +221,27 @@ async def test_close_waits_for_what_is_queued_and_ends_appending(journal: Journa
     assert await asyncio.gather(*appended) == list(range(1, 21))
     with pytest.raises(JournalError, match="closed"):
         journal.append([row()])
+
+
+async def test_close_waits_for_a_commit_under_way(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write, writing, go_on = JournalWriter.write, threading.Event(), threading.Event()
+
+    def hold_up(self: JournalWriter, rows: Sequence[Encoded]) -> int:
+        writing.set()
+        assert go_on.wait(WITHIN)
+        return write(self, rows)
+
+    monkeypatch.setattr(JournalWriter, "write", hold_up)
+    journal = Journal.open(path)
+    appended = journal.append([row()])
+    assert await asyncio.to_thread(writing.wait, WITHIN)
+    closing = asyncio.create_task(journal.close())
+    await settle()
+    assert not closing.done()
+    go_on.set()
+    async with asyncio.timeout(WITHIN):
+        await closing
+        assert await appended == 1
 
 
 async def test_reading_goes_on_while_a_daemon_writes(path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +135,18 @@ def test_an_index_with_more_than_the_rows_is_told_by_verify(path: Path) -> None:
     found = verify(path)
     assert (found.first_bad, found.rows) == (None, 18)
     assert any("The database is damaged" in problem for problem in found.problems)
+
+
+@pytest.mark.parametrize("guard", GUARDS)
+def test_a_journal_without_one_of_its_guards_is_told_though_all_rows_are_good(path: Path, guard: str) -> None:
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute(f"DROP TRIGGER {guard}")
+    with pytest.raises(JournalError, match=f"was changed: {guard} is not as"):
+        Journal.open(path)
+    found = verify(path)
+    assert (found.first_bad, found.rows, found.sound) == (None, 18, False)
+    (problem,) = found.problems
+    assert guard in problem
 
 
 @pytest.mark.parametrize(

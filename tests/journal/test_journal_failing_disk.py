@@ -54,8 +54,9 @@ async def main():
         if journal.broken is not None:
             break
     if journal.broken is not None:
-        while not told:
-            await asyncio.sleep(0.001)
+        async with asyncio.timeout(10.0):
+            while not told:
+                await asyncio.sleep(0.001)
         try:
             await journal.append([row()])
             raise SystemExit("appended to a broken journal")

@@ -128,6 +128,28 @@ def test_a_disk_that_cannot_be_waited_for_is_refused(
 
 
 @pytest.mark.parametrize("durable", [True, False])
+async def test_a_log_that_cannot_be_carried_over_is_told_though_nothing_more_is_written(
+    path: Path, monkeypatch: pytest.MonkeyPatch, durable: bool
+) -> None:
+    class Failing(sqlite3.Connection):
+        def execute(self, sql: str, *values: Any) -> sqlite3.Cursor:
+            if sql.startswith("PRAGMA wal_checkpoint"):
+                raise sqlite3.OperationalError("disk I/O error")
+            return super().execute(sql, *values)
+
+    connect = sqlite3.connect
+    monkeypatch.setattr(sqlite3, "connect", lambda *where, **how: connect(*where, factory=Failing, **how))
+    monkeypatch.setattr("pcmrs.journal.writer._CHECKPOINT_AFTER", 1)
+    journal = Journal.open(path, durable=durable)
+    told: asyncio.Queue[str] = asyncio.Queue()
+    journal.on_failure(lambda error: told.put_nowait(error.text))
+    async with asyncio.timeout(10.0):
+        assert await journal.append([row()]) == 1
+        assert "disk I/O error" in await told.get()
+    await journal.close()
+
+
+@pytest.mark.parametrize("durable", [True, False])
 def test_only_the_writer_carries_the_log_over(path: Path, durable: bool) -> None:
     """SQLite would keep an error of the disk to itself."""
     writer = JournalWriter(path, durable=durable)

@@ -197,6 +197,24 @@ async def test_a_replaced_key_pair_is_told(path: Path, tmp_path: Path) -> None:
     assert not verify(path, public=tmp_path / "whole" / "journal.pub").sound
 
 
+@pytest.mark.parametrize("replaced", ["journal.key", "journal.pub"])
+async def test_a_key_that_does_not_belong_to_the_other_is_told(path: Path, tmp_path: Path, replaced: str) -> None:
+    (tmp_path / "other").mkdir()
+    await Journal.open(tmp_path / "other" / NAME).close()
+    path.with_name(replaced).write_bytes((tmp_path / "other" / replaced).read_bytes())
+    with pytest.raises(JournalError, match=r"journal\.pub does not belong to journal\.key beside it"):
+        Journal.open(path)
+
+
+def test_a_journal_without_head_and_keys_is_not_taken_for_one_that_never_had_them(tmp_path: Path) -> None:
+    path = tmp_path / NAME
+    JournalWriter(path, durable=False).close()
+    for name in (HEAD, "journal.key", "journal.pub"):
+        path.with_name(name).unlink()
+    found = verify(path)
+    assert (found.signature, found.signed, found.sound) == ("does not hold", 0, False)
+
+
 async def test_a_second_writer_is_refused_and_the_first_goes_on(path: Path) -> None:
     journal = Journal.open(path)
     with pytest.raises(JournalError, match="Another process writes"):

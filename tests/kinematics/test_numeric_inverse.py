@@ -1,13 +1,16 @@
 """Inverse kinematics of arms that have no closed form of ours."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from pcmrs.errors import GeometryError, UnreachableError
+from pcmrs.kinematics import numeric
 from pcmrs.kinematics.inverse import inverse
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.posture import cost
-from pcmrs.kinematics.track import track
+from pcmrs.kinematics.track import descend, track
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.spatial import Transform, distance, rotation_angle
 
@@ -43,6 +46,27 @@ def test_a_comfortable_posture_near_the_seed_is_taken(arm: ArmModel) -> None:
         found = inverse(arm, target, home)
         assert_reaches(arm, found, target)
         assert np.linalg.norm(found - home) < 0.6
+
+
+def test_the_first_comfortable_posture_ends_the_search_and_else_a_few_are_compared(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each descent takes its time, and whoever asks for a plan waits for all of them."""
+    arm, descents = ArmModel(find_arm("panda")), 0
+
+    def count(*given: Any) -> Any:
+        nonlocal descents
+        descents += 1
+        return descend(*given)
+
+    monkeypatch.setattr(numeric, "descend", count)
+    home = np.array(arm.facts.home)
+    inverse(arm, arm.forward(home), home)
+    assert descents == 1
+    at_limit = home.copy()
+    at_limit[-1] = arm.upper[-1] - 0.01
+    inverse(arm, arm.forward(at_limit), at_limit, keep_away=np.array([(*arm.origins(home)[-1], 10.0)]))
+    assert 1 + numeric._SOLUTIONS <= descents < numeric._RESTARTS
 
 
 def test_among_uncomfortable_postures_the_best_found_is_taken() -> None:

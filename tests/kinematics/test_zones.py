@@ -113,6 +113,14 @@ def test_a_ball_holds_the_whole_body_where_it_is() -> None:
     assert np.all(np.linalg.norm(base_from_body @ CORNERS - ball[:3], axis=1) <= ball[3] + 1e-12)
 
 
+def test_each_pair_belongs_to_its_zone_only() -> None:
+    model = zone_model()
+    for zone in ("body", "table", SIGHT_OF_TOOL, SIGHT_OF_BODY, "link_7", "nothing"):
+        chosen = [pair for pair, chosen in zip(model.pairs, model.of_zone(zone), strict=True) if chosen]
+        assert chosen == [pair for pair in model.pairs if pair[1] == zone]
+        assert bool(chosen) == (zone != "nothing")
+
+
 def test_what_overlaps_has_a_negative_distance() -> None:
     model, q = zone_model(), np.zeros(7)
     model.place("body", Transform(np.eye(3), np.array((0.15, 0.0, 0.46))))

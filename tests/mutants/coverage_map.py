@@ -97,21 +97,27 @@ class CoverageMap(msgspec.Struct):
             found |= int(mapped.get(line, "0"), 16)
         return [test for number, test in enumerate(self.tests) if found >> number & 1]
 
-    def updated(self, newer: CoverageMap) -> CoverageMap:
+    def updated(self, newer: CoverageMap, again: Sequence[str]) -> CoverageMap:
         """Return this map with the tests that a newer one has measured.
+
+        Args:
+            newer: Map of these tests only.
+            again: Files or folders that it has measured; what it does not find in them any more is not kept.
 
         Raises:
             MapError: The newer one measured another state of a file.
         """
+        inside = tuple(f"{each.rstrip('/')}{separator}" for each in again for separator in ("/", "::"))
         measured = {test.id for test in newer.tests} | set(newer.failed)
+        measured |= {name for name in (*(test.id for test in self.tests), *self.failed) if name.startswith(inside)}
         kept = [test for test in self.tests if test.id not in measured]
-        again = [number for number, test in enumerate(self.tests) if test.id in measured][::-1]
+        gone = [number for number, test in enumerate(self.tests) if test.id in measured][::-1]
         files = {}
         for name in sorted(self.files.keys() | newer.files.keys()):
             old, new = self.files.get(name), newer.files.get(name)
             if old is not None and new is not None and old.digest != new.digest:
                 raise MapError(f"{name} has changed since all was measured. Measure all again: {_COMMAND}")
-            lines = {line: _without(int(bits, 16), again) for line, bits in (old.lines if old else {}).items()}
+            lines = {line: _without(int(bits, 16), gone) for line, bits in (old.lines if old else {}).items()}
             for line, bits in (new.lines if new else {}).items():
                 lines[line] = lines.get(line, 0) | int(bits, 16) << len(kept)
             arcs = set[tuple[int, int]]().union(*(each.arcs for each in (old, new) if each is not None))
@@ -183,7 +189,7 @@ def write_map(
         if ended.returncode not in (0, 1) or not results.is_file():
             raise MapError(f"pytest ended with {ended.returncode}:\n{ended.stdout[-4000:]}")
         found = _reduced(folder, msgspec.json.decode(results.read_bytes(), type=dict[str, Result]))
-    found = found if before is None else before.updated(found)
+    found = found if before is None else before.updated(found, tests)
     path.write_bytes(msgspec.json.encode(found))
     return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -11,7 +12,7 @@ from listed_guards import listed
 from places import TREE, find
 from run_mutants import allowed, candidates
 from selecting_tests import Limits, changed, select
-from trying import Candidate, Found, try_mutants
+from trying import Candidate, Found, Run, run_importable, try_mutants
 
 SHOWN = ("a_series_is_planned_twice", "a_rotation_of_any_age")
 """Mutants whose tests are quick: the way of trying them works."""
@@ -59,6 +60,29 @@ def test_a_removed_guard_is_caught_and_what_takes_none_out_is_not(coverage: Cove
     assert shown == report.mutants
 
 
+NOT_IMPORTED = """ERROR tests/{0}.py - NameError: no_such_name
+ERROR: found no collectors for /tmp/copy/tests/{0}.py::one
+"""
+
+
+@pytest.mark.parametrize("failing", [True, False])
+def test_a_file_that_cannot_be_imported_hides_no_failure_of_another(failing: bool) -> None:
+    asked: list[list[str]] = []
+
+    def run(tests: Sequence[str]) -> Run:
+        asked.append([test[6:7] for test in tests])
+        for name in "ab":
+            if name in asked[-1]:
+                return Run(4, [], NOT_IMPORTED.format(name))
+        return Run(1, ["tests/d.py::one"], "") if failing else Run(0, [], "")
+
+    found = run_importable([f"tests/{name}.py::one" for name in "cabd"], run)
+
+    assert asked == [list("cabd"), list("cbd"), list("cd")]
+    assert (found.code, found.failed) == ((1, ["tests/d.py::one"]) if failing else (4, []))
+    assert run_importable(["tests/a.py::one", "tests/a.py::two"], run).code == 4, "there is no other file"
+
+
 def test_tests_that_reach_the_body_of_a_guard_come_first(coverage: CoverageMap) -> None:
     place = candidates(SHOWN[1:])[0].place
     body = {test.id for test in coverage.reaching(place.file, changed(TREE, place).body)}
@@ -95,12 +119,23 @@ def measured(tests: dict[str, set[int]], digest: str = "as it is") -> CoverageMa
 
 def test_tests_that_are_measured_again_replace_themselves_in_the_map() -> None:
     before = measured({"a": {1, 2}, "b": {1, 3}, "c": {3}, "d": {2, 3, 4}})
-    after = before.updated(measured({"c": {2, 5}, "e": {1}, "a": {5}}))
+    after = before.updated(measured({"c": {2, 5}, "e": {1}, "a": {5}}), ["a", "c", "e"])
 
     reached = {line: {test.id for test in after.reaching(Path("f.py"), [line])} for line in range(1, 6)}
     assert reached == {1: {"b", "e"}, 2: {"c", "d"}, 3: {"b", "d"}, 4: {"d"}, 5: {"a", "c"}}
     with pytest.raises(MapError, match=r"run_mutants\.py map"):
-        before.updated(measured({"e": {1}}, digest="changed"))
+        before.updated(measured({"e": {1}}, digest="changed"), ["e"])
+
+
+@pytest.mark.parametrize("again", ["t/a.py", "t/a.py/", "t/a.py::renamed", "t", "t/"])
+def test_what_is_not_found_any_more_is_not_kept_in_the_map(again: str) -> None:
+    before = measured({"t/a.py::renamed[1]": {1}, "t/a.py::same": {1}, "t/ab.py::other": {1}, "other/c.py::own": {1}})
+    after = before.updated(measured({"t/a.py::same": {2}, "t/a.py::new": {1}}), [again])
+
+    kept = {"t/a.py::renamed[1]"} if "::" in again else set()
+    kept |= set() if again.rstrip("/") == "t" else {"t/ab.py::other"}
+    assert {test.id for test in after.tests} == {"t/a.py::same", "t/a.py::new", "other/c.py::own"} | kept
+    assert {test.id for test in after.reaching(Path("f.py"), [1])} == {"t/a.py::new", "other/c.py::own"} | kept
 
 
 def test_what_need_not_be_caught_is_listed_and_has_a_reason() -> None:

@@ -19,10 +19,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import msgspec
+import pytest
 from coverage_map import CoverageMap
 from places import TREE, Place
 from selecting_tests import Limits, select
@@ -33,6 +35,7 @@ COPIED = ("pcmrs", "sim", "tests", "clients", "examples", "benchmarks", "docs", 
 
 Outcome = Literal["caught", "survived", "timed out", "broken", "not tested"]
 
+_NOT_IMPORTED = re.compile(r"^ERROR (tests/\S+\.py)(?: - .*)?$", re.MULTILINE)
 _FAILED = re.compile(r"^FAILED (tests/.*?)(?: - .*)?$", re.MULTILINE)
 _TIMEOUT = "+++ Timeout +++"
 
@@ -191,7 +194,7 @@ def _try(candidate: Candidate, tests: Sequence[str], copy: Path, limits: Limits)
     whole = file.read_text()
     file.write_text(candidate.place.replaced(copy, candidate.without))
     try:
-        run = _run_tests(tests, copy, limits.seconds + 2 * TEST_TIME, "-p", "end_at_first_failure") if tests else None
+        run = run_importable(tests, partial(_run_chosen, copy, limits)) if tests else None
     finally:
         file.write_text(whole)
         shutil.rmtree(copy / ".hypothesis", ignore_errors=True)  # examples that failed on this mutant
@@ -207,6 +210,24 @@ def _try(candidate: Candidate, tests: Sequence[str], copy: Path, limits: Limits)
         tests=len(tests),
         seconds=time.monotonic() - began,
     )
+
+
+def run_importable(tests: Sequence[str], run: Callable[[Sequence[str]], Run]) -> Run:
+    """Run tests; where some files of them cannot be imported, run those in the others.
+
+    pytest runs nothing when it cannot import one file, and nobody would see that tests in other files fail.
+
+    Returns:
+        The first run that has failed tests; else the first of all, since a file that cannot be imported is not passed.
+    """
+    first = last = run(tests)
+    while not last.failed and last.code in (pytest.ExitCode.INTERRUPTED, pytest.ExitCode.USAGE_ERROR):
+        broken = set(_NOT_IMPORTED.findall(last.output))
+        others = [test for test in tests if test.partition("::")[0] not in broken]
+        if not others or len(others) == len(tests):
+            break
+        tests, last = others, run(others)
+    return last if last.failed else first
 
 
 def _outcome(run: Run | None, tests: Sequence[str]) -> tuple[Outcome, str]:
@@ -227,6 +248,11 @@ def _fail_as_it_is(tests: set[str], copy: Path) -> set[str]:
         return set()
     run = _run_tests(sorted(tests), copy, len(tests) * TEST_TIME)
     return set() if run.code == 0 else set(run.failed) or tests
+
+
+def _run_chosen(copy: Path, limits: Limits, tests: Sequence[str]) -> Run:
+    """Run tests of a mutant until one fails."""
+    return _run_tests(tests, copy, limits.seconds + 2 * TEST_TIME, "-p", "end_at_first_failure")
 
 
 def _run_tests(tests: Sequence[str], copy: Path, seconds: float, *options: str) -> Run:

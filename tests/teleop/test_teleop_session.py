@@ -43,6 +43,8 @@ class PlayedDaemon:
     asked: list[str] = field(default_factory=list)
     setpoints: list[TeleopSetpoint] = field(default_factory=list)
     stops: int = 0
+    stands_after: float = 0.0
+    stood: float | None = None
     sequence: int = 7
     handlers: dict[str, Callable[[Any], None]] = field(default_factory=dict)
 
@@ -64,8 +66,14 @@ class PlayedDaemon:
         self.engaged_by = "alice" if name == "teleoperation.engage" else None
         self.handlers["state/fsm"](self.snapshot())
         if self.placement == "held":
-            self.handlers["state/event"]({"device": "activity:teleoperate", "code": "activity_ended"})
+            self.handlers["state/event"]({"device": "activity:watch_alignment", "code": "activity_ended"})
+            asyncio.get_running_loop().call_later(self.stands_after, self.stand)
         return self.verdict(name, "accepted")
+
+    def stand(self) -> None:
+        """The activity that follows the set points has ended."""
+        self.stood = asyncio.get_running_loop().time()
+        self.handlers["state/event"]({"device": "activity:teleoperate", "code": "activity_ended"})
 
     def verdict(self, name: str, decision: Any) -> Verdict:
         branch, _, operation = name.partition(".")
@@ -153,6 +161,17 @@ async def test_set_points_are_sent_only_while_engaged_and_guiding_ends_with_the_
     assert game.daemon.asked == ["placement.guide", engage, release, engage, "placement.stop_guiding"]
     assert not game.daemon.handlers
     assert not game.told
+
+
+@pytest.mark.parametrize("stands_after", [0.0, 0.7])
+async def test_it_ends_when_the_tool_stands_and_not_before(stands_after: float) -> None:
+    game = played(placement="guided", stands_after=stands_after)
+
+    async def course() -> None:
+        game.hands.now = Demand(leave=True)
+
+    assert await at_work(game, course) == ""
+    assert asyncio.get_running_loop().time() == game.daemon.stood
 
 
 async def test_whoever_was_refused_has_to_let_go_before_asking_again() -> None:

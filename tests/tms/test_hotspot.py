@@ -46,6 +46,7 @@ def run(search: HotspotSearch, subject: Subject, shift: Transform | None = None)
         pose = as_transform(search.next())
         measured = pose if shift is None else pose @ shift
         search = search.after(as_message(measured), subject.response(measured, 60.0, RNG))
+        assert len(search.pulses) <= MOST_PULSES
     return search
 
 
@@ -54,6 +55,8 @@ def away(search: HotspotSearch, subject: Subject) -> float:
     return float(np.linalg.norm(found.translation - subject.image_from_hotspot.translation))
 
 
+MOST_PULSES = 200
+"""No search of these tests asks for more."""
 HOTSPOTS = [(0.0, 0.0, 0.0), (0.008, -0.004, 0.3), (-0.009, 0.009, -0.5), (0.002, 0.013, 0.1), (-0.012, -0.006, -0.2)]
 
 
@@ -95,6 +98,7 @@ def test_grid_mapping_goes_through_all_places_then_turns_the_handle_at_the_middl
     while not search.finished:
         asked.append(search.next())
         search = search.after(asked[-1], subject.response(as_transform(asked[-1]), 60.0, RNG))
+        assert len(asked) <= MOST_PULSES
     assert asked[0::2] == asked[1::2]
     for pose, place in zip(asked[0:74:2], search.places, strict=True):
         assert np.allclose(as_transform(pose).matrix, as_transform(place).matrix, atol=1e-12)
@@ -224,6 +228,7 @@ def test_without_a_response_there_is_no_hotspot_and_after_the_end_no_pulse(metho
     search = begun(method)
     while not search.finished:
         search = search.after(search.next(), 20e-6)
+        assert len(search.pulses) <= MOST_PULSES
     assert not search.responded
     with pytest.raises(RefusalError) as refused:
         _ = search.estimate

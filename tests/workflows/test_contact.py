@@ -89,6 +89,9 @@ async def test_a_body_that_gives_way_is_not_followed_on_and_on() -> None:
         verdict = await bench.refuse("placement.press", "travel_limit", "failed", force=5.0)
         assert verdict.result is not None
         assert 0.0 < verdict.result["force"] < 5.0
+        assert verdict.reason is not None
+        assert verdict.reason.fields["force"] == verdict.result["force"]
+        assert f"the force was {verdict.result['force']:.1f} N, not 5 N" in verdict.reason.text
         assert bench.states["placement"] == "held"
 
 

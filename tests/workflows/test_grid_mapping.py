@@ -22,7 +22,7 @@ from pcmrs.service.recorder import JournalRecorder
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message
-from pcmrs.workflows.grid_mapping import Data, plan_is_of_point, point_reachable, point_within_tolerance
+from pcmrs.workflows.grid_mapping import Data, plan_is_of_point, point_reachable, point_within_tolerance, settle
 from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.toolplan import ToolPose, pose_of
 
@@ -140,6 +140,23 @@ async def test_a_map_of_skipped_points_says_so_and_the_next_begins_with_none(
         assert (await bench.accept("mapping.skip")).state == "point_2"
         await bench.accept("mapping.plan_grid", poses=GRID)
         assert _behind(bench) == ((), ())
+
+
+@pytest.mark.parametrize(
+    ("state", "begins"),
+    [
+        ("unplanned", True),
+        ("point_1", True),
+        ("point_1_stopped", False),
+        ("point_2", False),
+        ("done", False),
+        ("abandoned", False),
+    ],
+)
+def test_only_a_map_that_begins_has_no_points_behind_it(state: str, begins: bool) -> None:
+    data = Data(points=("point_1", "point_2"), performed=("point_1",), skipped=("point_2",))
+    settled: Any = settle(data, {"mapping": state}, ())
+    assert (settled.performed, settled.skipped) == (((), ()) if begins else (("point_1",), ("point_2",)))
 
 
 def _behind(bench: WorkflowBench) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from trials import examples
 from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
+from pcmrs.workflows.data import Landmark, PlacementData, Point
 from pcmrs.workflows.settings import PoseSetting
 
 COUNT = len(LANDMARKS)
@@ -19,6 +20,17 @@ COUNT = len(LANDMARKS)
 
 def _named(points: Any) -> list[dict[str, Any]]:
     return [{"name": f"p{index}", "position": list(point)} for index, point in enumerate(points)]
+
+
+def test_a_digitization_is_complete_when_every_landmark_has_a_point() -> None:
+    landmarks = (Landmark("a", (0.0, 0.0, 0.0)), Landmark("b", (1.0, 0.0, 0.0)))
+    first, second = (0.0, 0.1, 0.2), (0.3, 0.4, 0.5)
+    open_ones: list[tuple[Point | None, ...]] = [(), (None, None), (first, None), (None, second)]
+    for digitized in open_ones:
+        assert PlacementData(landmarks=landmarks, digitized=digitized).complete_digitization() == ()
+    complete = PlacementData(landmarks=landmarks, digitized=(first, second))
+    assert complete.complete_digitization() == (first, second)
+    assert PlacementData().complete_digitization() == ()
 
 
 async def _plan(bench: WorkflowBench) -> None:
