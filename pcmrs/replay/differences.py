@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import msgspec
 
+from pcmrs.dispatcher.events import NOT_CONFIRMED
 from pcmrs.journal import JournalRow, StoredRow
 from pcmrs.messages import Verdict
 from pcmrs.replay.book import Decided
 from pcmrs.replay.durability import name_of
+from pcmrs.replay.keys import event_key
 
 RELATIVE, ABSOLUTE = 1e-9, 1e-12
 """Numbers worked out anew may differ so much: another machine's linear algebra rounds differently."""
@@ -49,6 +51,15 @@ def added(sequence: int, decided: Decided) -> Difference:
     told = _with_code(verdict.decision if verdict is not None else key.kind, verdict)
     name = f"{key.kind} {key.what} [{key.source}]"
     return Difference(sequence=sequence, row=name, what="row", decided=told)
+
+
+def reported_already(decided: Decided, rows: Sequence[StoredRow]) -> bool:
+    """Return whether it only says again that a hold was not confirmed.
+
+    Of several holds that were pending at once, a journal does not say which one was confirmed, and when.
+    """
+    unconfirmed = event_key(decided.key.source, NOT_CONFIRMED, danger=True)
+    return decided.key == unconfirmed and any(stored.row.operation == NOT_CONFIRMED for stored in rows)
 
 
 def compared(stored: StoredRow, decided: Decided) -> Iterator[Difference]:

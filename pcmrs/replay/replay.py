@@ -15,7 +15,7 @@ from pcmrs.dispatcher import Workflow
 from pcmrs.errors import ConfigurationError, PcmrsError, ReplayError
 from pcmrs.fsm import Blueprint, load_blueprint
 from pcmrs.messages import BlueprintTag
-from pcmrs.replay.differences import Difference, added, compared, missing
+from pcmrs.replay.differences import Difference, added, compared, missing, reported_already
 from pcmrs.replay.feeding import Feeding
 from pcmrs.replay.heritage import Heritage
 from pcmrs.replay.history import DaemonRun, read_runs
@@ -122,7 +122,8 @@ async def _replay_run(
         await feeding.feed(index)
         decided = feeding.book.decided(index)
         differences += [missing(stored)] if decided is None else compared(stored, decided)
-        differences += [added(stored.sequence, each) for each in feeding.book.extra[extra:]]
+        extras = (each for each in feeding.book.extra[extra:] if not reported_already(each, rows))
+        differences += [added(stored.sequence, each) for each in extras]
         extra = len(feeding.book.extra)
     await feeding.end()
     return differences, feeding.answered

@@ -32,6 +32,11 @@ OPERATIONS = all_operations()
 EVENTS = {(branch, name) for branch, names in EVENT_OPERATIONS.items() for name in names}
 
 
+def is_event(index: int) -> bool:
+    """Whether the operation with this number is an event."""
+    return OPERATIONS[index % len(OPERATIONS)] in EVENTS
+
+
 class Numbers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Arguments of every operation that takes any."""
 
@@ -147,10 +152,14 @@ class Course:
         for durable in [each for each in self._durable if not each.done()][:count]:
             durable.set_result(len(self.rows))
 
-    def end_one(self, index: int, ending: str | None) -> None:
+    def end_one(self, index: int, ending: str | None) -> bool:
+        """Ends one of what goes on; returns whether it was an activity, which ends by itself then."""
         waiting = [each for each in self.waiting if not each.end.done()]
-        if waiting:
-            waiting[index % len(waiting)].end.set_result(ending)
+        if not waiting:
+            return False
+        ended = waiting[index % len(waiting)]
+        ended.end.set_result(ending)
+        return "." not in ended.name
 
     def confirm(self, *, stands: bool) -> None:
         for hold in self.holds:

@@ -403,7 +403,7 @@ WEAKER = {
         'by = ["registration", "toolplan"]\nfrom = ["armed"]',
     ),
     "no_ceiling_while_armed": (
-        'from = ["disarmed"]\nto = "disarmed"\npayload = "ceiling"',
+        'from = ["disarmed"]\nto = "disarmed"\nroles = ["operator", "teleoperator"]\npayload = "ceiling"',
         'from = ["*"]\nto = { disarmed = "disarmed", armed = "armed" }\npayload = "ceiling"',
     ),
     "disarm_always_accepted": (
