@@ -159,10 +159,13 @@ class RemoteCell:
         return [row for row in rows if row.get("operation") == operation]
 
     def restart_router(self) -> None:
-        """Kills the router, and starts it again."""
+        """Kills the router, starts it again, and returns when the daemon has connected to it."""
         self.router.kill()
         _end(self.router)
         self.router = start_router(self.network, self.folder)
+        end = time.monotonic() + PATIENCE
+        while (asked := self.pcmrs("state")).returncode:
+            assert time.monotonic() < end, asked.stderr
 
     def _on_site(self, *words: str) -> dict[str, Any]:
         """What a command says that is given on the cell's own machine."""
