@@ -8,6 +8,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 WORKFLOW := ratms
 INSTALLED := $(VENV)/installed.stamp
+PROJECTS := pyproject.toml sim/pyproject.toml lab/pyproject.toml
 TARGETS := $(filter-out __init__ running,$(basename $(notdir $(wildcard fuzz/*.py))))
 SECONDS := 30
 SEED := 0
@@ -89,10 +90,10 @@ clean: ## Remove .venv, caches and what was built
 	rm -rf $(VENV) build dist site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-$(INSTALLED): requirements.lock pyproject.toml
+$(INSTALLED): requirements.lock $(PROJECTS)
 	@bash .ci/venv $(VENV)
 	@echo "installing the locked versions into $(VENV)"
 	@$(BIN)/python -m pip install --quiet --require-hashes --no-deps --requirement <(sed -n '/^uv==/,/# via/p' requirements.lock)
 	@$(BIN)/uv pip install --quiet --python $(VENV) --require-hashes --requirement requirements.lock
-	@$(BIN)/uv pip install --quiet --python $(VENV) --no-deps --no-build-isolation --editable .
+	@$(BIN)/uv pip install --quiet --python $(VENV) --no-deps --no-build-isolation --editable . --editable sim --editable lab
 	@touch $@

@@ -38,9 +38,9 @@ import uvloop
 from pcmrs.bus import Bus, BusSettings
 from pcmrs.client import Client
 from pcmrs.devices.node import DAEMON_BEAT
-from pcmrs.experiment.plan import example_plan, read_plan
-from pcmrs.experiment.process import own_settings, running_daemon
 from pcmrs.messages import Beat, JointState
+from pcmrs.testing.daemon import own_settings, running_daemon
+from pcmrs.testing.plan import example_plan, read_plan
 
 HELD = re.compile(r"(\S+Z) .*held_by_node.*silence=(\S+)")
 PATIENCE = 20.0

@@ -45,9 +45,9 @@ from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers import kst, lsl
 from pcmrs.devices.kst.cabinet import Cabinet
 from pcmrs.devices.node import DeviceNode
-from pcmrs.experiment.process import free_port
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointTrajectory
+from pcmrs.testing.daemon import free_port
 
 Floats = npt.NDArray[np.float64]
 Report = dict[str, dict[str, float]]

@@ -36,7 +36,6 @@ from pcmrs.clock import SystemClock
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.remote import RemotePointer, RemoteRobot
 from pcmrs.dispatcher import Dispatcher
-from pcmrs.experiment.process import free_port
 from pcmrs.gateway.grammar import format_command
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
@@ -47,6 +46,7 @@ from pcmrs.messages import BlueprintTag
 from pcmrs.service.core import GatewayCore
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.recorder import JournalRecorder
+from pcmrs.testing.daemon import free_port
 from pcmrs.threads import keep_pauses_short
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.opening import open_workflow

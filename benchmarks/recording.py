@@ -28,7 +28,6 @@ import zenoh
 from pcmrs.bus import Bus, BusSettings
 from pcmrs.bus.settings import open_session
 from pcmrs.clock import SystemClock
-from pcmrs.experiment.process import free_port
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BlueprintTag, BodyPose, DeviceEvent, JointState, Snapshot
 from pcmrs.recording.chain import Mounting
@@ -37,6 +36,7 @@ from pcmrs.recording.series import Limits, files_of
 from pcmrs.recording.tap import Tap
 from pcmrs.recording.topics import TOPICS
 from pcmrs.recording.views import Views
+from pcmrs.testing.daemon import free_port
 from pcmrs.workflows.settings import CalibrationSettings
 
 ARM = ARMS["iiwa14"]

@@ -24,10 +24,10 @@ from pathlib import Path
 
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
-from pcmrs.experiment.process import free_port
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Command, Verdict
 from pcmrs.service.recorder import SNAPSHOT_EVERY, JournalRecorder
+from pcmrs.testing.daemon import free_port
 from pcmrs.workflows.opening import open_workflow
 
 IMPORTS = "import time; begin = time.perf_counter(); import pcmrs.service.daemon, pcmrs.cli.serve; "

@@ -22,10 +22,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pcmrs.campaign.faults.adversary import FLOOD, stop_times
-from pcmrs.campaign.flood import flood
-from pcmrs.campaign.lab import open_cell
-from pcmrs.campaign.lateness import percentile, timer_lateness
+from pcmrs.testing.cell import open_cell
+from pcmrs_lab.campaign.faults.adversary import FLOOD, stop_times
+from pcmrs_lab.campaign.flood import flood
+from pcmrs_lab.campaign.lateness import percentile, timer_lateness
 
 SEED = 1
 

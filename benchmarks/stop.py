@@ -47,8 +47,8 @@ import stop_simulated
 import uvloop
 from stop_found import Found, stats
 
-from pcmrs.campaign.bus_flood import KINDS
-from pcmrs.campaign.lateness import timer_lateness
+from pcmrs_lab.campaign.bus_flood import KINDS
+from pcmrs_lab.campaign.lateness import timer_lateness
 
 PARTS = ("real", "silence", "floods", "simulated")
 

@@ -17,12 +17,12 @@ from pathlib import Path
 
 from stop_found import DURING, TIMER, Found
 
-from pcmrs.campaign.bus_flood import FLOODER, Kind, bus_flood
-from pcmrs.campaign.driving import register
-from pcmrs.campaign.lab import REAL_TIME, LabCell, open_cell
-from pcmrs.campaign.lateness import timer_lateness
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import DeviceEvent
+from pcmrs.testing.cell import REAL_TIME, RunningCell, open_cell
+from pcmrs.testing.driving import register
+from pcmrs_lab.campaign.bus_flood import FLOODER, Kind, bus_flood
+from pcmrs_lab.campaign.lateness import timer_lateness
 
 NO_FLOOD = "no flood"
 APART = 0.05
@@ -41,7 +41,7 @@ async def flooded(stops: int, kinds: Sequence[Kind]) -> Found:
     return found
 
 
-async def _flooded_by(cell: LabCell, kind: Kind | None, stops: int, found: Found) -> None:
+async def _flooded_by(cell: RunningCell, kind: Kind | None, stops: int, found: Found) -> None:
     name = kind or NO_FLOOD
     presses: dict[str, Callable[[], Awaitable[object]]] = {"udp:": cell.planner.stop, "bus:": cell.client.stop}
     begun = {route: asyncio.Event() for route in presses}

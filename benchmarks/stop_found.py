@@ -9,13 +9,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from pcmrs.campaign.lateness import percentile
 from pcmrs.devices.motion.follower import brake_limits
 from pcmrs.kinematics.trajectory import brake
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import HeadMotion
 from pcmrs.spatial import Floats
-from sim.settings import SimSettings
+from pcmrs_lab.campaign.lateness import percentile
+from pcmrs_sim.settings import SimSettings
 
 BREATHING = HeadMotion(breathing_amplitude=0.003, breathing_hz=0.3)
 """What the tool follows."""

@@ -16,11 +16,11 @@ from stop_found import BRAKING, BREATHING, LATCHED, SILENCE, STANDSTILL, Braking
 from stop_routes import BY_SOCKET, ROUTES, Press, stoppable_cell
 from stop_stamps import Stamps, stamping
 
-from pcmrs.campaign.driving import calmed, register, to_placed, to_retracted, to_standoff, until
-from pcmrs.campaign.fault import Unmet
-from pcmrs.campaign.lab import LabCell
 from pcmrs.client import Client
 from pcmrs.messages import HeadMotion, JointState, Snapshot, Verdict
+from pcmrs.testing.cell import RunningCell
+from pcmrs.testing.driving import calmed, register, to_placed, to_retracted, to_standoff, until
+from pcmrs.testing.errors import Unmet
 
 MOTIONS: dict[str, tuple[Callable[[Client], Awaitable[None]], dict[str, Any]]] = {
     "approach": (to_retracted, {}),
@@ -44,7 +44,7 @@ DEADMAN = 0.1
 class _Bench:
     """Presses Stop, and looks at the arm."""
 
-    def __init__(self, cell: LabCell, presses: Mapping[str, Press], stamps: Stamps, draw: random.Random) -> None:
+    def __init__(self, cell: RunningCell, presses: Mapping[str, Press], stamps: Stamps, draw: random.Random) -> None:
         self.found = Found()
         self._cell, self._presses, self._stamps, self._draw = cell, presses, stamps, draw
         self._joints: list[JointState] = []

@@ -15,15 +15,15 @@ from pathlib import Path
 
 from stop_page import open_page
 
-from pcmrs.campaign.lab import REAL_TIME, LabCell, open_cell
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
-from pcmrs.experiment.process import free_port
 from pcmrs.gateway.keys import new_key, read_key
 from pcmrs.gateway.signing import Signer
 from pcmrs.pki import Authority, read_credentials
 from pcmrs.planner import Planner
 from pcmrs.service.children import end_child
+from pcmrs.testing.cell import REAL_TIME, RunningCell, open_cell
+from pcmrs.testing.daemon import free_port
 
 ROUTES = ("udp", "tcp", "zenoh", "console", "signed", "remote")
 BY_SOCKET = ("udp", "tcp", "signed")
@@ -38,7 +38,7 @@ Press = Callable[[], Awaitable[object]]
 @asynccontextmanager
 async def stoppable_cell(
     folder: Path, environment: Mapping[str, str]
-) -> AsyncIterator[tuple[LabCell, Mapping[str, Press]]]:
+) -> AsyncIterator[tuple[RunningCell, Mapping[str, Press]]]:
     """A running cell, and how Stop is pressed by each route.
 
     Args:
@@ -83,7 +83,7 @@ async def stoppable_cell(
         )
 
 
-async def _by_tcp(cell: LabCell) -> None:
+async def _by_tcp(cell: RunningCell) -> None:
     reader, writer = await asyncio.open_connection(*cell.ready.links["tcp"])
     writer.write(b"stop_now_xxxxxxx;")
     await writer.drain()

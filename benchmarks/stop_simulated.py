@@ -22,18 +22,18 @@ from typing import Any
 import numpy as np
 from stop_found import BREATHING, LATCHED, STANDSTILL, Braking, Found, farthest
 
-from pcmrs.campaign.driving import landmarks, tool_pose
-from pcmrs.campaign.explore.operators import Operators
-from pcmrs.campaign.explore.session import quiet
-from pcmrs.campaign.explore.settings import settings_of, workflow_of
-from pcmrs.campaign.explore.witness import Witness
 from pcmrs.journal import JournalReader
 from pcmrs.messages import Command, DeviceEvent, HeadMotion, JointState, Snapshot, Verdict
-from pcmrs.simulation.cell import Devices, SimulatedCell, simulated_cell
-from pcmrs.simulation.daemon import ProcedureDispatcher
-from pcmrs.simulation.entropy import seeded_entropy
-from pcmrs.simulation.loop import SimulatedLoop
+from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs.spatial import Floats
+from pcmrs.testing.driving import landmarks, tool_pose
+from pcmrs_lab.campaign.explore.operators import Operators
+from pcmrs_lab.campaign.explore.session import quiet
+from pcmrs_lab.campaign.explore.settings import settings_of, workflow_of
+from pcmrs_lab.campaign.explore.witness import Witness
+from pcmrs_sim.deterministic.cell import Devices, SimulatedCell, simulated_cell
+from pcmrs_sim.deterministic.daemon import ProcedureDispatcher
+from pcmrs_sim.deterministic.entropy import seeded_entropy
 
 MOTIONS: dict[str, tuple[str, dict[str, Any], float]] = {
     "approach": ("retracted", {}, 2.5),

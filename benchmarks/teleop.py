@@ -42,15 +42,15 @@ from pcmrs.bus import Bus, BusSettings, Credentials
 from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.envelope import Envelope
 from pcmrs.bus.settings import open_session
-from pcmrs.campaign.driving import accept, showing, to_standoff, until
-from pcmrs.campaign.lab import QUICK, REAL_TIME
 from pcmrs.client import Client
 from pcmrs.errors import BusError, PcmrsError
-from pcmrs.experiment.process import free_port, own_settings, running_daemon
 from pcmrs.messages import JointSetpoint, JointState, TeleopSetpoint, TeleopStatus, Verdict
 from pcmrs.messages.roles import PEOPLE, Role
 from pcmrs.messages.teleop import Twist
 from pcmrs.pki import Authority, read_credentials, read_register
+from pcmrs.testing.cell import QUICK, REAL_TIME
+from pcmrs.testing.daemon import free_port, own_settings, running_daemon
+from pcmrs.testing.driving import accept, showing, to_standoff, until
 
 SITE, CELL = "lab", "far1"
 STEPS = [(1, 0), (1, 1), (2, 1), (2, 2), (4, 2), (4, 4), (8, 4), (8, 8)]

@@ -30,12 +30,12 @@ from pathlib import Path
 import numpy as np
 import uvloop
 
-from pcmrs.campaign.driving import accept, landmarks, tool_pose
-from pcmrs.campaign.lab import LabCell, open_cell
-from pcmrs.experiment.process import free_port
 from pcmrs.gateway.streams import pose_message, unity_message
 from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform
+from pcmrs.testing.cell import RunningCell, open_cell
+from pcmrs.testing.daemon import free_port
+from pcmrs.testing.driving import accept, landmarks, tool_pose
 from pcmrs.workflows.data import as_transform
 
 PAPER_HZ = 60.0
@@ -131,7 +131,7 @@ class Exposures:
 @asynccontextmanager
 async def registered_cell(
     folder: Path, rate: float, tracker_hz: float, ports: dict[str, int]
-) -> AsyncIterator[LabCell]:
+) -> AsyncIterator[RunningCell]:
     """A cell at the standoff of its first placement, with its streams going."""
     links = (
         f"gateway.visualization={{port=0,stream_port={ports['slicer']}}}",
@@ -151,7 +151,7 @@ async def registered_cell(
         yield cell
 
 
-async def place_until(cell: LabCell, end: float) -> None:
+async def place_until(cell: RunningCell, end: float) -> None:
     while time.monotonic() < end:
         for operation in ("placement.approach", "placement.confirm", "placement.back_off", "placement.home"):
             await accept(cell.client, operation)

@@ -10,14 +10,14 @@ from contextlib import suppress
 
 from fuzz.running import instrumented, run
 
-with instrumented("sim"):
+with instrumented("pcmrs_sim"):
     from pcmrs.clock import SystemClock
     from pcmrs.devices.motion.force import ForceSettings
     from pcmrs.errors import PcmrsError
     from pcmrs.kinematics.arms import ARMS
-    from sim.cell import Cell
-    from sim.faults import FAULTS, inject, parse_fault
-    from sim.settings import SimSettings
+    from pcmrs_sim.cell import Cell
+    from pcmrs_sim.faults import FAULTS, inject, parse_fault
+    from pcmrs_sim.settings import SimSettings
 
 CELL = Cell(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), SystemClock())
 NAMES = sorted(FAULTS)

@@ -10,7 +10,7 @@ import math
 
 from fuzz.running import instrumented, pieces, run
 
-with instrumented("pcmrs.devices.kst", "sim.kst"):
+with instrumented("pcmrs.devices.kst", "pcmrs_sim.kst"):
     from pcmrs.clock import SystemClock
     from pcmrs.devices.kst.lines import LONGEST, LineBuffer
     from pcmrs.devices.kst.link import KstLink
@@ -18,9 +18,9 @@ with instrumented("pcmrs.devices.kst", "sim.kst"):
     from pcmrs.devices.motion.force import ForceSettings
     from pcmrs.errors import PayloadError, PcmrsError
     from pcmrs.kinematics.arms import ARMS
-    from sim.cell import Cell
-    from sim.kst.cabinet import Cabinet
-    from sim.settings import SimSettings
+    from pcmrs_sim.cell import Cell
+    from pcmrs_sim.kst.cabinet import Cabinet
+    from pcmrs_sim.settings import SimSettings
 
 CLOCK = SystemClock()
 CELL = Cell(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), CLOCK)

@@ -13,13 +13,13 @@ from contextlib import suppress
 
 from fuzz.running import instrumented, pieces, run
 
-with instrumented("pcmrs.devices.ndi", "sim.ndi"):
+with instrumented("pcmrs.devices.ndi", "pcmrs_sim.ndi"):
     from pcmrs.devices.ndi.poses import FrameReader
     from pcmrs.devices.ndi.wire import Failed, Frame, Ready, Report, ToolFrame, Unpacker, pack
     from pcmrs.errors import PayloadError
     from pcmrs.messages import BodyPose
-    from sim.ndi.protocol import Lines, crc16
-    from sim.ndi.system import NdiSystem
+    from pcmrs_sim.ndi.protocol import Lines, crc16
+    from pcmrs_sim.ndi.system import NdiSystem
 
 FRAME = struct.Struct("<8d?IIdH?")
 """Pose, error, whether it is seen, number, status, time of arrival, status of the system, whether it restarts."""

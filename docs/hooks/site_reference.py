@@ -15,8 +15,8 @@ from refusals import refusals
 from schema_tables import Schema, definition_body, definition_section, name_of, plain
 
 from pcmrs import errors
+from pcmrs.authoring.exchange.exporting.schema import schema as blueprint_schema
 from pcmrs.bus.keys import KEYS
-from pcmrs.fsm.exchange.exporting.schema import schema as blueprint_schema
 from pcmrs.settings import DRIVER_SETTINGS, Settings
 from pcmrs.workflows import read_workflow
 

@@ -15,7 +15,7 @@ from pcmrs.cli.running import EXIT_REJECTED, readable_errors
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the experiments.
-    from pcmrs.experiment.session.export import Exported
+    from pcmrs.report.session_export import Exported
 
 
 @click.command("export-session")
@@ -39,7 +39,7 @@ def export_session(
 
     Example: pcmrs export-session -o session1
     """
-    from pcmrs.experiment.session.export import export_session as export
+    from pcmrs.report.session_export import export_session as export
     from pcmrs.settings import read_settings
     from pcmrs.workflows import read_workflow
 

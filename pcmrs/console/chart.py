@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from nicegui import ui
 
+from pcmrs.authoring.chart import svg
 from pcmrs.fsm import Blueprint
-from pcmrs.fsm.chart import svg
 from pcmrs.messages import Snapshot
 
 

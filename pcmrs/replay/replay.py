@@ -21,7 +21,7 @@ from pcmrs.replay.heritage import Heritage
 from pcmrs.replay.history import DaemonRun, read_runs
 from pcmrs.replay.world import RecordedCell
 from pcmrs.settings import read_settings
-from pcmrs.simulation.loop import SimulatedLoop
+from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.opening import open_installed, open_workflow

@@ -12,14 +12,14 @@ from pathlib import Path
 import msgspec
 
 from pcmrs.errors import JournalError
-from pcmrs.experiment.session.export import README
-from pcmrs.experiment.session.folder import JOURNAL, SUMS
 from pcmrs.journal import JournalReader, StoredRow, journal_files, verify
 from pcmrs.journal.head import head_path
 from pcmrs.journal.keys import PUBLIC
 from pcmrs.recording.series import SUFFIX, all_files
 from pcmrs.recording.settings import FOLDER
 from pcmrs.report.record import File, Journal
+from pcmrs.report.session_export import README
+from pcmrs.report.session_folder import JOURNAL, SUMS
 
 MAGIC = b"\x89MCAP0\r\n"
 """With which a recording that was ended also ends."""

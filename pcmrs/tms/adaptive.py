@@ -26,7 +26,7 @@ from pcmrs.tms.hotspot_settings import Hotspot, MapPulse
 
 LENGTH = 0.018
 """How far away a place is half as good as unrelated, m: the field of a figure-of-eight coil falls like
-``exp(-d^2 / (2 LENGTH^2))`` (`pcmrs.tms.subject`)."""
+``exp(-d^2 / (2 LENGTH^2))`` (`pcmrs_sim.tms.subject`)."""
 
 HEADING_LENGTH = math.radians(70.0)
 """The same of headings: the threshold rises over it as over `LENGTH` (Richter et al. 2013)."""

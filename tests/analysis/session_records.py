@@ -25,13 +25,13 @@ from pcmrs.tms.hotspot import HotspotSearch
 from pcmrs.tms.hotspot_settings import HotspotSettings
 from pcmrs.tms.mep import Mep, judge_mep
 from pcmrs.tms.mep_settings import MepSettings
-from pcmrs.tms.recruitment import Recruitment
 from pcmrs.tms.scalp import hand_area, turned
-from pcmrs.tms.subject import Subject
 from pcmrs.tms.threshold import ThresholdHunt
 from pcmrs.tms.threshold_settings import ThresholdSettings
 from pcmrs.workflows.settings import BodySettings
 from pcmrs.workflows.surface import find_surface
+from pcmrs_sim.tms.recruitment import Recruitment
+from pcmrs_sim.tms.subject import Subject
 
 RATE_HZ = 4000.0
 SETTINGS = MepSettings()

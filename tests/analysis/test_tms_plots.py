@@ -12,9 +12,9 @@ from pcmrs.analysis.threshold_plot import draw_hunt, hunt_figure
 from pcmrs.messages import Epoch
 from pcmrs.tms.mep import judge_mep
 from pcmrs.tms.mep_settings import MepSettings
-from pcmrs.tms.recruitment import Recruitment
 from pcmrs.tms.threshold import ThresholdHunt
 from pcmrs.tms.threshold_settings import ThresholdMethod, ThresholdSettings
+from pcmrs_sim.tms.recruitment import Recruitment
 
 RATE_HZ = 4000.0
 

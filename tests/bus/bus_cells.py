@@ -12,8 +12,8 @@ import zenoh
 
 from pcmrs.bus import Bus, BusSettings
 from pcmrs.bus.seal import Seal
-from pcmrs.experiment.process import free_port
 from pcmrs.messages import BlueprintTag, Command, Snapshot, Verdict
+from pcmrs.testing.daemon import free_port
 
 TIMEOUT = 20.0
 

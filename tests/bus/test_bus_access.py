@@ -18,9 +18,9 @@ from pcmrs.bus.access import access_control
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
 from pcmrs.bus.qos import class_of
 from pcmrs.clock import SystemClock
-from pcmrs.experiment.process import free_port
 from pcmrs.messages.roles import ROLES, Role
 from pcmrs.pki import Authority
+from pcmrs.testing.daemon import free_port
 
 NAMES: dict[str, Role] = {f"{role[:3]}1": role for role in ROLES if role != "router"}
 HERE, ELSEWHERE = "pcmrs/lab/c1", "pcmrs/lab/c2"

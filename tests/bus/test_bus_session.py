@@ -17,9 +17,9 @@ from pcmrs.bus import Bus, BusSettings, Empty
 from pcmrs.bus.codec import pack
 from pcmrs.bus.serving import ANSWERS
 from pcmrs.errors import BusError, DeviceError, PayloadError, RefusalError, UnknownOutcomeError
-from pcmrs.experiment.process import free_port
 from pcmrs.messages import BodyPose, DeviceReply, DeviceRequest, Snapshot
 from pcmrs.pki import Authority, read_credentials
+from pcmrs.testing.daemon import free_port
 
 
 def pose(frame_number: int) -> BodyPose:

@@ -29,10 +29,10 @@ from pcmrs.bus.signature import FRESH_FOR, Kind, Signatures, Signer
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.errors import ConfigurationError, UnknownOutcomeError
-from pcmrs.experiment.process import free_port
 from pcmrs.messages import Command, LeaseState, Snapshot, TeleopSetpoint, Verdict
 from pcmrs.pki import Authority, read_credentials, read_register
 from pcmrs.router import router_settings
+from pcmrs.testing.daemon import free_port
 
 KEY, PAYLOAD = "pcmrs/lab/c1/cmd/tom/robot/connect", b"{}"
 

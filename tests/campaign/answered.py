@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import pytest
 
-from pcmrs.campaign.fault import injections
-from pcmrs.campaign.report import FaultResult
+from pcmrs_lab.campaign.injections import injections
+from pcmrs_lab.campaign.report import FaultResult
 
 
 def check_answered(results: Sequence[FaultResult]) -> None:

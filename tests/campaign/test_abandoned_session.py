@@ -11,7 +11,6 @@ from typing import Any, cast
 
 import msgspec
 import pytest
-from clock import ManualClock, settle
 
 import pcmrs
 from pcmrs.devices.link import Link
@@ -21,6 +20,7 @@ from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Running, Snapshot
 from pcmrs.messages.roles import HOLDING, ROLES, Role
 from pcmrs.service.abandoned import AbandonedWatch
 from pcmrs.service.teleoperation import connect_teleoperators
+from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.workflows.teleop_port import TeleopPort
 
 BLUEPRINT = load_blueprint(Path(pcmrs.__file__).parent / "workflows" / "ratms_threshold.toml")

@@ -9,11 +9,12 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from pcmrs.campaign.attacks import attacks, attacks_as_markdown
-from pcmrs.campaign.catalogue import CLASSES, RESPONSES, catalogue, choose
-from pcmrs.campaign.fault import fault, injections
 from pcmrs.cli import main
 from pcmrs.errors import ConfigurationError
+from pcmrs_lab.campaign.attacks import attacks, attacks_as_markdown
+from pcmrs_lab.campaign.catalogue import CLASSES, RESPONSES, catalogue, choose
+from pcmrs_lab.campaign.fault import fault
+from pcmrs_lab.campaign.injections import injections
 
 COUNTS = {"O": 13, "S": 14, "B": 14, "N": 14, "P": 13, "T": 12, "C": 6, "A": 40, "Q": 29}
 LETTERS = dict(zip(COUNTS, CLASSES, strict=True))

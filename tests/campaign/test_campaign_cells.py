@@ -8,18 +8,20 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.campaign import daemonkills
-from pcmrs.campaign.checks import held, refused
-from pcmrs.campaign.consumer import consumer
-from pcmrs.campaign.driving import accept, injected, landmarks
-from pcmrs.campaign.fault import Unmet, injections
-from pcmrs.campaign.faults.network_bus import BURST
-from pcmrs.campaign.lab import Lab, Pool
-from pcmrs.campaign.report import Part
-from pcmrs.campaign.run import run_injection
 from pcmrs.clock import SystemClock
 from pcmrs.errors import DeviceError
 from pcmrs.failpoints import FAILPOINTS
+from pcmrs.testing.driving import accept, landmarks
+from pcmrs.testing.errors import Unmet
+from pcmrs_lab.campaign import daemonkills
+from pcmrs_lab.campaign.checks import held, refused
+from pcmrs_lab.campaign.consumer import consumer
+from pcmrs_lab.campaign.driving import injected
+from pcmrs_lab.campaign.faults.network_bus import BURST
+from pcmrs_lab.campaign.injections import injections
+from pcmrs_lab.campaign.lab import Lab, Pool
+from pcmrs_lab.campaign.report import Part
+from pcmrs_lab.campaign.run import run_injection
 
 pytest.importorskip("mujoco")
 

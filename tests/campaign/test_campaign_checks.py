@@ -9,11 +9,11 @@ from typing import Any, cast
 import msgspec
 import pytest
 
-from pcmrs.campaign.checks import STANDS_WITHIN, refused, unmoved
-from pcmrs.campaign.fault import Unmet
-from pcmrs.campaign.lab import LabCell
 from pcmrs.journal import JournalRow
 from pcmrs.messages import BlueprintTag, Reason, Running, Snapshot, Verdict
+from pcmrs.testing.cell import RunningCell
+from pcmrs.testing.errors import Unmet
+from pcmrs_lab.campaign.checks import STANDS_WITHIN, refused, unmoved
 
 SNAPSHOT = Snapshot(
     sequence=7,
@@ -82,7 +82,7 @@ class Recorded:
 
 
 async def judge(**changed: Any) -> Verdict:
-    return await refused(cast(LabCell, ScriptedCell(**changed)), "placement.confirm", codes=("pose_stale",))
+    return await refused(cast(RunningCell, ScriptedCell(**changed)), "placement.confirm", codes=("pose_stale",))
 
 
 def altered(**fields: Any) -> Verdict:
@@ -116,11 +116,11 @@ async def test_anything_else_does_not(changed: dict[str, Any], word: str) -> Non
 
 @pytest.mark.parametrize("way", [0.0, STANDS_WITHIN / 2])
 async def test_an_arm_that_stays_where_it_was_is_unmoved(way: float) -> None:
-    async with unmoved(cast(LabCell, ScriptedScene([(0.1, 0.2, 0.3), (0.1 + way, 0.2, 0.3)]))):
+    async with unmoved(cast(RunningCell, ScriptedScene([(0.1, 0.2, 0.3), (0.1 + way, 0.2, 0.3)]))):
         pass
 
 
 async def test_an_arm_that_went_anywhere_is_not() -> None:
     with pytest.raises(Unmet, match=r"moved by 1\.00 mm"):
-        async with unmoved(cast(LabCell, ScriptedScene([(0.1, 0.2, 0.3), (0.1, 0.201, 0.3)]))):
+        async with unmoved(cast(RunningCell, ScriptedScene([(0.1, 0.2, 0.3), (0.1, 0.201, 0.3)]))):
             pass

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from pcmrs.campaign.fault import Unmet
-from pcmrs.campaign.lab import Lab, Pool
+from pcmrs.testing.errors import Unmet
+from pcmrs_lab.campaign.lab import Lab, Pool
 
 
 class Daemons:
@@ -46,8 +46,8 @@ class Stand:
 @pytest.fixture
 def daemons(monkeypatch: pytest.MonkeyPatch) -> Daemons:
     made = Daemons()
-    monkeypatch.setattr("pcmrs.campaign.lab.open_cell", made.open_cell)
-    monkeypatch.setattr("pcmrs.campaign.lab.start_anew", made.start_anew)
+    monkeypatch.setattr("pcmrs_lab.campaign.lab.open_cell", made.open_cell)
+    monkeypatch.setattr("pcmrs_lab.campaign.lab.start_anew", made.start_anew)
     return made
 
 

@@ -12,17 +12,18 @@ import pytest
 from answered import check_answered
 from click.testing import CliRunner, Result
 
-from pcmrs.campaign import fault as registry
-from pcmrs.campaign.catalogue import choose
-from pcmrs.campaign.fault import Evidence, NotRun, Unmet, fault
-from pcmrs.campaign.lab import Lab
-from pcmrs.campaign.needs import program
-from pcmrs.campaign.page import JSON_NAME, PAGE_NAME
-from pcmrs.campaign.report import CampaignReport, FaultResult
-from pcmrs.campaign.run import NO_INJECTION, run_campaign
-from pcmrs.campaign.sham import bring_about
 from pcmrs.cli import main
 from pcmrs.errors import DeviceError
+from pcmrs.testing.errors import Unmet
+from pcmrs_lab.campaign import fault as registry
+from pcmrs_lab.campaign.catalogue import choose
+from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
+from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.needs import program
+from pcmrs_lab.campaign.page import JSON_NAME, PAGE_NAME
+from pcmrs_lab.campaign.report import CampaignReport, FaultResult
+from pcmrs_lab.campaign.run import NO_INJECTION, run_campaign
+from pcmrs_lab.campaign.sham import bring_about
 
 ONCE = {"seen": 1}
 NASTY = "<script>alert('B4')</script> & \"more\""
@@ -33,7 +34,7 @@ def _scripted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Injections of which the outcome is known, in place of the real ones."""
     monkeypatch.setattr(registry, "_injections", {})
     monkeypatch.setattr(registry, "injections", lambda: registry._injections)
-    monkeypatch.setattr("pcmrs.campaign.run.injections", lambda: registry._injections)
+    monkeypatch.setattr("pcmrs_lab.campaign.run.injections", lambda: registry._injections)
     monkeypatch.setattr("answered.injections", lambda: registry._injections)
 
     @fault("S1", how="well")

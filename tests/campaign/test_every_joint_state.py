@@ -9,8 +9,8 @@ import pytest
 from altered import with_operation
 
 import pcmrs
-from pcmrs.campaign.every_state import walk
 from pcmrs.fsm import Blueprint, load_blueprint
+from pcmrs_lab.campaign.every_state import walk
 
 RATMS = load_blueprint(Path(pcmrs.__file__).parent / "workflows" / "ratms.toml")
 

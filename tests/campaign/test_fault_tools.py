@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.campaign import cgroups, loopdisk, syscalls
-from pcmrs.campaign.cgroups import processor_quota
-from pcmrs.campaign.fault import NotRun
-from pcmrs.campaign.loopdisk import loop_disk
-from pcmrs.campaign.needs import Need, program
-from pcmrs.campaign.syscalls import injected
-from pcmrs.campaign.tools import require, tool
 from pcmrs.threads import Threads
+from pcmrs_lab.campaign import cgroups, loopdisk, syscalls
+from pcmrs_lab.campaign.cgroups import processor_quota
+from pcmrs_lab.campaign.fault import NotRun
+from pcmrs_lab.campaign.loopdisk import loop_disk
+from pcmrs_lab.campaign.needs import Need, program
+from pcmrs_lab.campaign.syscalls import injected
+from pcmrs_lab.campaign.tools import require, tool
 
 WRITER = """
 import os, sys

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from answered import check_answered
 
-from pcmrs.campaign.catalogue import choose
-from pcmrs.campaign.fault import injections
-from pcmrs.campaign.run import run_campaign
+from pcmrs_lab.campaign.catalogue import choose
+from pcmrs_lab.campaign.injections import injections
+from pcmrs_lab.campaign.run import run_campaign
 
 CLASSES = ("network", "process", "storage", "clock", "adversary", "order")
 ROWS = choose(CLASSES)

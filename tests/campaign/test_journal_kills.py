@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.campaign import kills
-from pcmrs.campaign.cuts import cut_and_flip
-from pcmrs.campaign.kills import OF_JOURNAL, RANDOM, Checked, kill_writers, lost_rows
-from pcmrs.campaign.writing import row
 from pcmrs.clock import SystemClock
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal
+from pcmrs_lab.campaign import kills
+from pcmrs_lab.campaign.cuts import cut_and_flip
+from pcmrs_lab.campaign.kills import OF_JOURNAL, RANDOM, Checked, kill_writers, lost_rows
+from pcmrs_lab.campaign.writing import row
 
 
 def test_nothing_acknowledged_is_lost_at_any_failpoint_or_instant() -> None:

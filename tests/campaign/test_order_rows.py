@@ -7,13 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.campaign import delays
-from pcmrs.campaign.catalogue import choose
-from pcmrs.campaign.fault import Injection, Unmet, injections
-from pcmrs.campaign.lab import Pool
-from pcmrs.campaign.run import run_injection
-from pcmrs.campaign.sham import sham
 from pcmrs.clock import SystemClock
+from pcmrs.testing.errors import Unmet
+from pcmrs_lab.campaign import delays
+from pcmrs_lab.campaign.catalogue import choose
+from pcmrs_lab.campaign.fault import Injection
+from pcmrs_lab.campaign.injections import injections
+from pcmrs_lab.campaign.lab import Pool
+from pcmrs_lab.campaign.run import run_injection
+from pcmrs_lab.campaign.sham import sham
 
 pytest.importorskip("mujoco")
 

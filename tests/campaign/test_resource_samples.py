@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from pcmrs.campaign.operating import Operator
-from pcmrs.campaign.samples import sample, slope
-from pcmrs.campaign.soaking import ALLOWED, SoakReport, course
 from pcmrs.client import Client
 from pcmrs.messages import BlueprintTag, Snapshot, Verdict
+from pcmrs_lab.campaign.operating import Operator
+from pcmrs_lab.campaign.samples import sample, slope
+from pcmrs_lab.campaign.soaking import ALLOWED, SoakReport, course
 
 TAG = BlueprintTag(id="ratms", version="1", hash="")
 VALUES = st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=50)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pcmrs.campaign.catalogue import catalogue
-from pcmrs.campaign.run import run_campaign
+from pcmrs_lab.campaign.catalogue import catalogue
+from pcmrs_lab.campaign.run import run_campaign
 
 pytest.importorskip("mujoco")
 

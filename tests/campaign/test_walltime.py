@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.campaign.walltime import NEEDS, WallClock
+from pcmrs_lab.campaign.walltime import NEEDS, WallClock
 
 PROGRAM = """
 import time

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.campaign.proxy import tcp_proxy, udp_proxy
-from pcmrs.campaign.weather import Weather
+from pcmrs_lab.campaign.proxy import tcp_proxy, udp_proxy
+from pcmrs_lab.campaign.weather import Weather
 
 
 @given(seed=st.integers(0, 1000), loss=st.floats(0.0, 1.0), doubled=st.floats(0.0, 1.0))

@@ -19,11 +19,11 @@ from pcmrs.bus import Bus, BusSettings, Empty
 from pcmrs.calibration import read_calibration
 from pcmrs.calibration.poses import HAND_EYE, PIVOT, read_poses, write_poses
 from pcmrs.cli import main
-from pcmrs.experiment.process import free_port
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import BlueprintTag, BodyPose, JointState, Snapshot
 from pcmrs.spatial import Transform, distance, rotation_angle
+from pcmrs.testing.daemon import free_port
 
 TIP, PIVOT_POINT = np.array([0.01, -0.02, -0.15]), np.array([0.1, 0.2, 1.8])
 FLANGE_FROM_COIL = Transform.from_rotvec((0.01, 0.02, 0.15), (2.0, 1.0, 0.5))

@@ -14,10 +14,10 @@ from click.testing import CliRunner, Result
 from pcmrs.cli import COMMANDS, main
 from pcmrs.cli.serve import serve
 from pcmrs.clock import SystemClock
-from pcmrs.experiment.process import free_port
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Command, Reason, Verdict
 from pcmrs.service.recorder import JournalRecorder
+from pcmrs.testing.daemon import free_port
 
 
 @pytest.fixture

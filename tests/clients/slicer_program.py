@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pcmrs.campaign.lab import LabCell, open_cell
-from pcmrs.experiment.process import free_port
+from pcmrs.testing.cell import RunningCell, open_cell
+from pcmrs.testing.daemon import free_port
 
 MODULE = Path(__file__).parents[2] / "clients" / "slicer" / "PcmrsPlanner"
 TICK_MS = 15
@@ -95,7 +95,7 @@ class Cell:
         point_port: Where it sends the pointer's tip.
     """
 
-    def __init__(self, cell: LabCell, loop: asyncio.AbstractEventLoop, ports: tuple[int, int]) -> None:
+    def __init__(self, cell: RunningCell, loop: asyncio.AbstractEventLoop, ports: tuple[int, int]) -> None:
         self.cell = cell
         self.pose_port, self.point_port = ports
         self._loop = loop

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from pyigtl.messages import CRC64
 from slicer_program import MODULE, core
 
-from pcmrs.experiment.process import free_port
 from pcmrs.gateway.commands import COMMANDS
 from pcmrs.gateway.grammar import parse
 from pcmrs.gateway.outcome import Outcome
 from pcmrs.gateway.streams import point_message, pose_message
 from pcmrs.spatial import Transform
+from pcmrs.testing.daemon import free_port
 
 link = core()
 CLIENTS = MODULE.parents[1]

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from slicer_program import Cell, Program, core, lossy_way, running_cell
 
-from pcmrs.campaign.driving import accept, plan, start_anew
-from pcmrs.experiment.process import free_port
 from pcmrs.gateway.keys import new_key
+from pcmrs.testing.daemon import free_port
+from pcmrs.testing.driving import accept, plan, start_anew
 
 qt: Any = pytest.importorskip("PySide6.QtCore", reason="PySide6 is not installed: pip install PySide6-Essentials")
 link = core()

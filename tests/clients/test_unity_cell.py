@@ -26,18 +26,19 @@ from unity_programs import (
     running_probe,
 )
 
-from pcmrs.campaign.checks import stands
-from pcmrs.campaign.driving import MOVES, calmed, plan, until
-from pcmrs.campaign.lab import Lab, LabCell
-from pcmrs.campaign.proxy import udp_proxy
-from pcmrs.campaign.weather import Weather
 from pcmrs.client import Client
-from pcmrs.experiment.process import free_port
 from pcmrs.gateway.keys import new_key
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import BodyPose, JointState, PoseMessage, Target
 from pcmrs.spatial import Transform
+from pcmrs.testing.cell import RunningCell
+from pcmrs.testing.daemon import free_port
+from pcmrs.testing.driving import MOVES, calmed, plan, until
+from pcmrs_lab.campaign.checks import stands
+from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.proxy import udp_proxy
+from pcmrs_lab.campaign.weather import Weather
 
 pytest.importorskip("mujoco")
 
@@ -166,7 +167,7 @@ async def test_a_procedure_is_run_and_seen_by_the_client(programs: Path, tmp_pat
             await what_is_revoked_is_forgotten(cell, probe)
 
 
-async def over_a_bad_line_every_signed_command_runs_once(programs: Path, cell: LabCell, key: Path) -> None:
+async def over_a_bad_line_every_signed_command_runs_once(programs: Path, cell: RunningCell, key: Path) -> None:
     """The whole way to the standoff of the planned pose."""
     weather = Weather(seed=3, loss=0.15, doubled=0.25, jitter=0.02)
     async with (
@@ -189,13 +190,13 @@ async def over_a_bad_line_every_signed_command_runs_once(programs: Path, cell: L
         assert (await probe.ask("raw start_visualizex 0.7"))["error"] == "UnknownOutcomeException"
 
 
-def _ran(cell: LabCell) -> list[str]:
+def _ran(cell: RunningCell) -> list[str]:
     """The operations of the signed client that the journal has as accepted."""
     ended = [row for row in cell.rows() if row.kind == "outcome" and row.source == "peer:unity"]
     return [f"{row.branch}.{row.operation}" for row in ended if row.verdict and row.verdict.decision == "accepted"]
 
 
-async def the_state_is_told(cell: LabCell, probe: CellProbe) -> None:
+async def the_state_is_told(cell: RunningCell, probe: CellProbe) -> None:
     await probe.known("state")
     snapshot = await cell.client.state()
     async with asyncio.timeout(5.0):
@@ -271,7 +272,7 @@ async def a_scene_shows_the_target(programs: Path, *ports: int) -> None:
     assert frames[-1]["registration"] == "111"
 
 
-async def what_is_revoked_is_forgotten(cell: LabCell, probe: CellProbe) -> None:
+async def what_is_revoked_is_forgotten(cell: RunningCell, probe: CellProbe) -> None:
     await calmed(cell.client)
     await probe.demand("home")
     await probe.known("pose Target")
@@ -281,7 +282,7 @@ async def what_is_revoked_is_forgotten(cell: LabCell, probe: CellProbe) -> None:
     await probe.forgotten("pose Registration", 8.0)
 
 
-async def a_stop_is_obeyed(cell: LabCell, bus: Bus, probe: CellProbe) -> None:
+async def a_stop_is_obeyed(cell: RunningCell, bus: Bus, probe: CellProbe) -> None:
     bus.moves.clear()
     await probe.demand("begin_home")
     async with asyncio.timeout(10.0):

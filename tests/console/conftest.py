@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.simulation.loop import SimulatedLoop
+from pcmrs.simulated_time.loop import SimulatedLoop
 
 TESTS = Path(__file__).parents[1]
 sys.path += [str(TESTS / "workflows"), str(TESTS / "network"), str(TESTS / "recording")]

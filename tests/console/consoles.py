@@ -12,9 +12,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from pcmrs.campaign.driving import landmarks, tool_pose
 from pcmrs.client import PlainClient
-from pcmrs.experiment.process import own_settings, serve_command
+from pcmrs.testing.daemon import own_settings, serve_command
+from pcmrs.testing.driving import landmarks, tool_pose
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -18,12 +18,12 @@ from consoles import browser, console
 from playwright.sync_api import Page
 
 from pcmrs.client import Client
-from pcmrs.experiment.process import own_settings, serve_command
 from pcmrs.messages import Verdict
 from pcmrs.service import Ready
+from pcmrs.testing.daemon import own_settings, serve_command
 from pcmrs.workflows.data import as_message
-from sim.muscle.subject import draw_subject
-from sim.settings import SimSettings
+from pcmrs_sim.muscle.subject import draw_subject
+from pcmrs_sim.settings import SimSettings
 
 ROOT = Path(__file__).parents[2]
 SETTINGS = (

@@ -16,7 +16,7 @@ from consoles import console
 
 from pcmrs.cli.running import EXIT_BAD_CONFIGURATION
 from pcmrs.console.guard import cookie_name
-from pcmrs.experiment.process import free_port
+from pcmrs.testing.daemon import free_port
 
 HANDSHAKE = {
     "Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",

@@ -15,7 +15,7 @@ import pytest
 from consoles import CHROMIUM, browser, console
 from test_console_browser import FACE, PATIENT, Operator, state
 
-from pcmrs.experiment.process import own_settings, serve_command
+from pcmrs.testing.daemon import own_settings, serve_command
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

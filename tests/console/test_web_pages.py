@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from consoles import CHROMIUM, FLAGS
 
-from pcmrs.experiment.process import free_port
+from pcmrs.testing.daemon import free_port
 
 sys.path.append(str(Path(__file__).parents[1] / "integration"))
 from daemon_process import ServeProcess, own_settings, running_daemon

@@ -13,23 +13,23 @@ from click.testing import CliRunner
 from hypothesis import settings as profile
 from trials import USUAL
 
+from pcmrs.authoring.trial.coverage import coverage
+from pcmrs.authoring.trial.tour import plan_tour
 from pcmrs.bus.bridge import CAPACITY
 from pcmrs.bus.serving import ANSWERS
 from pcmrs.bus.settings import STOPS
-from pcmrs.campaign.catalogue import catalogue
 from pcmrs.cli.fsm.verify import verify
 from pcmrs.console.geometry import FACES
 from pcmrs.dispatcher.lanes import MAX_WAITING
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.files.load import read_blueprint
-from pcmrs.fsm.trial.coverage import coverage
-from pcmrs.fsm.trial.tour import plan_tour
 from pcmrs.fsm.verify.space import Space
 from pcmrs.gateway.intake import MAX_SESSIONS
 from pcmrs.journal.group import MOST_WAITING
 from pcmrs.service.supervisor import RESTARTS, WITHIN
 from pcmrs.settings import Settings
 from pcmrs.workflows.floors import PART
+from pcmrs_lab.campaign.catalogue import catalogue
 
 ROOT = Path(__file__).parents[2]
 WORDS = {"six": 6, "Seven": 7, "nine": 9}

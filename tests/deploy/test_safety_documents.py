@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from documents import CODE, NAMED, NONE, ROOT, ROW, rows_of
 
-from pcmrs.campaign.catalogue import catalogue
-from pcmrs.campaign.explore.invariants import INVARIANTS
+from pcmrs_lab.campaign.catalogue import catalogue
+from pcmrs_lab.campaign.explore.invariants import INVARIANTS
 
 THREATS = ROOT / "docs" / "threat-model.md"
 SAFETY = ROOT / "docs" / "safety.md"
@@ -32,7 +32,7 @@ def test_every_test_that_is_named_exists(document: Path) -> None:
 
 def invariants() -> set[str]:
     """Names of what the explorer asks in its sessions."""
-    sources = (ROOT / "pcmrs" / "campaign" / "explore").glob("*.py")
+    sources = (ROOT / "lab" / "pcmrs_lab" / "campaign" / "explore").glob("*.py")
     watched = {name for path in sources for name in re.findall(r'_break\(\s*"(\w+)"', path.read_text())}
     return watched | {each.__name__ for group in INVARIANTS.values() for each in group}
 

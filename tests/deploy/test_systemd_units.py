@@ -11,8 +11,8 @@ from urllib.request import HTTPCookieProcessor, build_opener
 import pytest
 
 from pcmrs.cli.running import EXIT_BAD_CONFIGURATION
-from pcmrs.experiment.process import free_port
 from pcmrs.settings import CellSettings
+from pcmrs.testing.daemon import free_port
 from pcmrs.threads.realtime import Priority
 
 UNITS = Path(__file__).parents[2] / "deploy" / "systemd"

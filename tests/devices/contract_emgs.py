@@ -11,11 +11,11 @@ from lsl_lab import CLOCK, KEPT, first_epoch, lsl_emg, marker_outlet, own, runni
 from pcmrs.devices.drivers.lsl import LslSettings
 from pcmrs.devices.lsl.markers import PulseMarker
 from pcmrs.devices.protocols import Emg
-from sim.muscle.bench import Bench
-from sim.muscle.emg import SimEmg
-from sim.muscle.muscle import Muscle
-from sim.muscle.streams import EmgOutlet, PulseInlet
-from sim.settings import MuscleSettings
+from pcmrs_sim.emg import SimEmg
+from pcmrs_sim.lsl.bench import Bench
+from pcmrs_sim.lsl.streams import EmgOutlet, PulseInlet
+from pcmrs_sim.muscle.muscle import Muscle
+from pcmrs_sim.settings import MuscleSettings
 
 QUIET = MuscleSettings(noise_uv=1.0, hum_uv=1.0, artefact_mv=20.0, artefact_decay=0.0004, full_scale_mv=50.0)
 

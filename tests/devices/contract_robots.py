@@ -19,10 +19,10 @@ from pcmrs.spatial import Floats, Transform
 
 pytest.importorskip("mujoco")
 
-from sim.cell import Cell
-from sim.head import surface_point
-from sim.kst.server import serve_kst
-from sim.settings import GeometrySettings, Pose, SimSettings
+from pcmrs_sim.cell import Cell
+from pcmrs_sim.head import surface_point
+from pcmrs_sim.kst.server import serve_kst
+from pcmrs_sim.settings import GeometrySettings, Pose, SimSettings
 
 FACTS = ARMS["iiwa14"]
 HOME = np.array(FACTS.home)

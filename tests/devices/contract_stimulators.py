@@ -7,7 +7,6 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from clock import ManualClock
 from lsl_lab import own
 
 from pcmrs.devices.drivers import trigger
@@ -15,8 +14,9 @@ from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.devices.protocols import StimulatorDriver
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import DeviceEvent
-from sim.cell import Cell
-from sim.settings import SimSettings
+from pcmrs.testing.clock import ManualClock
+from pcmrs_sim.cell import Cell
+from pcmrs_sim.settings import SimSettings
 
 
 @dataclass

@@ -8,8 +8,8 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers import ndi
 from pcmrs.devices.protocols import TrackerDriver
-from sim.cell import Cell, running_cell
-from sim.ndi.server import serve_ndi, serve_ndi_pty
+from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.ndi.server import serve_ndi, serve_ndi_pty
 
 OpenTracker = Callable[[], AbstractAsyncContextManager[tuple[TrackerDriver, Cell]]]
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from clock import ManualClock, settle
 from memory_link import MemoryLink
 
 from pcmrs.devices.deadman import DEADMAN, DELIVERY, HELD_UP, TURN, beat_period
@@ -34,6 +33,7 @@ from pcmrs.messages import (
     PressRequest,
     ServoSession,
 )
+from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.threads import Load
 
 BEAT_PERIOD = beat_period(DEADMAN)

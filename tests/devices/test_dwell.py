@@ -8,13 +8,13 @@ from collections.abc import AsyncIterator
 import numpy as np
 import numpy.typing as npt
 import pytest
-from clock import ManualClock, settle
 
 from pcmrs.devices.dwell import DwellPointer
 from pcmrs.devices.dwelling import DwellSettings
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.messages import BodyPose, LandmarkPrompt
 from pcmrs.spatial import Transform
+from pcmrs.testing.clock import ManualClock, settle
 
 PERIOD = 1 / 60
 LATENCY = 0.03

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 from pcmrs.clock import SystemClock
-from sim.cell import Cell, running_cell
-from sim.cli.lines import act, follow_schedule, read_schedule
-from sim.faults import FAULTS, parse_fault
+from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.cli.lines import act, follow_schedule, read_schedule
+from pcmrs_sim.faults import FAULTS, parse_fault
 
 ROOT = Path(__file__).parents[2]
 DOCUMENT = ROOT / "docs" / "faults.md"

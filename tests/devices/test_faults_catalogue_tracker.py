@@ -14,9 +14,9 @@ from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers import ndi
 from pcmrs.devices.jumps import PoseLimits
 from pcmrs.devices.poses import PoseFeed
-from sim.cell import running_cell
-from sim.faults import inject
-from sim.ndi.server import serve_ndi
+from pcmrs_sim.cell import running_cell
+from pcmrs_sim.faults import inject
+from pcmrs_sim.ndi.server import serve_ndi
 
 pytest.importorskip("ndicapy")
 

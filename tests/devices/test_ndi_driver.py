@@ -24,9 +24,9 @@ from pcmrs.devices.ndi.tools import placeholder
 from pcmrs.devices.ndi.wire import Failed, Job, Ready, Unpacker, pack
 from pcmrs.errors import ConfigurationError
 from pcmrs.messages import BodyPose
-from sim.cell import Cell, running_cell
-from sim.ndi.server import serve_ndi, serve_ndi_pty
-from sim.ndi.system import NdiSystem
+from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.ndi.server import serve_ndi, serve_ndi_pty
+from pcmrs_sim.ndi.system import NdiSystem
 
 DEADLINE = 30.0
 

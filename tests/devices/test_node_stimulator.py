@@ -7,7 +7,6 @@ from collections.abc import AsyncIterator
 from contextlib import suppress
 
 import pytest
-from clock import ManualClock, settle
 from memory_link import MemoryLink
 
 from pcmrs.devices.deadman import DEADMAN, beat_period
@@ -15,6 +14,7 @@ from pcmrs.devices.node import DAEMON_BEAT, PULSE_DELAY, DeviceNode
 from pcmrs.devices.remote import RemoteEmg, RemoteStimulator
 from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.messages import Beat, DeviceEvent, Epoch, FiredPulse, NodeBeat, StimulatorState
+from pcmrs.testing.clock import ManualClock, settle
 
 BEAT_PERIOD = beat_period(DEADMAN)
 

@@ -11,7 +11,6 @@ import numpy as np
 import openigtlink_bytes as wire
 import pyigtl
 import pytest
-from clock import SetClock
 from structlog.testing import capture_logs
 
 from pcmrs.clock import Clock, SystemClock
@@ -23,6 +22,7 @@ from pcmrs.devices.protocols import OpenDriver, TrackerDriver
 from pcmrs.errors import ConfigurationError
 from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform, distance
+from pcmrs.testing.clock import SetClock
 
 DRIVER: OpenDriver = open_devices  # the type checker proves it
 

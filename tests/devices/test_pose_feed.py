@@ -9,7 +9,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from clock import ManualClock, settle
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,6 +18,7 @@ from pcmrs.devices.poses import HISTORY, PoseFeed
 from pcmrs.errors import RefusalError
 from pcmrs.messages import BodyPose
 from pcmrs.spatial.transform import UNIT_QUATERNION_TOLERANCE
+from pcmrs.testing.clock import ManualClock, settle
 
 MAX_AGE = 0.25
 LATENCY = 0.03

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
-from clock import settle
-
 from pcmrs.devices.stream import BACKLOG, Stream
+from pcmrs.testing.clock import settle
 
 
 async def test_a_slow_reader_loses_the_oldest_and_that_is_counted() -> None:

@@ -14,9 +14,9 @@ from contract_trackers import TRACKERS
 from pcmrs.devices.protocols import TrackerDriver
 from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform, rotation_angle
-from sim.cell import Cell
-from sim.faults import inject
-from sim.tracker import BODIES
+from pcmrs_sim.cell import Cell
+from pcmrs_sim.faults import inject
+from pcmrs_sim.tracker import BODIES
 
 DEADLINE = 30.0
 """Of a whole test, s: nothing may hang."""

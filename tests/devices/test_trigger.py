@@ -12,7 +12,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from clock import ManualClock, settle
 from contract_stimulators import next_event
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,6 +23,7 @@ from pcmrs.devices.lsl.library import load_lsl
 from pcmrs.devices.lsl.markers import PulseMarker, read_pulse
 from pcmrs.devices.ttl import TriggerLine
 from pcmrs.errors import ConfigurationError, DeviceError, UnknownOutcomeError
+from pcmrs.testing.clock import ManualClock, settle
 
 
 @pytest.fixture(autouse=True)

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable
 import pytest
 from dispatcher_fakes import RATMS, Bench
 
-from pcmrs.simulation.loop import SimulatedLoop
+from pcmrs.simulated_time.loop import SimulatedLoop
 
 
 def pytest_asyncio_loop_factories(

@@ -10,7 +10,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from clock import ManualClock, settle
 from ratms_oracle import BLUEPRINT, INITIAL, Joint, all_operations, expected
 
 from pcmrs.dispatcher import Activity, Dispatcher, ProcedureData, Registry, Run, Workflow
@@ -19,6 +18,7 @@ from pcmrs.dispatcher.recorder import Recorded
 from pcmrs.errors import JournalError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import Blueprint, Effect, load_blueprint
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
+from pcmrs.testing.clock import ManualClock, settle
 
 RATMS = load_blueprint(BLUEPRINT)
 WORLDLY_BRANCHES = ("digitization", "robot", "placement")

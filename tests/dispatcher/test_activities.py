@@ -8,18 +8,18 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
-from clock import settle
 from dispatcher_fakes import Bench, Notes
 from following import FOLLOWING
 from hypothesis import given
 from hypothesis import strategies as st
 from trials import examples
 
+from pcmrs.authoring.trial.tour import plan_tour
 from pcmrs.dispatcher import Activity, Registry, Workflow
 from pcmrs.errors import BlueprintError, DeviceError, ReentrancyError, UnknownOutcomeError
-from pcmrs.experiment.tours.rehearsal import rehearse
-from pcmrs.fsm.trial.tour import plan_tour
 from pcmrs.messages import DeviceEvent, Ongoing, Reason, Verdict
+from pcmrs.testing.clock import settle
+from pcmrs_lab.experiment.tours.rehearsal import rehearse
 
 STAND = ("approach", "follow", "stand")
 

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 from altered import with_operation
-from clock import settle
 from dispatcher_fakes import Bench
 from following import FOLLOWING
 
 from pcmrs.dispatcher import Registry
 from pcmrs.errors import BlueprintError, RefusalError, UnknownOutcomeError
+from pcmrs.testing.clock import settle
 
 
 @pytest.fixture

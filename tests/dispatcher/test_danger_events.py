@@ -6,13 +6,13 @@ import asyncio
 
 import pytest
 from altered import with_operation
-from clock import settle
 from dispatcher_fakes import HELD, PLACED, RATMS, RETRACTED, STANDOFF, Bench
 from test_locks import code
 
 from pcmrs.dispatcher.lanes import MAX_WAITING
 from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceEvent
+from pcmrs.testing.clock import settle
 
 MOVED = DeviceEvent(device="tracker", code="reference_moved", text="By 3 mm.", danger=True)
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from clock import settle
 from dispatcher_fakes import RATMS, ROUTES, Bench, has_steps
 from ratms_oracle import INTERNAL_OPERATIONS, MOTIONS, Joint, all_operations, expected
+
+from pcmrs.testing.clock import settle
 
 JOINTS = list(ROUTES)
 EVERY_STATE = pytest.mark.parametrize("joint", JOINTS, ids=["-".join(joint) for joint in JOINTS])

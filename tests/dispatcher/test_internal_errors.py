@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from clock import settle
 from dispatcher_fakes import RETRACTED, STANDOFF, Bench
 
 from pcmrs.fsm import Closure, Denial
 from pcmrs.messages import DeviceEvent, Verdict
+from pcmrs.testing.clock import settle
 
 LOST = DeviceEvent(device="robot", code="link_lost", text="The link is lost.", danger=True)
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from clock import settle
 from dispatcher_fakes import PLACED, RETRACTED, STANDOFF, Bench
 from ratms_oracle import Joint
 
 from pcmrs.errors import PcmrsError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, Verdict
+from pcmrs.testing.clock import settle
 
 
 async def check_fail_stop(bench: Bench, joint: Joint) -> None:

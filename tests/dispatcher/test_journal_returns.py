@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from clock import settle
 from dispatcher_fakes import HELD, PLACED, RETRACTED, STANDOFF, Bench
 
 from pcmrs.dispatcher.recorder import Recorded
 from pcmrs.errors import JournalError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, UnknownOutcome, Verdict
+from pcmrs.testing.clock import settle
 
 
 def reasons(verdict: Verdict) -> tuple[str, str]:

@@ -6,7 +6,6 @@ import asyncio
 from typing import Any
 
 import pytest
-from clock import settle
 from dispatcher_fakes import HELD, PLACED, RETRACTED, STANDOFF, Bench, Notes
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,6 +16,7 @@ from pcmrs.dispatcher.attempt import Locks
 from pcmrs.dispatcher.lanes import MAX_WAITING
 from pcmrs.fsm import parse_blueprint
 from pcmrs.messages import Verdict
+from pcmrs.testing.clock import settle
 
 PLANNED = ("100", "0", "0", "0", "unknown", "0", "off")
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from clock import settle
 from dispatcher_fakes import HELD, PLACED, RATMS, STANDOFF, Bench
 from test_locks import code
 
 from pcmrs.dispatcher import admission
 from pcmrs.fsm import parse_blueprint
 from pcmrs.messages import Verdict
+from pcmrs.testing.clock import settle
 
 TRACKER = "activity:watch_alignment"
 

@@ -8,12 +8,12 @@ from typing import Any
 
 import msgspec
 import pytest
-from clock import settle
 from dispatcher_fakes import HELD, RETRACTED, STANDOFF, Bench, Notes
 
 from pcmrs.dispatcher import Run
 from pcmrs.dispatcher.checks import MOST_PLANS
 from pcmrs.messages import Reason, Verdict
+from pcmrs.testing.clock import settle
 
 
 class GatedPlanner:

@@ -7,13 +7,13 @@ from collections.abc import AsyncIterator
 from typing import Any, cast
 
 import pytest
-from clock import settle
 from dispatcher_fakes import HELD, Bench
 
 from pcmrs.dispatcher.events import PRESSED_AGAIN
 from pcmrs.dispatcher.presses import SOURCES
 from pcmrs.messages import DeviceEvent, Verdict
 from pcmrs.service.core import GatewayCore
+from pcmrs.testing.clock import settle
 from pcmrs.workflows.cell import Cell
 
 PRESSES = 5_000

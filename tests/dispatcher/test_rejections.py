@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from clock import ManualClock, settle
 from dispatcher_fakes import Bench, make_workflow
 
 from pcmrs.dispatcher import Dispatcher, rejections
 from pcmrs.dispatcher.clipping import CLIPPED, LONGEST, clipped
 from pcmrs.dispatcher.rejections import DROPPED, RATE_HZ, TOO_MANY, Rejections
 from pcmrs.messages import DeviceEvent, Verdict
+from pcmrs.testing.clock import ManualClock, settle
 
 BURST = 5
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from clock import settle
 from dispatcher_fakes import HELD, PLACED, RATMS, RETRACTED, STANDOFF, Bench, Notes, make_workflow
 from ratms_oracle import INITIAL
 
@@ -18,6 +17,7 @@ from pcmrs.errors import BlueprintError, DeviceError, ReentrancyError, RefusalEr
 from pcmrs.fsm import Blueprint, close
 from pcmrs.fsm.closure import MAX_EFFECTS, Denial
 from pcmrs.messages import DeviceEvent, Verdict
+from pcmrs.testing.clock import settle
 
 
 def code(verdict: Verdict) -> str:

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from altered import with_operation
-from clock import settle
 from dispatcher_fakes import HELD, PLACED, RATMS, RETRACTED, STANDOFF, Bench, Notes
 from ratms_oracle import INITIAL
 
@@ -19,6 +18,7 @@ from pcmrs.dispatcher.stops import STANDSTILL, YOUNG, Stops
 from pcmrs.dispatcher.tasks import Tasks
 from pcmrs.errors import DeviceError, RefusalError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, Reason, Verdict
+from pcmrs.testing.clock import settle
 
 
 def code(verdict: Verdict) -> str:

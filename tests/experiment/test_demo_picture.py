@@ -11,7 +11,7 @@ from statistics import mean, stdev
 import pytest
 from test_experiments import ROTATION_DEG, TRANSLATION_MM
 
-from pcmrs.experiment.published import PUBLISHED
+from pcmrs_lab.experiment.published import PUBLISHED
 
 PICTURE = Path(__file__).parents[2] / "docs" / "pictures" / "demo.svg"
 

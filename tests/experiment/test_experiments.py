@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from pcmrs.cli import main
-from pcmrs.experiment.published import PUBLISHED
+from pcmrs_lab.experiment.published import PUBLISHED
 
 pytestmark = pytest.mark.slow
 

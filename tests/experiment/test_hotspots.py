@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from pcmrs.cli import main
-from pcmrs.experiment.hotspots import METHODS, NEAR, HotspotReport, Searched, run_hotspots
+from pcmrs_lab.experiment.hotspots import METHODS, NEAR, HotspotReport, Searched, run_hotspots
 
 
 @pytest.fixture(scope="module")

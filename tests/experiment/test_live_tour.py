@@ -17,14 +17,14 @@ from pcmrs.client import Client, Event
 from pcmrs.clock import SystemClock
 from pcmrs.dispatcher import Dispatcher, ProcedureData, Run
 from pcmrs.errors import ConfigurationError, RefusalError, UnknownOutcomeError
-from pcmrs.experiment.tours import live
-from pcmrs.experiment.tours.arguments import Arguments, read_arguments
-from pcmrs.experiment.tours.record import DECIDED_AT_ONCE
-from pcmrs.experiment.tours.rehearsal import Forgetful, Script, scripted
-from pcmrs.experiment.tours.report import TourReport
-from pcmrs.experiment.tours.run import tour_live
 from pcmrs.fsm import Blueprint, Closure, load_blueprint
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
+from pcmrs_lab.experiment.tours import live
+from pcmrs_lab.experiment.tours.arguments import Arguments, read_arguments
+from pcmrs_lab.experiment.tours.record import DECIDED_AT_ONCE
+from pcmrs_lab.experiment.tours.rehearsal import Forgetful, Script, scripted
+from pcmrs_lab.experiment.tours.report import TourReport
+from pcmrs_lab.experiment.tours.run import tour_live
 
 RATMS = load_blueprint(Path(pcmrs.__file__).parent / "workflows" / "ratms.toml")
 TURNS = 40

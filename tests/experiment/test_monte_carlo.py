@@ -11,10 +11,10 @@ from click.testing import CliRunner
 
 from pcmrs.cli import main
 from pcmrs.errors import ConfigurationError
-from pcmrs.experiment.monte_carlo import MonteCarloReport, run_monte_carlo
-from pcmrs.experiment.plan import example_plan, read_plan
-from pcmrs.experiment.published import PUBLISHED
-from pcmrs.experiment.setup import Setup
+from pcmrs.testing.plan import example_plan, read_plan
+from pcmrs_lab.experiment.monte_carlo import MonteCarloReport, run_monte_carlo
+from pcmrs_lab.experiment.published import PUBLISHED
+from pcmrs_lab.experiment.setup import Setup
 
 
 def setups(*overrides: str, seed: int = 1) -> list[Setup]:

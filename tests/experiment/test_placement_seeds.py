@@ -11,10 +11,10 @@ from click.testing import CliRunner, Result
 
 from pcmrs.cli import main
 from pcmrs.errors import CommandRefusedError
-from pcmrs.experiment import placement_seeds
-from pcmrs.experiment.placements import PlacementReport, Trial, summary_of
-from pcmrs.experiment.setup import Setup
 from pcmrs.messages import PoseMessage
+from pcmrs_lab.experiment import placement_seeds
+from pcmrs_lab.experiment.placements import PlacementReport, Trial, summary_of
+from pcmrs_lab.experiment.setup import Setup
 
 REFUSED_SEED = 6
 POSE = PoseMessage(position=(0.0, 0.0, 0.0), quat_wxyz=(1.0, 0.0, 0.0, 0.0))

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from clock import ManualClock
-
 from pcmrs.errors import CommandRefusedError
-from pcmrs.experiment.private import explained
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, DeviceEvent
 from pcmrs.service.recorder import JournalRecorder
+from pcmrs.testing.clock import ManualClock
 from pcmrs.threads import Load
+from pcmrs_lab.experiment.private import explained
 
 TAG = BlueprintTag(id="ratms", version="1.0.0", hash="abc")
 REFUSED = CommandRefusedError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from pcmrs.experiment.published import PUBLISHED
+from pcmrs_lab.experiment.published import PUBLISHED
 
 ROWS = sorted((run.run, workflow) for workflow, paper in PUBLISHED.items() for run in paper.failures)
 

@@ -15,11 +15,11 @@ from altered import with_operation
 from click.testing import CliRunner
 
 import pcmrs
+from pcmrs.authoring.trial.coverage import Deviation, is_complete
+from pcmrs.authoring.trial.tour import Move, Tour, plan_tour
 from pcmrs.cli import main
-from pcmrs.experiment.tours.rehearsal import LeapingClock, rehearse
 from pcmrs.fsm import Blueprint, load_blueprint
-from pcmrs.fsm.trial.coverage import Deviation, is_complete
-from pcmrs.fsm.trial.tour import Move, Tour, plan_tour
+from pcmrs_lab.experiment.tours.rehearsal import LeapingClock, rehearse
 
 RATMS = load_blueprint(Path(pcmrs.__file__).parent / "workflows" / "ratms.toml")
 
@@ -92,7 +92,7 @@ def test_the_command_reports_everything_covered(tmp_path: Path) -> None:
     file = tmp_path / "tour.jsonl"
     run = CliRunner().invoke(main, ["fsm", "test", "ratms", "--json", "-o", str(file)])
     assert run.exit_code == 0
-    from pcmrs.experiment.tours.report import TourReport
+    from pcmrs_lab.experiment.tours.report import TourReport
 
     report = msgspec.json.decode(run.stdout, type=TourReport)
     assert report.passed

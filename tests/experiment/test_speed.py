@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pcmrs.experiment.speed import kept_speed
+from pcmrs_lab.experiment.speed import kept_speed
 
 
 @pytest.mark.parametrize(

@@ -20,18 +20,18 @@ from pcmrs.analysis.session import SessionRecord
 from pcmrs.cli import main
 from pcmrs.client import Client
 from pcmrs.errors import CommandRefusedError, ConfigurationError, JournalError
-from pcmrs.experiment.plan import example_plan, read_plan
-from pcmrs.experiment.session import operator as operating
-from pcmrs.experiment.session.folder import JOURNAL, ROWS, SUMS, make_folder, write_configuration, write_journal
-from pcmrs.experiment.session.operator import Operator
-from pcmrs.experiment.session.reading import Journalled
-from pcmrs.experiment.session.setup import SessionSetup
-from pcmrs.experiment.threshold_session import INTERRUPTED, read_record, run_threshold_session, true_of
 from pcmrs.formats.mesh import Mesh
 from pcmrs.journal import JournalReader, JournalRow
 from pcmrs.journal.writer import JournalWriter
 from pcmrs.messages import BlueprintTag, PoseMessage, Reason, SceneTruth, Snapshot, Verdict
+from pcmrs.report.session_folder import JOURNAL, ROWS, SUMS, make_folder, write_configuration, write_journal
 from pcmrs.settings import read_settings
+from pcmrs.testing.plan import example_plan, read_plan
+from pcmrs_lab.experiment.session import operator as operating
+from pcmrs_lab.experiment.session.operator import Operator
+from pcmrs_lab.experiment.session.reading import Journalled
+from pcmrs_lab.experiment.session.setup import SessionSetup
+from pcmrs_lab.experiment.threshold_session import INTERRUPTED, read_record, run_threshold_session, true_of
 
 TAG = BlueprintTag(id="ratms_threshold", version="1.0.0", hash="ab" * 32)
 HERE = PoseMessage(position=(0.0, 0.0, 0.0), quat_wxyz=(1.0, 0.0, 0.0, 0.0))
@@ -437,5 +437,5 @@ async def test_a_muscle_that_is_never_at_rest_ends_the_session(tmp_path: Path) -
 
 
 def test_asking_for_help_loads_no_experiment() -> None:
-    code = "import sys, pcmrs.cli.session; sys.exit('pcmrs.experiment.threshold_session' in sys.modules)"
+    code = "import sys, pcmrs_lab.cli.session; sys.exit('pcmrs_lab.experiment.threshold_session' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

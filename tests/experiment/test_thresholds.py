@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from pcmrs.cli import main
-from pcmrs.experiment.thresholds import METHODS, Hunted, MethodResult, ThresholdReport, run_thresholds
 from pcmrs.tms.threshold_settings import ThresholdSettings
+from pcmrs_lab.experiment.thresholds import METHODS, Hunted, MethodResult, ThresholdReport, run_thresholds
 
 Result = tuple[ThresholdReport, dict[str, list[Hunted]]]
 

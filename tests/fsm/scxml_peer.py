@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 from statemachine.io.scxml.processor import SCXMLProcessor
 
+from pcmrs.authoring.exchange.exporting.nesting import Nesting
 from pcmrs.fsm import Blueprint
-from pcmrs.fsm.exchange.exporting.nesting import Nesting
 
 
 class Peer:

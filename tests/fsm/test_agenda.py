@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from random_blueprints import blueprints
 from trials import examples
 
+from pcmrs.authoring.trial.agenda import Agenda
+from pcmrs.authoring.trial.tour import Move, all_moves
 from pcmrs.fsm import Blueprint
-from pcmrs.fsm.trial.agenda import Agenda
-from pcmrs.fsm.trial.tour import Move, all_moves
 
 
 def same_command(move: Move, other: Move) -> bool:

@@ -12,18 +12,18 @@ from hypothesis import strategies as st
 from random_blueprints import blueprints
 from trials import examples
 
+from pcmrs.authoring.chart import dot, mermaid, svg
+from pcmrs.authoring.difference.compare import compare
+from pcmrs.authoring.exchange.exporting.scxml import scxml
+from pcmrs.authoring.exchange.exporting.table import table
+from pcmrs.authoring.exchange.importing.mermaid import from_mermaid
+from pcmrs.authoring.exchange.importing.scxml import from_scxml
+from pcmrs.authoring.trial.tour import plan_tour
 from pcmrs.fsm import Blueprint, Denial, examine, parse_blueprint
 from pcmrs.fsm.behaviour import behaviour
 from pcmrs.fsm.blueprint import ActivitySpec
-from pcmrs.fsm.chart import dot, mermaid, svg
 from pcmrs.fsm.classes import source_of, states_of
-from pcmrs.fsm.difference.compare import compare
-from pcmrs.fsm.exchange.exporting.scxml import scxml
-from pcmrs.fsm.exchange.exporting.table import table
-from pcmrs.fsm.exchange.importing.mermaid import from_mermaid
-from pcmrs.fsm.exchange.importing.scxml import from_scxml
 from pcmrs.fsm.files.dump import blueprint_toml
-from pcmrs.fsm.trial.tour import plan_tour
 from pcmrs.fsm.verify import verify
 
 SOUND = """

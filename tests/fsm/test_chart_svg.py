@@ -13,9 +13,9 @@ from random_blueprints import blueprints
 from ratms_oracle import BLUEPRINT
 from trials import examples
 
+from pcmrs.authoring.chart import svg
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
-from pcmrs.fsm.chart import svg
 from pcmrs.fsm.files.load import read_blueprint
 
 charts = examples(25)

@@ -20,12 +20,12 @@ from random_blueprints import blueprints
 from ratms_oracle import BLUEPRINT
 from trials import examples
 
+from pcmrs.authoring.chart import dot, mermaid, png, svg
+from pcmrs.authoring.chart.current import MAX_LEVEL
+from pcmrs.authoring.chart.png import ZOOM
 from pcmrs.cli.fsm.render import render
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, ParentSpec
-from pcmrs.fsm.chart import dot, mermaid, png, svg
-from pcmrs.fsm.chart.current import MAX_LEVEL
-from pcmrs.fsm.chart.png import ZOOM
 
 RATMS = str(BLUEPRINT)
 GRAPHVIZ = shutil.which("dot")

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from trials import examples
 
 import pcmrs
+from pcmrs.authoring.design import Design, design
+from pcmrs.authoring.design.branches import Designed
+from pcmrs.authoring.design.excess import excess_of
 from pcmrs.cli.fsm.design import design as command
 from pcmrs.fsm import Blueprint, Closure, Engine, examine, load_blueprint, parse_blueprint
 from pcmrs.fsm.blueprint import BranchSpec, SequenceSpec
 from pcmrs.fsm.codes import DESIGN
-from pcmrs.fsm.design import Design, design
-from pcmrs.fsm.design.branches import Designed
-from pcmrs.fsm.design.excess import excess_of
 from pcmrs.fsm.files.load import Examination
 from pcmrs.fsm.finding import Finding
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from pcmrs.authoring.design import design
 from pcmrs.cli import main
 from pcmrs.fsm import Closure, Denial, Engine, parse_blueprint
-from pcmrs.fsm.design import design
 
 TABLE = Path(__file__).parents[2] / "examples/biopsy_steps.toml"
 DECLARATION = re.compile(r"^(moves|affects_patient|irreversible|confirm) = .*\n", re.MULTILINE)

@@ -9,11 +9,11 @@ import pytest
 import tomli_w
 from hazard_tables import hazard_table
 
-from pcmrs.experiment.tours.rehearsal import Script, scripted_dispatcher
-from pcmrs.fsm.design import design
+from pcmrs.authoring.design import design
+from pcmrs.authoring.trial.tour import Move
 from pcmrs.fsm.files.load import read_blueprint
-from pcmrs.fsm.trial.tour import Move
 from pcmrs.messages import Command, Verdict
+from pcmrs_lab.experiment.tours.rehearsal import Script, scripted_dispatcher
 
 CHUNKS, TABLES_EACH, COMMANDS = 20, 50, 30
 

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from step_table_oracle import Model, random_table
 from trials import examples
 
+from pcmrs.authoring.design import Design, design
 from pcmrs.fsm import Blueprint, Closure, Engine, flags_of, parse_blueprint
-from pcmrs.fsm.design import Design, design
 
 RANDOMS = st.randoms(use_true_random=False)
 Joint = dict[str, str]

@@ -10,9 +10,9 @@ import pytest
 from click.testing import CliRunner, Result
 from random_charts import as_drawio, as_mermaid, as_scxml, random_chart
 
+from pcmrs.authoring.exchange.exporting.schema import schema
 from pcmrs.cli import main
 from pcmrs.fsm import examine
-from pcmrs.fsm.exchange.exporting.schema import schema
 
 RING = """<scxml xmlns="http://www.w3.org/2005/07/scxml" version="1.0" name="ring">
   <state id="a"><transition event="go" target="b"/></state>

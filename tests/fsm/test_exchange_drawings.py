@@ -8,12 +8,12 @@ import pytest
 from random_blueprints import random_blueprint
 from random_charts import as_drawio, as_mermaid, as_scxml, random_chart
 
+from pcmrs.authoring.chart import mermaid
+from pcmrs.authoring.exchange.importing.drawio import from_drawio
+from pcmrs.authoring.exchange.importing.mermaid import from_mermaid
+from pcmrs.authoring.exchange.importing.scxml import from_scxml
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.behaviour import behaviour
-from pcmrs.fsm.chart import mermaid
-from pcmrs.fsm.exchange.importing.drawio import from_drawio
-from pcmrs.fsm.exchange.importing.mermaid import from_mermaid
-from pcmrs.fsm.exchange.importing.scxml import from_scxml
 from pcmrs.fsm.finding import Finding
 
 Import = tuple[Blueprint | None, list[Finding]]

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from random_charts import as_drawio, as_mermaid, as_scxml, deflated, random_chart
 from trials import examples
 
+from pcmrs.authoring.exchange.importing.drawio import from_drawio
+from pcmrs.authoring.exchange.importing.mermaid import from_mermaid
+from pcmrs.authoring.exchange.importing.scxml import from_scxml
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.codes import CODES, EXCHANGE
-from pcmrs.fsm.exchange.importing.drawio import from_drawio
-from pcmrs.fsm.exchange.importing.mermaid import from_mermaid
-from pcmrs.fsm.exchange.importing.scxml import from_scxml
 from pcmrs.fsm.files.bounded import MAX_BYTES
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.rules import check_rules

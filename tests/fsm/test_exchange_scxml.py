@@ -10,10 +10,10 @@ from msgspec.structs import replace
 from random_charts import EVENTS, as_scxml, random_chart
 from scxml_peer import Peer
 
+from pcmrs.authoring.exchange.exporting.commands import commands
+from pcmrs.authoring.exchange.exporting.scxml import scxml
+from pcmrs.authoring.exchange.importing.scxml import from_scxml
 from pcmrs.fsm import Blueprint
-from pcmrs.fsm.exchange.exporting.commands import commands
-from pcmrs.fsm.exchange.exporting.scxml import scxml
-from pcmrs.fsm.exchange.importing.scxml import from_scxml
 from pcmrs.fsm.files.dump import blueprint_toml
 from pcmrs.fsm.rules import check_rules
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
+from pcmrs.authoring.exchange.exporting.schema import schema
+from pcmrs.authoring.exchange.exporting.table import COLUMNS, table
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.behaviour import behaviour, endings
 from pcmrs.fsm.closure import Denial
-from pcmrs.fsm.exchange.exporting.schema import schema
-from pcmrs.fsm.exchange.exporting.table import COLUMNS, table
 from pcmrs.fsm.files.load import read_blueprint
 
 WORKFLOWS = sorted(Path("pcmrs/workflows").glob("*.toml"))

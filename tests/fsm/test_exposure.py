@@ -10,9 +10,9 @@ import pytest
 from altered import with_operation
 
 import pcmrs
+from pcmrs.authoring.design import design
 from pcmrs.fsm import Blueprint, load_blueprint
 from pcmrs.fsm.blueprint import ActivitySpec
-from pcmrs.fsm.design import design
 from pcmrs.fsm.exposure import Exposure
 from pcmrs.fsm.files.load import read_blueprint
 

@@ -9,12 +9,12 @@ import pytest
 from random_blueprints import random_blueprint
 from scxml_peer import Peer, expected, fits
 
+from pcmrs.authoring.exchange.exporting.commands import Command, commands
+from pcmrs.authoring.exchange.exporting.nesting import nesting_of
+from pcmrs.authoring.exchange.exporting.scxml import scxml
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.closure import Denial
 from pcmrs.fsm.engine import Engine
-from pcmrs.fsm.exchange.exporting.commands import Command, commands
-from pcmrs.fsm.exchange.exporting.nesting import nesting_of
-from pcmrs.fsm.exchange.exporting.scxml import scxml
 from pcmrs.fsm.files.load import read_blueprint
 
 WORKFLOWS = Path("pcmrs/workflows")

@@ -15,8 +15,8 @@ import pytest
 from random_blueprints import random_blueprint
 from ratms_mutants import mutants, ratms
 
+from pcmrs.authoring.exchange.exporting.promela import promela
 from pcmrs.fsm.blueprint import Blueprint, Condition, PropertySpec
-from pcmrs.fsm.exchange.exporting.promela import promela
 from pcmrs.fsm.verify import Verification, verify
 
 MISSING = [program for program in ("spin", "cc") if shutil.which(program) is None]

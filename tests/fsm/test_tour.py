@@ -13,12 +13,12 @@ from random_blueprints import blueprints
 from ratms_oracle import BLUEPRINT, INTERNAL_OPERATIONS, all_operations, as_dict, expected, reachable
 from trials import examples
 
+from pcmrs.authoring.trial.coverage import coverage, is_complete
+from pcmrs.authoring.trial.engine_tour import tour_engine
+from pcmrs.authoring.trial.tour import Move, Tour, plan_tour
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint, BranchSpec, OperationSpec, load_blueprint
 from pcmrs.fsm.blueprint import OutcomeSpec
-from pcmrs.fsm.trial.coverage import coverage, is_complete
-from pcmrs.fsm.trial.engine_tour import tour_engine
-from pcmrs.fsm.trial.tour import Move, Tour, plan_tour
 
 RATMS = load_blueprint(BLUEPRINT)
 

@@ -14,10 +14,10 @@ from random_blueprints import blueprints
 from ratms_oracle import BLUEPRINT, INITIAL, Joint, all_operations, as_dict, expected
 from trials import examples
 
+from pcmrs.authoring.trial.walk import Step, Walk
 from pcmrs.cli import main
 from pcmrs.errors import RefusalError
 from pcmrs.fsm import Blueprint, load_blueprint
-from pcmrs.fsm.trial.walk import Step, Walk
 
 RATMS = load_blueprint(BLUEPRINT)
 

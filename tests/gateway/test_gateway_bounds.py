@@ -8,7 +8,6 @@ import math
 from typing import Any
 
 import pytest
-from clock import settle
 from gateway_fakes import WITHIN, UdpClient
 from structlog.testing import capture_logs
 
@@ -17,6 +16,7 @@ from pcmrs.gateway import intake, links, session
 from pcmrs.gateway.session import SECOND_WITHIN
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.hosts import is_loopback
+from pcmrs.testing.clock import settle
 
 
 async def test_what_is_refused_to_a_client_without_verdicts_is_logged(cell: Any) -> None:

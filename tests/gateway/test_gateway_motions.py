@@ -6,7 +6,8 @@ import asyncio
 from typing import Any
 
 import pytest
-from clock import settle as settle_loop
+
+from pcmrs.testing.clock import settle as settle_loop
 
 
 async def arrived(cell: Any) -> None:

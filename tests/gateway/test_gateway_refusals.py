@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 
 import pytest
-from clock import ManualClock, settle
 from gateway_fakes import FakeCore
 
 from pcmrs.gateway.refusals import PERIOD, Refusals
 from pcmrs.gateway.tasks import Tasks
+from pcmrs.testing.clock import ManualClock, settle
 
 SOURCE = "udp:planner:127.0.0.1:4000"
 

@@ -13,7 +13,6 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-from clock import ManualClock, settle
 from gateway_fakes import FakeCore, UdpClient
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,6 +23,7 @@ from pcmrs.gateway.counters import MOST_NAMES, CounterFile, check_room
 from pcmrs.gateway.keeper import CounterKeeper
 from pcmrs.gateway.links import COUNTERS, open_gateway
 from pcmrs.gateway.settings import MAX_PEERS
+from pcmrs.testing.clock import ManualClock, settle
 
 DAEMON = """
 import asyncio, json, sys

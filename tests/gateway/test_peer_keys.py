@@ -10,7 +10,6 @@ from typing import Any
 import msgspec
 import pytest
 from click.testing import CliRunner, Result
-from clock import ManualClock
 from gateway_fakes import FakeCore
 from signed_room import config
 
@@ -22,6 +21,7 @@ from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.permissions import DEFAULT, GROUPS, STOP, allowed
 from pcmrs.gateway.settings import MAX_PEERS, GatewayConfig, PeerConfig
 from pcmrs.settings import read_settings
+from pcmrs.testing.clock import ManualClock
 
 
 @pytest.mark.parametrize("mode", [0o644, 0o640, 0o604, 0o620, 0o601, 0o666])

@@ -13,7 +13,6 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from clock import ManualClock
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -23,6 +22,7 @@ from pcmrs.gateway.grammar import MAX_BYTES, parse
 from pcmrs.gateway.keys import new_key, read_key
 from pcmrs.gateway.settings import PeerConfig
 from pcmrs.gateway.signing import Signer, sign_answer, split
+from pcmrs.testing.clock import ManualClock
 
 CLIENTS = Path(__file__).parents[2] / "clients"
 VECTORS: list[dict[str, Any]] = json.loads((CLIENTS / "signature_vectors.json").read_text(encoding="ascii"))

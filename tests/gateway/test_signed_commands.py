@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from clock import settle
 from gateway_fakes import UdpClient, rest_of
 from signed_room import Room, open_room, peer, signer
 
 from pcmrs.gateway.signing import Signer
 from pcmrs.messages import DeviceEvent
 from pcmrs.planner import Planner
+from pcmrs.testing.clock import settle
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 import uvloop
-from clock import ManualClock, settle
 from gateway_fakes import WITHIN, FakeCore, rest_of
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -23,6 +22,7 @@ from pcmrs.gateway.grammar import MAX_BYTES
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from pcmrs.gateway.tcp import FIRST_WITHIN, MOST_OF_A_HOST
+from pcmrs.testing.clock import ManualClock, settle
 
 CONNECT = b"rob_conn_onxxxxx_#1;"
 STOP = b"stop_now_xxxxxxx;"

@@ -20,11 +20,11 @@ import zenoh
 
 from pcmrs.bus import Bus, BusSettings
 from pcmrs.bus.seal import Seal
-from pcmrs.campaign.lab import QUICK
 from pcmrs.client import Client
-from pcmrs.experiment.process import DEVICE_KEY, descendants, device_key, free_port
 from pcmrs.planner import Planner
 from pcmrs.service import Ready
+from pcmrs.testing.cell import QUICK
+from pcmrs.testing.daemon import DEVICE_KEY, descendants, device_key, free_port
 
 PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "ratms_plan.json").read_text())
 LOOK, DRIFT = 0.25, 1e-3
@@ -114,7 +114,7 @@ class ServeProcess:
 
     def world_of(self, node: int) -> int:
         """Id of the process in which the devices of a node are simulated."""
-        (found,) = _running(node, b"sim.process")
+        (found,) = _running(node, b"pcmrs_sim.process")
         return found
 
     def _run_as(self, module: bytes) -> list[int]:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from daemon_process import START_TIME, own_settings, wait_until
 
-from pcmrs.experiment.process import free_port
+from pcmrs.testing.daemon import free_port
 
 SERVE = "pcmrs-serve"
 KEPT_RUNNING = (SERVE, "pcmrs watch", "pcmrs console")

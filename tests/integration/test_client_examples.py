@@ -9,12 +9,12 @@ import sys
 from io import StringIO
 from pathlib import Path
 
-from pcmrs.campaign.lab import LabCell, open_cell
+from pcmrs.testing.cell import RunningCell, open_cell
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "clients"
 
 
-async def begin(cell: LabCell, name: str, *words: str) -> asyncio.subprocess.Process:
+async def begin(cell: RunningCell, name: str, *words: str) -> asyncio.subprocess.Process:
     """A program that has begun; what it prints comes line by line."""
     address = {"PCMRS_ENDPOINT": cell.ready.endpoint, "PCMRS_CELL": cell.folder.name, "PYTHONUNBUFFERED": "1"}
     return await asyncio.create_subprocess_exec(
@@ -30,7 +30,7 @@ async def end(process: asyncio.subprocess.Process) -> str:
     return said.decode()
 
 
-async def run(cell: LabCell, name: str, *words: str) -> str:
+async def run(cell: RunningCell, name: str, *words: str) -> str:
     """What a whole program prints."""
     return await end(await begin(cell, name, *words))
 

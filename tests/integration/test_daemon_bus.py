@@ -15,9 +15,9 @@ import zenoh
 from daemon_process import PATIENCE, ServeProcess
 
 from pcmrs.bus.keys import KEYS
-from pcmrs.campaign.driving import accept, landmarks
 from pcmrs.client import Client, Event
 from pcmrs.messages import BodyPose, JointState, Snapshot, Verdict
+from pcmrs.testing.driving import accept, landmarks
 
 
 class Events:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from daemon_process import ServeProcess, as_words, own_settings, run_pcmrs, running_daemon
 
-from pcmrs.experiment.process import free_port
+from pcmrs.testing.daemon import free_port
 
 
 def test_call_prints_the_verdict_and_its_status_tells_it(daemon: ServeProcess) -> None:

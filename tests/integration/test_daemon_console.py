@@ -12,10 +12,10 @@ from urllib.request import HTTPCookieProcessor, build_opener
 import pytest
 from daemon_process import own_settings, running_daemon, wait_until
 
-from pcmrs.campaign.driving import accept
 from pcmrs.console.settings import TOKEN
-from pcmrs.experiment.process import free_port
 from pcmrs.journal import JournalReader
+from pcmrs.testing.daemon import free_port
+from pcmrs.testing.driving import accept
 
 
 def with_page(folder: Path, port: int) -> list[str]:

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from daemon_process import PATIENCE, ServeProcess, own_settings, running_daemon
 
-from pcmrs.campaign.driving import accept, calmed, showing, to_standoff, until
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.devices.remote import RemoteScene
 from pcmrs.messages import JointState
+from pcmrs.testing.driving import accept, calmed, showing, to_standoff, until
 from pcmrs.workflows.data import as_transform
 
 LIMIT = 8.0

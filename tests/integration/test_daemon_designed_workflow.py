@@ -6,9 +6,9 @@ from pathlib import Path
 
 from daemon_process import own_settings, running_daemon
 
-from pcmrs.campaign.driving import accept
-from pcmrs.fsm.design import design
+from pcmrs.authoring.design import design
 from pcmrs.messages import DeviceEvent
+from pcmrs.testing.driving import accept
 
 TABLE = Path(__file__).parents[2] / "examples/biopsy_steps.toml"
 BY_HAND = b"""

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from daemon_process import SLOW, is_running, own_settings, running_daemon, wait_until
 
-from pcmrs.campaign.driving import accept, moving, register
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.journal import JournalReader, JournalRow
+from pcmrs.testing.driving import accept, moving, register
 
 NODE_ENDS_WITHIN = 2.0
 
@@ -79,7 +79,7 @@ async def test_nodes_end_by_themselves_after_the_daemon_is_killed_and_its_succes
 STARTER = """
 import asyncio, sys
 from pathlib import Path
-from pcmrs.experiment.process import own_settings, running_daemon
+from pcmrs.testing.daemon import own_settings, running_daemon
 
 async def main(folder):
     async with running_daemon(own_settings(folder / "cell", "left"), folder / "log") as daemon:

@@ -15,7 +15,7 @@ from daemon_process import PATIENCE, ServeProcess, own_settings, run_pcmrs, runn
 from prometheus_client.parser import text_string_to_metric_families
 from service_manager import ServiceManager
 
-from pcmrs.campaign.driving import accept
+from pcmrs.testing.driving import accept
 
 TROUBLE = """
 import os, signal, time

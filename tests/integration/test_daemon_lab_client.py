@@ -9,8 +9,8 @@ from contextlib import asynccontextmanager
 import pytest
 from daemon_process import PLAN, ServeProcess
 
-from pcmrs.campaign.driving import accept, showing, start_anew, until
 from pcmrs.client import Client
+from pcmrs.testing.driving import accept, showing, start_anew, until
 
 ACK_WITHIN = 0.5
 SECOND_WITHIN = 0.4

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from daemon_process import PLAN, as_words, own_settings, run_pcmrs, running_daemon
 
-from pcmrs.campaign.driving import accept, register
 from pcmrs.errors import CommandRefusedError
+from pcmrs.testing.driving import accept, register
 from pcmrs.workflows import find_workflow
 
 BIOPSY = Path(__file__).parents[2] / "examples" / "biopsy" / "biopsy.toml"

@@ -29,7 +29,6 @@ from daemon_process import (
 
 from pcmrs.bus import Bus, BusSettings
 from pcmrs.bus.codec import unpack
-from pcmrs.campaign.driving import accept, landmarks
 from pcmrs.cli import main
 from pcmrs.client import Client
 from pcmrs.journal import JournalReader
@@ -41,6 +40,7 @@ from pcmrs.recording.reading import Reading
 from pcmrs.recording.recorder import Report
 from pcmrs.recording.settings import FOLDER
 from pcmrs.settings import read_settings
+from pcmrs.testing.driving import accept, landmarks
 
 
 @contextmanager

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from daemon_process import SLOW, own_settings, running_daemon, wait_until
 
-from pcmrs.campaign.driving import accept, moving, register, showing, to_standoff, until
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.journal import JournalReader
+from pcmrs.testing.driving import accept, moving, register, showing, to_standoff, until
 
 
 def damage(journal: Path) -> None:

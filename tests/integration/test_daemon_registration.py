@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from daemon_process import PLAN, ServeProcess, own_settings, running_daemon
 
-from pcmrs.campaign.driving import accept, landmarks, register, showing, start_anew, until
 from pcmrs.client import Client
 from pcmrs.planner import Planner
+from pcmrs.testing.driving import accept, landmarks, register, showing, start_anew, until
 
 POINTS = 25
 

@@ -24,12 +24,12 @@ from daemon_process import (
     wait_until,
 )
 
-from pcmrs.campaign.delays import Delays, Rule
-from pcmrs.campaign.driving import accept, connect, landmarks, moving, register, showing, to_standoff, until
 from pcmrs.clock import SystemClock
 from pcmrs.devices.remote import RemoteRobot
 from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.messages import JointTrajectory
+from pcmrs.testing.driving import accept, connect, landmarks, moving, register, showing, to_standoff, until
+from pcmrs_lab.campaign.delays import Delays, Rule
 
 ARM = ("robot", "tracker", "pointer", "scene")
 

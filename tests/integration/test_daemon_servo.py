@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from daemon_process import ServeProcess, own_settings, run_pcmrs, running_daemon
 
-from pcmrs.campaign.driving import accept, until
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.devices.remote import RemoteRobot, RemoteScene
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Transform
-from sim.head import surface_point
-from sim.settings import GeometrySettings
+from pcmrs.testing.driving import accept, until
+from pcmrs_sim.head import surface_point
+from pcmrs_sim.settings import GeometrySettings
 
 ARM, GEOMETRY = ARMS["iiwa14"], GeometrySettings()
 GAP = 0.005

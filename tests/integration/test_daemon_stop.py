@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from daemon_process import SLOW, ServeProcess, own_settings, running_daemon, stands_still, virtual_drivers
 
-from pcmrs.campaign.driving import accept, moving, register
 from pcmrs.client import Client
+from pcmrs.testing.driving import accept, moving, register
 
 Stop = Callable[[ServeProcess, Client], Awaitable[None]]
 

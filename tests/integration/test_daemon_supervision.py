@@ -21,9 +21,9 @@ from daemon_process import (
     wait_until,
 )
 
-from pcmrs.campaign.driving import accept, moving, register, showing, until
 from pcmrs.client import Client
 from pcmrs.journal import JournalReader, JournalRow
+from pcmrs.testing.driving import accept, moving, register, showing, until
 
 BLOCKER = """
 import signal, time

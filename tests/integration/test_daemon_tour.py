@@ -8,8 +8,8 @@ import msgspec
 import pytest
 from daemon_process import own_settings, run_pcmrs, running_daemon
 
-from pcmrs.experiment.tours.report import TourReport
-from pcmrs.fsm.trial.tour import Move
+from pcmrs.authoring.trial.tour import Move
+from pcmrs_lab.experiment.tours.report import TourReport
 
 pytestmark = pytest.mark.slow
 

@@ -11,9 +11,9 @@ import pytest
 from daemon_process import PATIENCE, PLAN, ServeProcess, own_settings, running_daemon
 from virtual_cell import VirtualCell
 
-from pcmrs.campaign.driving import accept, landmarks, moving, register, until
 from pcmrs.client import Client
 from pcmrs.messages import DeviceHealth, Snapshot
+from pcmrs.testing.driving import accept, landmarks, moving, register, until
 
 pytest.importorskip("mujoco")
 pytest.importorskip("ndicapy")

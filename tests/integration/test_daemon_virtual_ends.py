@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from daemon_process import PATIENCE, SLOW, ServeProcess, own_settings, running_daemon, virtual_drivers
 
-from pcmrs.campaign.driving import moving, register, showing, until
 from pcmrs.client import Client
 from pcmrs.spatial import Floats
+from pcmrs.testing.driving import moving, register, showing, until
 
 pytest.importorskip("mujoco")
 pytest.importorskip("ndicapy")

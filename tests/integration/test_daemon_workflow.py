@@ -2,9 +2,9 @@ from __future__ import annotations
 
 from daemon_process import PLAN, ServeProcess
 
-from pcmrs.campaign.driving import start_anew
 from pcmrs.client import Client
 from pcmrs.planner import Planner
+from pcmrs.testing.driving import start_anew
 
 
 async def test_an_external_planner_completes_the_procedure_over_udp(

@@ -20,7 +20,7 @@ from daemon_process import (
     wait_until,
 )
 
-from pcmrs.campaign.driving import accept, moving, register, showing, until
+from pcmrs.testing.driving import accept, moving, register, showing, until
 
 REALTIME = os.SCHED_RR | os.SCHED_RESET_ON_FORK
 

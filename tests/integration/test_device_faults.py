@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from daemon_process import PATIENCE, ServeProcess, own_settings, run_pcmrs, running_daemon
 
-from pcmrs.campaign.driving import accept, moving, register, showing, start_anew, until
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.devices.ndi.tools import placeholder
 from pcmrs.devices.remote import RemoteScene
-from pcmrs.experiment.process import free_port
 from pcmrs.messages import Verdict
+from pcmrs.testing.daemon import free_port
+from pcmrs.testing.driving import accept, moving, register, showing, start_anew, until
 
 pytest.importorskip("mujoco")
 pytest.importorskip("ndicapy")

@@ -9,7 +9,7 @@ import pytest
 from shell_pages import Shown, ShownPage, User
 
 from pcmrs.dispatcher.stops import YOUNG
-from pcmrs.experiment.process import free_port
+from pcmrs.testing.daemon import free_port
 
 ROOT = Path(__file__).parents[2]
 ELSEWHERE = {

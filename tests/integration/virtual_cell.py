@@ -11,7 +11,7 @@ from pathlib import Path
 
 from daemon_process import PATIENCE, first_line
 
-from pcmrs.experiment.process import free_port
+from pcmrs.testing.daemon import free_port
 
 
 class VirtualCell:
@@ -52,7 +52,7 @@ class VirtualCell:
         """Serves cabinet and tracker; ends with the context, if it has not been killed before."""
         ports = ["--kst-port", str(self._kst), "--ndi-port", str(self._ndi), "--accept-timeout", "600"]
         words = [word for setting in settings for word in ("--set", setting)]
-        command = [sys.executable, "-c", "from sim.cli import main; main()", "cell", "--json", *ports, *words]
+        command = [sys.executable, "-c", "from pcmrs_sim.cli import main; main()", "cell", "--json", *ports, *words]
         with self._log.open("ab") as log:
             process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log)
         self._process = process

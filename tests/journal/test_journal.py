@@ -11,7 +11,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from clock import settle
 from hypothesis import given
 from hypothesis import strategies as st
 from journal_rows import intent, outcome, row
@@ -20,6 +19,7 @@ from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalReader, StoredRow
 from pcmrs.journal.rows import GENESIS, decode_row, encode_row
 from pcmrs.journal.writer import Encoded, JournalWriter
+from pcmrs.testing.clock import settle
 
 WITHIN = 10.0
 """A test fails when what it waits for has not come after so long, s."""

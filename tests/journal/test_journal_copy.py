@@ -10,13 +10,13 @@ import pytest
 from journal_rows import row
 from whole_journal import sample
 
-from pcmrs.campaign.taking_up import HEAD, NAME, place
 from pcmrs.errors import JournalError
 from pcmrs.journal import copy, copy_journal, verify
 from pcmrs.journal.head import read_head
 from pcmrs.journal.keys import signing_key
 from pcmrs.journal.rows import encode_row
 from pcmrs.journal.writer import JournalWriter
+from pcmrs.testing.journal import HEAD, NAME, place
 
 
 @pytest.fixture

@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 from whole_journal import LOG, Sample, sample
 
-from pcmrs.campaign.damage import Damage
-from pcmrs.campaign.fault import Unmet
-from pcmrs.campaign.taking_up import HEAD, NAME, place, taken_up
+from pcmrs.testing.errors import Unmet
+from pcmrs.testing.journal import HEAD, NAME, place
+from pcmrs_lab.campaign.damage import Damage
+from pcmrs_lab.campaign.taking_up import taken_up
 
 
 @pytest.fixture(params=["killed", "closed"])

@@ -11,12 +11,12 @@ import pytest
 from journal_rows import row
 from whole_journal import sample
 
-from pcmrs.campaign.taking_up import HEAD, place
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalReader, Kind, verify
 from pcmrs.journal.chain import stored_row
 from pcmrs.journal.rows import chain_hash, encode_row
 from pcmrs.journal.writer import JournalWriter
+from pcmrs.testing.journal import HEAD, place
 
 GUARDS = ("no_update", "no_delete", "no_gap")
 

@@ -13,12 +13,12 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from journal_rows import row
 from whole_journal import LOG, Sample, sample
 
-from pcmrs.campaign.appended import append_without_key
-from pcmrs.campaign.taking_up import HEAD, NAME, place
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalReader, copy_journal, verify
 from pcmrs.journal.rows import encode_row
 from pcmrs.journal.writer import JournalWriter
+from pcmrs.testing.journal import HEAD, NAME, place
+from pcmrs_lab.campaign.appended import append_without_key
 
 OLD = Path(__file__).with_name("version_1.sqlite.gz")
 _P256 = generate_private_key(SECP256R1())

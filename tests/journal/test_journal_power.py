@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from pcmrs.campaign.cuts import CutReport, cut_power
-from pcmrs.campaign.recorded import NEEDS
 from pcmrs.clock import SystemClock
+from pcmrs_lab.campaign.cuts import CutReport, cut_power
+from pcmrs_lab.campaign.recorded import NEEDS
 
 pytestmark = pytest.mark.skipif(not all(need.is_met() for need in NEEDS), reason="strace records what is written")
 

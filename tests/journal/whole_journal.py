@@ -8,8 +8,8 @@ from pathlib import Path
 
 from journal_rows import intent, outcome, row
 
-from pcmrs.campaign.taking_up import NAME, contents
 from pcmrs.journal import Journal, StoredRow
+from pcmrs.testing.journal import NAME, contents
 
 LOG = f"{NAME}-wal"
 

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import msgspec
-from clock import ManualClock, settle
 from memory_link import MemoryLink
 
 from pcmrs.devices.gate import RELEASE
@@ -41,6 +40,7 @@ from pcmrs.service.procedure import Clocks, open_cell
 from pcmrs.service.recorder import JournalRecorder
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.settings import Settings
+from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.connection import connect_robot
 from pcmrs.workflows.data import PlacementData

@@ -18,7 +18,7 @@ from stop_replay import first_difference, make_cell
 from pcmrs.devices.gate import Gate
 from pcmrs.errors import DeviceError
 from pcmrs.messages import ActToken
-from pcmrs.simulation.loop import SimulatedLoop
+from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs.workflows.cell import Cell
 
 MODEL = Path(__file__).with_name("stop.pml")

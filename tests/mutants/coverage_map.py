@@ -42,6 +42,7 @@ data_file = {data}
 source =
     {tree}/pcmrs
     {tree}/sim
+    {tree}/lab
 """
 
 
@@ -176,7 +177,7 @@ def write_map(
         environment = {key: value for key, value in os.environ.items() if not key.startswith("COVERAGE_")}
         environment.pop("PYTEST_CURRENT_TEST", None)
         environment |= {
-            "PYTHONPATH": f"{TREE}:{Path(__file__).parent}",
+            "PYTHONPATH": f"{TREE}:{TREE}/sim:{TREE}/lab:{Path(__file__).parent}",
             RESULTS: str(results),
             CONFIGURATION: str(configuration),
         }

@@ -16,7 +16,7 @@ class Mutant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     Attributes:
         name: Unique.
-        module: Dotted name below ``pcmrs``; modules of the simulation begin with ``sim``.
+        module: Dotted name below ``pcmrs``; other modules begin with ``pcmrs_sim`` or ``pcmrs_lab``.
         function: Qualified name of the function or class; empty for statements of the module itself.
         guard: Its exact text, which occurs once in the function.
         without: The text that takes its place.

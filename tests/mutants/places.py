@@ -10,6 +10,8 @@ from pathlib import Path
 import msgspec
 
 TREE = Path(__file__).parents[2]
+TOPS = ("pcmrs", "sim", "lab")
+"""Folders of the distributions."""
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 
 
@@ -55,7 +57,7 @@ def find(tree: Path, module: str, function: str, text: str) -> Place:
 
     Args:
         tree: Root of the sources.
-        module: Dotted name below ``pcmrs``; modules of the simulation begin with ``sim``.
+        module: Dotted name below ``pcmrs``; other modules begin with ``pcmrs_sim`` or ``pcmrs_lab``.
         function: Qualified name of a function or class; empty for the whole module.
         text: Must occur once in the function.
 
@@ -64,12 +66,14 @@ def find(tree: Path, module: str, function: str, text: str) -> Place:
     """
     path = Path(*module.split("."))
     candidates = [
-        each for base in (path, Path("pcmrs") / path) for each in (base.with_suffix(".py"), base / "__init__.py")
+        each
+        for base in (path, *(Path(top) / path for top in TOPS))
+        for each in (base.with_suffix(".py"), base / "__init__.py")
     ]
     files = [file for file in candidates if (tree / file).is_file()]
     places = [place for file in files for place in _places(tree, file, function, text)]
     if not places and function:
-        everywhere = sorted(file.relative_to(tree) for top in ("pcmrs", "sim") for file in (tree / top).rglob("*.py"))
+        everywhere = sorted(file.relative_to(tree) for top in TOPS for file in (tree / top).rglob("*.py"))
         places = [place for file in everywhere for place in _places(tree, file, function, text)]
     if len(places) != 1:
         where = ", ".join(str(place.file) for place in places) or "nowhere"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import msgspec
 from coverage_map import CoverageMap, MappedTest
-from places import DEFINITIONS, Place
+from places import DEFINITIONS, TOPS, Place
 
 SLOWEST = 40.0
 """A test that takes longer than this (s, under coverage) is not chosen."""
@@ -167,7 +167,7 @@ def _users(tree: Path, name: str) -> list[tuple[Path, Iterable[int]]]:
 
 @lru_cache(maxsize=1)
 def _sources(tree: Path) -> Sequence[tuple[Path, str, frozenset[int]]]:
-    files = sorted(file for top in ("pcmrs", "sim") for file in (tree / top).rglob("*.py"))
+    files = sorted(file for top in TOPS for file in (tree / top).rglob("*.py"))
     sources = [(file.relative_to(tree), file.read_text()) for file in files]
     return [(file, source, frozenset(_function_lines(ast.parse(source)))) for file, source in sources]
 

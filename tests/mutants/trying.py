@@ -31,7 +31,19 @@ from selecting_tests import Limits, select
 
 TEST_TIME = 60
 """Limit of a test, s."""
-COPIED = ("pcmrs", "sim", "tests", "clients", "examples", "benchmarks", "docs", "deploy", "pyproject.toml", "README.md")
+COPIED = (
+    "pcmrs",
+    "sim",
+    "lab",
+    "tests",
+    "clients",
+    "examples",
+    "benchmarks",
+    "docs",
+    "deploy",
+    "pyproject.toml",
+    "README.md",
+)
 
 Outcome = Literal["caught", "survived", "timed out", "broken", "not tested"]
 
@@ -262,7 +274,7 @@ def _run_tests(tests: Sequence[str], copy: Path, seconds: float, *options: str) 
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", *limits, *options, *tests]
     # Compiled files make the next mutant of this copy quicker; what measures this process does not measure that one.
     environment = {key: value for key, value in os.environ.items() if not key.startswith("COVERAGE_")}
-    environment |= {"PYTHONPATH": f"{copy}:{copy}/tests/mutants", "PYTHONDONTWRITEBYTECODE": ""}
+    environment |= {"PYTHONPATH": f"{copy}:{copy}/sim:{copy}/lab:{copy}/tests/mutants", "PYTHONDONTWRITEBYTECODE": ""}
     with subprocess.Popen(
         command, cwd=copy, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         start_new_session=True,

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from pcmrs.campaign.driving import landmarks, tool_pose
-from pcmrs.campaign.natlab import ROUTER, NatLab, Place, Side, nat_lab
 from pcmrs.clock import SystemClock
-from pcmrs.experiment.process import free_port
 from pcmrs.pki import Authority
+from pcmrs.testing.daemon import free_port
+from pcmrs.testing.driving import landmarks, tool_pose
+from pcmrs_lab.campaign.natlab import ROUTER, NatLab, Place, Side, nat_lab
 
 PCMRS = [sys.executable, "-m", "pcmrs.cli"]
 SITE, CELL = "lab", "far1"
@@ -37,8 +37,8 @@ RATMS: list[tuple[str, Mapping[str, Any]]] = [
 
 LONG_WAY = """
 import asyncio, sys
-from pcmrs.campaign.proxy import tcp_proxy
-from pcmrs.campaign.weather import Weather
+from pcmrs_lab.campaign.proxy import tcp_proxy
+from pcmrs_lab.campaign.weather import Weather
 
 async def run(host, port, delay, jitter):
     async with tcp_proxy((host, int(port)), Weather(delay=float(delay), jitter=float(jitter))) as (_, proxied):

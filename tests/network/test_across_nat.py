@@ -18,11 +18,11 @@ from typing import Any
 import pytest
 from remote_cell import CELL, PATIENCE, RATMS, SITE, Loopback, RemoteCell, behind_nats, long_way, remote_cell
 
-from pcmrs.campaign.natlab import Side, missing
 from pcmrs.client import PlainClient
 from pcmrs.clock import SystemClock
 from pcmrs.messages import BodyPose, DeviceHealth, JointState, Snapshot
 from pcmrs.pki import read_credentials
+from pcmrs_lab.campaign.natlab import Side, missing
 
 REAL_TIME = ("cell.rate=1",)
 PATIENT = (

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 from programs import python, said
 
-from pcmrs.campaign.natlab import INSIDE, OUTSIDE, ROUTER, SIDES, NatLab, Place, Side, missing, nat_lab
+from pcmrs_lab.campaign.natlab import INSIDE, OUTSIDE, ROUTER, SIDES, NatLab, Place, Side, missing, nat_lab
 
 PORT = "7449"
 PLACES: tuple[Place, ...] = ("router", *SIDES)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from programs import python, said
 
-from pcmrs.campaign.natlab import OUTSIDE, ROUTER, NatLab, missing, nat_lab
+from pcmrs_lab.campaign.natlab import OUTSIDE, ROUTER, NatLab, missing, nat_lab
 
 RULES = Path(__file__).parents[2] / "deploy" / "router" / "router.nft"
 PORT = "7449"

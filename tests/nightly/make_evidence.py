@@ -13,7 +13,7 @@ from in_a_row import kept
 from nightly_parts import Part, chosen, holders, parts
 from nightly_results import Result, published
 
-from pcmrs.campaign.catalogue import catalogue
+from pcmrs_lab.campaign.catalogue import catalogue
 
 PAGE = DOCS / "evidence.md"
 WANTED_IN_A_ROW = 20

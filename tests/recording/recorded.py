@@ -17,7 +17,6 @@ from mcap_protobuf.decoder import DecoderFactory
 from pcmrs.bus import Bus, BusSettings, Empty
 from pcmrs.bus.seal import Seal, new_key
 from pcmrs.clock import SystemClock
-from pcmrs.experiment.process import free_port
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointState
 from pcmrs.recording.chain import Mounting
@@ -26,6 +25,7 @@ from pcmrs.recording.series import Limits, files_of
 from pcmrs.recording.tap import Tap
 from pcmrs.recording.topics import TOPICS
 from pcmrs.recording.views import Views
+from pcmrs.testing.daemon import free_port
 from pcmrs.workflows.settings import CalibrationSettings
 
 TIMEOUT = 20.0

@@ -24,7 +24,6 @@ from pcmrs.bus import Bus, BusSettings
 from pcmrs.bus.codec import pack
 from pcmrs.clock import SystemClock
 from pcmrs.errors import ConfigurationError, FileFormatError
-from pcmrs.experiment.process import free_port
 from pcmrs.recording.file import RecordingFile, Topics
 from pcmrs.recording.playing import Excerpt, Player, recorded_cell
 from pcmrs.recording.raw import encode
@@ -32,6 +31,7 @@ from pcmrs.recording.reading import Reading
 from pcmrs.recording.repair import repair
 from pcmrs.recording.tap import Heard
 from pcmrs.recording.views import Views
+from pcmrs.testing.daemon import free_port
 
 MAGIC = 8
 MESSAGES = 160

@@ -11,10 +11,10 @@ import msgspec
 import pytest
 
 from pcmrs.errors import ConfigurationError, JournalError
-from pcmrs.experiment.session.export import Exported, export_session
 from pcmrs.journal import Journal, JournalRow
 from pcmrs.messages import BlueprintTag
 from pcmrs.recording.settings import FOLDER
+from pcmrs.report.session_export import Exported, export_session
 from pcmrs.settings import Settings, read_settings
 
 TAG = BlueprintTag(id="w", version="1", hash="0")

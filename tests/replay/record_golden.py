@@ -29,13 +29,13 @@ from golden import GOLDEN, WORKFLOWS
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.devices.remote import RemoteScene
-from pcmrs.experiment.plan import Plan, example_plan, read_plan
-from pcmrs.experiment.tours.arguments import Arguments, plan_arguments
-from pcmrs.experiment.tours.run import tour_live
-from pcmrs.experiment.treatment import prepare, treat
 from pcmrs.journal import JournalReader
 from pcmrs.messages import Verdict
+from pcmrs.testing.plan import Plan, example_plan, read_plan
 from pcmrs.workflows.opening import open_workflow
+from pcmrs_lab.experiment.tours.arguments import Arguments, plan_arguments
+from pcmrs_lab.experiment.tours.run import tour_live
+from pcmrs_lab.experiment.treatment import prepare, treat
 
 START_TIME = 300.0
 """A machine that does much else takes its time, and nobody waits for a recording, s."""

@@ -14,7 +14,7 @@ from trials import examples
 from pcmrs.clock import SystemClock
 from pcmrs.dispatcher.lanes import Lanes
 from pcmrs.replay.replay import Replayed, replay_runs
-from pcmrs.simulation.loop import SimulatedLoop
+from pcmrs.simulated_time.loop import SimulatedLoop
 
 Action = tuple[str, tuple[Any, ...]]
 

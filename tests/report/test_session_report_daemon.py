@@ -13,13 +13,13 @@ import pytest
 from click.testing import CliRunner
 from report_page import Page
 
-from pcmrs.campaign.lab import QUICK
 from pcmrs.cli import main
 from pcmrs.client import Client
-from pcmrs.experiment.plan import example_plan, read_plan
-from pcmrs.experiment.process import own_settings, running_daemon
-from pcmrs.experiment.tours.arguments import plan_arguments
 from pcmrs.messages import Verdict
+from pcmrs.testing.cell import QUICK
+from pcmrs.testing.daemon import own_settings, running_daemon
+from pcmrs.testing.plan import example_plan, read_plan
+from pcmrs_lab.experiment.tours.arguments import plan_arguments
 
 PLACEMENTS, REFUSALS = 9, 7
 """Columns of the tables."""

@@ -13,7 +13,6 @@ import msgspec
 import pytest
 import zenoh
 from bus_cells import TIMEOUT, new_cell, open_bus, plain_session
-from clock import SetClock
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,6 +25,7 @@ from pcmrs.ros2 import cdr
 from pcmrs.ros2.driver import Ros2Settings, open_devices
 from pcmrs.ros2.poses import tracker_from_body
 from pcmrs.spatial import Transform, distance
+from pcmrs.testing.clock import SetClock
 
 DRIVER: OpenDriver = open_devices  # the type checker proves it
 

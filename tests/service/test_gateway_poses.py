@@ -6,12 +6,12 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from clock import ManualClock
 
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.messages import BodyPose
 from pcmrs.service.core import GatewayCore
 from pcmrs.spatial import Transform, distance
+from pcmrs.testing.clock import ManualClock
 
 SEEN = {
     "body_ref": Transform.from_rotvec([0.1, 0.2, 1.3], [0.1, 0.0, 0.2]),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from clock import ManualClock
 from structlog.testing import capture_logs
 
 from pcmrs.devices.poses import PoseFeed
@@ -11,6 +10,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceHealth
 from pcmrs.service.health import HealthWatch
 from pcmrs.service.hearing import Hearing
+from pcmrs.testing.clock import ManualClock
 
 
 async def test_a_device_is_told_when_it_is_lost_for_another_reason_and_there_again() -> None:

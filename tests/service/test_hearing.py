@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from clock import ManualClock, settle
 from structlog.testing import capture_logs
 
 from pcmrs.errors import DeviceError
 from pcmrs.service.hearing import DEVICES_TIME, NOTED_AFTER, Hearing, awaited
 from pcmrs.settings import DeviceSettings, RobotSettings, Settings
+from pcmrs.testing.clock import ManualClock, settle
 
 OTHERS = {"pointer", "scene", "stimulator", "emg"}
 NOWHERE = DeviceSettings(driver="none")

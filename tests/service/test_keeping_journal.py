@@ -10,7 +10,6 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from clock import ManualClock, settle
 from structlog.testing import capture_logs
 
 from pcmrs.errors import JournalError
@@ -18,6 +17,7 @@ from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Reason
 from pcmrs.service.recorder import JournalRecorder
 from pcmrs.service.recovery import RETRY_AFTER, conclude, keep_journal
+from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.workflows.opening import open_workflow
 
 FAILED = Reason(code=JournalError.code, text="The journal cannot be written: disk full.")

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from clock import ManualClock, settle
 from health_facts import WELL
 from msgspec.structs import replace
 from structlog.testing import capture_logs
@@ -19,6 +18,7 @@ from pcmrs.messages.health import Health, HealthFacts, TaskStanding
 from pcmrs.service.health_report import report
 from pcmrs.service.notify import STATUS_PERIOD, ServiceManager, keep_informed
 from pcmrs.service.supervisor import Supervisor
+from pcmrs.testing.clock import ManualClock, settle
 
 WATCHED = {"WATCHDOG_USEC": "4000000"}
 

@@ -9,9 +9,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from clock import ManualClock, settle
 
-from pcmrs.campaign.driving import landmarks
 from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.errors import DeviceError, SupervisionError
 from pcmrs.messages import (
@@ -31,6 +29,8 @@ from pcmrs.service.procedure import Clocks, RunningProcedure
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import read_settings
+from pcmrs.testing.clock import ManualClock, settle
+from pcmrs.testing.driving import landmarks
 from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.tms.data import Data
 

@@ -10,7 +10,6 @@ from typing import Any, cast
 
 import msgspec
 import pytest
-from clock import ManualClock, settle
 from health_facts import WELL
 
 from pcmrs.bus import Bus
@@ -22,6 +21,7 @@ from pcmrs.messages.health import Health
 from pcmrs.messages.setup import Gathered, Setup
 from pcmrs.service.health_report import report
 from pcmrs.service.publishing import HEALTH_PERIOD, LARGEST_PAGE, PAGE_BYTES, answer_queries, tell_health
+from pcmrs.testing.clock import ManualClock, settle
 
 ROW = JournalRow(
     kind="event",

@@ -10,7 +10,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from clock import ManualClock, settle
 from hypothesis import given
 from hypothesis import strategies as st
 from trials import examples
@@ -27,6 +26,7 @@ from pcmrs.service.ledger import Kept, Ledger
 from pcmrs.service.recorder import JournalRecorder
 from pcmrs.service.recovery import keep_journal, recover
 from pcmrs.settings import Settings, read_settings
+from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.workflows.data import PlacementData, Planned
 from pcmrs.workflows.opening import open_workflow
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import msgspec
 import pytest
 from click.testing import CliRunner
-from clock import ManualClock
 
 from pcmrs.cli import main
 from pcmrs.errors import ConfigurationError, JournalError
@@ -21,6 +20,7 @@ from pcmrs.journal import Journal, JournalRow
 from pcmrs.messages import BlueprintTag, DeviceEvent, Verdict
 from pcmrs.service.recorder import JournalRecorder
 from pcmrs.service.resume import migration_for
+from pcmrs.testing.clock import ManualClock
 from pcmrs.workflows.data import PlacementData
 
 FILE = Path("my/lamp.toml")

@@ -7,7 +7,6 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
-from clock import ManualClock, settle
 from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
@@ -15,6 +14,7 @@ from structlog.testing import capture_logs
 from pcmrs.errors import DeviceError, SupervisionError
 from pcmrs.messages import DeviceEvent
 from pcmrs.service.supervisor import REPORT_TIME, RESTARTS, WITHIN, RestartLimit, Supervisor, mark
+from pcmrs.testing.clock import ManualClock, settle
 
 
 class Bench:

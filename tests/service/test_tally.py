@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from clock import ManualClock
-
 from pcmrs.messages import Command, DeviceEvent, Reason, Verdict
 from pcmrs.messages.decisions import Decision
 from pcmrs.service.tally import BOUNDS, RECENT, Tally
+from pcmrs.testing.clock import ManualClock
 
 
 def verdict(decision: Decision, code: str = "") -> Verdict:

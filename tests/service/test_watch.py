@@ -6,11 +6,11 @@ import asyncio
 from collections.abc import AsyncIterator
 
 import pytest
-from clock import ManualClock, settle
 
 from pcmrs.devices.deadman import DEADMAN, beat_period
 from pcmrs.messages import DeviceEvent
 from pcmrs.service.watch import BEATS_MISSED, HELD_UP, SILENCE, RobotWatch
+from pcmrs.testing.clock import ManualClock, settle
 
 BEAT_PERIOD = beat_period(DEADMAN)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from sim.cell import open_devices
+from pcmrs_sim.opening import open_devices
 
 TURNS = 20  # of the event loop that any chain of reactions in these tests may take
 

@@ -4,8 +4,8 @@ import asyncio
 from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager, suppress
 
-from sim.cell import Cell
-from sim.kst.server import serve_kst
+from pcmrs_sim.cell import Cell
+from pcmrs_sim.kst.server import serve_kst
 
 DEADLINE = 20.0  # of a reply; longer than any motion here
 

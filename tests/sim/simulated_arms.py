@@ -6,10 +6,10 @@ from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
-from sim.arm import Arm
-from sim.head import surface_point
-from sim.phantoms import PHANTOMS
-from sim.settings import SimSettings
+from pcmrs_sim.arm import Arm
+from pcmrs_sim.head import surface_point
+from pcmrs_sim.phantoms import PHANTOMS
+from pcmrs_sim.settings import SimSettings
 
 FACTS = ARMS["iiwa14"]
 HOME = np.array(FACTS.home)

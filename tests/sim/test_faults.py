@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from pcmrs.errors import DeviceError
-from sim.faults import FAULTS, find_fault, parse_fault
+from pcmrs_sim.faults import FAULTS, find_fault, parse_fault
 
 
 def test_every_fault_belongs_to_a_row_and_says_what_happens() -> None:

@@ -11,10 +11,10 @@ from simulated_arms import smooth
 
 from pcmrs.clock import SystemClock
 from pcmrs.errors import DeviceError, UnknownOutcomeError
-from sim.cell import Cell, running_cell
-from sim.faults import inject
-from sim.kst.server import serve_kst
-from sim.robot import SimRobot
+from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.faults import inject
+from pcmrs_sim.kst.server import serve_kst
+from pcmrs_sim.robot import SimRobot
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

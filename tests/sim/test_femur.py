@@ -4,10 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trials import examples
 
-from pcmrs.experiment.published import PUBLISHED, FailureRun
 from pcmrs.registration import register_points
 from pcmrs.spatial import Floats
-from sim.femur import BASE, HEAD_CENTRE, LANDMARKS, distance, from_base, surface_point
+from pcmrs_lab.experiment.published import PUBLISHED, FailureRun
+from pcmrs_sim.femur import BASE, HEAD_CENTRE, LANDMARKS, distance, from_base, surface_point
 
 component = st.floats(-1.0, 1.0)
 directions = st.tuples(component, component, component).map(np.array).filter(lambda d: np.linalg.norm(d) > 0.1)

@@ -18,11 +18,11 @@ from pcmrs.kinematics.arms import ARMS
 
 pytest.importorskip("mujoco")
 
-from sim.cell import Cell
-from sim.faults import FAULTS, inject, parse_fault
-from sim.kst.cabinet import SET_POINTS, Cabinet
-from sim.kst.main_loop import QUESTIONS
-from sim.settings import SimSettings
+from pcmrs_sim.cell import Cell
+from pcmrs_sim.faults import FAULTS, inject, parse_fault
+from pcmrs_sim.kst.cabinet import SET_POINTS, Cabinet
+from pcmrs_sim.kst.main_loop import QUESTIONS
+from pcmrs_sim.settings import SimSettings
 
 REQUESTS = (
     *(f"{name}_" for name in SET_POINTS),

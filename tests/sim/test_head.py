@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.spatial import Floats
-from sim.head import CENTRE, EXPONENT, LANDMARKS, SEMI_AXES, outward_normal, surface_point
+from pcmrs_sim.head import CENTRE, EXPONENT, LANDMARKS, SEMI_AXES, outward_normal, surface_point
 
 component = st.floats(-1.0, 1.0)
 directions = st.tuples(component, component, component).map(np.array).filter(lambda d: np.linalg.norm(d) > 0.1)

@@ -12,9 +12,9 @@ from pcmrs.clock import Clock
 from pcmrs.errors import DeviceError
 from pcmrs.messages import BodyPose, HeadBurst, HeadMotion, HeadStep, PoseMessage
 from pcmrs.spatial import Floats, Transform, distance, rotation_angle
-from sim.cell import open_devices
-from sim.motion import STEP_TIME, head_offset
-from sim.settings import SimSettings
+from pcmrs_sim.motion import STEP_TIME, head_offset
+from pcmrs_sim.opening import open_devices
+from pcmrs_sim.settings import SimSettings
 
 Devices = Mapping[str, Any]
 X, Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)

@@ -7,13 +7,13 @@ from trials import examples
 from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.spatial import Floats, Transform
-from sim.head import CENTRE, level, outward_normal, surface_point
-from sim.muscle.background import BAND, Background
-from sim.muscle.muscle import Muscle
-from sim.muscle.subject import closest_on_scalp, draw_subject
-from sim.muscle.waveform import artefact, evoked_potential
-from sim.settings import MuscleSettings, SimSettings
-from sim.world import World
+from pcmrs_sim.head import CENTRE, level, outward_normal, surface_point
+from pcmrs_sim.muscle.background import BAND, Background
+from pcmrs_sim.muscle.muscle import Muscle
+from pcmrs_sim.muscle.subject import closest_on_scalp, draw_subject
+from pcmrs_sim.muscle.waveform import artefact, evoked_potential
+from pcmrs_sim.settings import MuscleSettings, SimSettings
+from pcmrs_sim.world import World
 
 RATE = 5000
 CLEAN = MuscleSettings(noise_uv=0.0, hum_uv=0.0, artefact_mv=0.0)

@@ -21,14 +21,14 @@ from pcmrs.devices.protocols import Emg, Stimulator
 from pcmrs.errors import DeviceError
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import Epoch
-from sim.cell import Cell
-from sim.muscle.serving import serve_muscle
-from sim.muscle.subject import draw_subject
-from sim.settings import MuscleSettings, SimSettings, StimulatorSettings
+from pcmrs_sim.cell import Cell
+from pcmrs_sim.lsl.serving import serve_muscle
+from pcmrs_sim.muscle.subject import draw_subject
+from pcmrs_sim.settings import MuscleSettings, SimSettings, StimulatorSettings
 
 CLOCK = SystemClock()
 PATIENCE = 10.0  # s
-COMMAND = "from sim.muscle.command import muscle; muscle()"
+COMMAND = "from pcmrs_sim.lsl.command import muscle; muscle()"
 
 
 @pytest.fixture(autouse=True)

@@ -13,11 +13,11 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.trajectory import joint_motion
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.spatial import Floats, Transform
-from sim.cell import open_devices
-from sim.phantom import Phantom
-from sim.phantoms import PHANTOMS
-from sim.plan import make_plans
-from sim.settings import SimSettings
+from pcmrs_sim.opening import open_devices
+from pcmrs_sim.phantom import Phantom
+from pcmrs_sim.phantoms import PHANTOMS
+from pcmrs_sim.plan import make_plans
+from pcmrs_sim.settings import SimSettings
 
 STANDOFF = 0.070  # m along +z of the tool
 CLEAR = 0.28  # m from the middle of the body, from where on a way may also come nearer

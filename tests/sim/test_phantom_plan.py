@@ -7,11 +7,11 @@ from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.inverse import inverse
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
-from sim import femur, head
-from sim.phantom import Phantom
-from sim.phantoms import PHANTOMS
-from sim.plan import TRAJECTORIES, main, make_plans, trajectory
-from sim.settings import SimSettings
+from pcmrs_sim import femur, head
+from pcmrs_sim.phantom import Phantom
+from pcmrs_sim.phantoms import PHANTOMS
+from pcmrs_sim.plan import TRAJECTORIES, main, make_plans, trajectory
+from pcmrs_sim.settings import SimSettings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 STANDOFF = 0.070  # m along +z of the tool

@@ -6,11 +6,11 @@ import pytest
 
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.spatial import Floats
-from sim import femur, head
-from sim.phantom import Phantom
-from sim.plan import SITES_DEG, TRAJECTORIES, coil_pose, trajectory
-from sim.plant import plant_model
-from sim.settings import ArmSettings, GeometrySettings
+from pcmrs_sim import femur, head
+from pcmrs_sim.phantom import Phantom
+from pcmrs_sim.plan import SITES_DEG, TRAJECTORIES, coil_pose, trajectory
+from pcmrs_sim.plant import plant_model
+from pcmrs_sim.settings import ArmSettings, GeometrySettings
 
 ABOVE = 0.05  # m
 

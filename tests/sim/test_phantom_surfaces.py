@@ -9,8 +9,8 @@ import trimesh
 
 from pcmrs.formats.mesh import read_mesh
 from pcmrs.spatial import Floats
-from sim import femur, head
-from sim.phantom import Landmark
+from pcmrs_sim import femur, head
+from pcmrs_sim.phantom import Landmark
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PHANTOMS = [("head", head.level), ("femur", femur.distances)]

@@ -17,11 +17,11 @@ import structlog
 from click.testing import CliRunner
 
 from pcmrs.errors import ConfigurationError
-from sim.cli import main
-from sim.cli.lines import read_schedule
-from sim.faults import FAULTS
+from pcmrs_sim.cli import main
+from pcmrs_sim.cli.lines import read_schedule
+from pcmrs_sim.faults import FAULTS
 
-COMMAND = [sys.executable, "-c", "from sim.cli import main; main()"]
+COMMAND = [sys.executable, "-c", "from pcmrs_sim.cli import main; main()"]
 DEADLINE = 60.0
 ENDED_BY_US = 0
 

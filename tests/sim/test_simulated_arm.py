@@ -11,7 +11,7 @@ from pcmrs.errors import DeviceError
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import distance
-from sim.settings import ArmSettings, SimSettings
+from pcmrs_sim.settings import ArmSettings, SimSettings
 
 
 @examples(10)

@@ -12,11 +12,12 @@ from pcmrs.errors import ConfigurationError, DeviceError, UnknownOutcomeError
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointTrajectory, LandmarkPrompt, PoseMessage
 from pcmrs.spatial import Floats, Transform, distance
-from sim.cell import BATCH, LONGEST_CATCH_UP, Cell, open_devices
-from sim.errors import TouchErrors
-from sim.phantoms import PHANTOMS
-from sim.plant import STEP
-from sim.settings import DigitizationSettings, SimSettings
+from pcmrs_sim.cell import BATCH, LONGEST_CATCH_UP, Cell
+from pcmrs_sim.errors import TouchErrors
+from pcmrs_sim.opening import open_devices
+from pcmrs_sim.phantoms import PHANTOMS
+from pcmrs_sim.plant import STEP
+from pcmrs_sim.settings import DigitizationSettings, SimSettings
 
 Devices = Mapping[str, Any]
 HOME = np.array(ARMS["iiwa14"].home)

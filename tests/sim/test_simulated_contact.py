@@ -14,12 +14,12 @@ from pcmrs.devices.motion.force import AGAIN, ForceGuard, ForceSettings
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import DeviceEvent
 from pcmrs.spatial import Floats, Transform
-from sim import femur, head
-from sim.cell import open_devices
-from sim.force import ForceSensor
-from sim.phantoms import PHANTOMS
-from sim.plan import trajectory
-from sim.settings import ArmSettings, GeometrySettings, SimSettings
+from pcmrs_sim import femur, head
+from pcmrs_sim.force import ForceSensor
+from pcmrs_sim.opening import open_devices
+from pcmrs_sim.phantoms import PHANTOMS
+from pcmrs_sim.plan import trajectory
+from pcmrs_sim.settings import ArmSettings, GeometrySettings, SimSettings
 
 FLANGE_FROM_COIL = GeometrySettings().flange_from_coil.transform
 directions = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).filter(lambda v: float(np.linalg.norm(v)) > 0.1)

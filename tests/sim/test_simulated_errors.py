@@ -4,8 +4,8 @@ import pytest
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Transform, distance
-from sim.errors import BiasField, TouchErrors, TrackerErrors, displaced
-from sim.settings import DigitizationSettings, TrackerSettings
+from pcmrs_sim.errors import BiasField, TouchErrors, TrackerErrors, displaced
+from pcmrs_sim.settings import DigitizationSettings, TrackerSettings
 
 PLACES = np.random.default_rng(0).uniform(-2.0, 2.0, (4000, 3))
 TRUE_POSE = Transform.from_rotvec((0.1, -0.2, -1.2), (0.5, -1.0, 2.0))

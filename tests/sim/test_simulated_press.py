@@ -12,9 +12,9 @@ from pcmrs.devices.motion.press import RESISTANCE, TOLERANCE, Press
 from pcmrs.errors import DeviceError
 from pcmrs.messages import MotionResult, PressRequest
 from pcmrs.spatial import rotation_angle
-from sim.arm import Arm
-from sim.cell import open_devices
-from sim.settings import ContactSettings, GeometrySettings, SimSettings
+from pcmrs_sim.arm import Arm
+from pcmrs_sim.opening import open_devices
+from pcmrs_sim.settings import ContactSettings, GeometrySettings, SimSettings
 
 INWARD = -GeometrySettings().flange_from_coil.transform.rotation[:, 2]
 REQUEST = PressRequest(

@@ -21,9 +21,9 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.trajectory import brake
 from pcmrs.messages import DeviceEvent, JointSetpoint
 from pcmrs.spatial import Floats
-from sim.cell import open_devices
-from sim.plant import STEP
-from sim.settings import ArmSettings
+from pcmrs_sim.opening import open_devices
+from pcmrs_sim.plant import STEP
+from pcmrs_sim.settings import ArmSettings
 
 Devices = Mapping[str, Any]
 MODEL = ArmModel(FACTS)

@@ -2,17 +2,17 @@ import asyncio
 from collections.abc import AsyncIterator
 
 import pytest
-from clock import ManualClock, settle
 
 from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.devices.protocols import StimulatorDriver
 from pcmrs.errors import DeviceError
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import DeviceEvent
-from sim.cell import Cell
-from sim.faults import inject
-from sim.settings import SimSettings, StimulatorSettings
-from sim.stimulator import SimStimulator
+from pcmrs.testing.clock import ManualClock, settle
+from pcmrs_sim.cell import Cell
+from pcmrs_sim.faults import inject
+from pcmrs_sim.settings import SimSettings, StimulatorSettings
+from pcmrs_sim.stimulator import SimStimulator
 
 DRIVER: type[StimulatorDriver] = SimStimulator  # the type checker proves it
 

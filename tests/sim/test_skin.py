@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim import femur, head
-from sim.skin import TOUCHES
+from pcmrs_sim import femur, head
+from pcmrs_sim.skin import TOUCHES
 
 COUNT = 300
 

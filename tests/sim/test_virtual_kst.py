@@ -12,9 +12,9 @@ from simulated_arms import FACTS, HOME
 from pcmrs.clock import SystemClock
 from pcmrs.errors import ConfigurationError
 from pcmrs.kinematics.model import ArmModel
-from sim.cell import Cell, running_cell
-from sim.kst.readings import from_xyzabc
-from sim.kst.server import serve_kst
+from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.kst.readings import from_xyzabc
+from pcmrs_sim.kst.server import serve_kst
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.kst.java import java_double, numbers, parse_double, reply
+from pcmrs_sim.kst.java import java_double, numbers, parse_double, reply
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from trials import examples
 
 from pcmrs.clock import SystemClock
-from sim.kst.replies import Replies
-from sim.robot_faults import Framing, RobotFaults
+from pcmrs_sim.kst.replies import Replies
+from pcmrs_sim.robot_faults import Framing, RobotFaults
 
 
 class Segments:

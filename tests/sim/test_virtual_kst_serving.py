@@ -7,8 +7,8 @@ from kst_client import connected
 from structlog.testing import capture_logs
 
 from pcmrs.clock import SystemClock
-from sim.cell import open_devices
-from sim.serving import wanted
+from pcmrs_sim.opening import open_devices
+from pcmrs_sim.serving import wanted
 
 KST = {"robot": {"driver": "kst"}}
 

@@ -10,10 +10,10 @@ import pytest_asyncio
 from kst_client import DEADLINE, KstClient, at_rest, client_of, connected, line
 
 from pcmrs.clock import SystemClock
-from sim.cell import Cell, running_cell
-from sim.faults import inject
-from sim.kst.destination import LARGEST_JUMP
-from sim.kst.server import serve_kst
+from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.faults import inject
+from pcmrs_sim.kst.destination import LARGEST_JUMP
+from pcmrs_sim.kst.server import serve_kst
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

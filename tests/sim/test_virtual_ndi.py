@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from pcmrs.clock import SystemClock
 from pcmrs.devices.ndi.tools import placeholder
 from pcmrs.messages import BodyPose
-from sim.cell import running_cell
-from sim.faults import inject
-from sim.ndi.protocol import LONGEST_COMMAND, Lines, crc16, reply
-from sim.ndi.server import serve_ndi
-from sim.ndi.system import MOST_HANDLES, NdiSystem
-from sim.tracker import BODIES
+from pcmrs_sim.cell import running_cell
+from pcmrs_sim.faults import inject
+from pcmrs_sim.ndi.protocol import LONGEST_COMMAND, Lines, crc16, reply
+from pcmrs_sim.ndi.server import serve_ndi
+from pcmrs_sim.ndi.system import MOST_HANDLES, NdiSystem
+from pcmrs_sim.tracker import BODIES
 
 POSE = BodyPose(
     body="coil",

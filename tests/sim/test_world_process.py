@@ -32,10 +32,10 @@ from pcmrs.errors import (
 )
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import JointTrajectory
-from sim.process.client import World, devices_of
-from sim.process.driver import open_devices
-from sim.process.server import Server
-from sim.process.wire import Failure
+from pcmrs_sim.process.client import World, devices_of
+from pcmrs_sim.process.driver import open_devices
+from pcmrs_sim.process.server import Server
+from pcmrs_sim.process.wire import Failure
 
 DRIVER: OpenDriver = open_devices  # the type checker proves it
 DEVICES = ("robot", "tracker", "pointer", "scene", "stimulator", "emg")
@@ -58,7 +58,7 @@ async def until(condition: Callable[[], bool]) -> None:
 def worlds_of(pid: int) -> list[int]:
     """Ids of the simulated worlds that a process has started."""
     found = [int(each) for task in Path(f"/proc/{pid}/task").glob("*/children") for each in task.read_text().split()]
-    return [each for each in found if b"sim.process" in Path(f"/proc/{each}/cmdline").read_bytes()]
+    return [each for each in found if b"pcmrs_sim.process" in Path(f"/proc/{each}/cmdline").read_bytes()]
 
 
 async def test_calls_streams_and_errors_are_those_of_the_devices() -> None:
@@ -131,7 +131,7 @@ import numpy as np
 from pcmrs.clock import SystemClock
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import JointTrajectory
-from sim.process.driver import open_devices
+from pcmrs_sim.process.driver import open_devices
 
 HOME = np.array(ARMS["iiwa14"].home)
 

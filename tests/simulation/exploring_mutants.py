@@ -11,7 +11,7 @@ import pytest
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.dispatcher.memory import Memory
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.simulation.disk import SimulatedJournal
+from pcmrs_sim.deterministic.disk import SimulatedJournal
 
 Mutation = Callable[[pytest.MonkeyPatch], None]
 

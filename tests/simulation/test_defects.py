@@ -6,8 +6,8 @@ import pytest
 from defects import DEFECTS, FOLDER, Defect
 from search_defects import MOST_ACTS
 
-from pcmrs.campaign.explore.script import read_script
-from pcmrs.campaign.explore.session import run_session
+from pcmrs_lab.campaign.explore.script import read_script
+from pcmrs_lab.campaign.explore.session import run_session
 
 BY_NAME = pytest.mark.parametrize("defect", DEFECTS.values(), ids=DEFECTS)
 

@@ -11,16 +11,16 @@ import msgspec
 import pytest
 from exploring_mutants import MUTANTS
 
-from pcmrs.campaign.explore.exploring import explore, run_seeds
-from pcmrs.campaign.explore.faults import FAULTS, SCENE
-from pcmrs.campaign.explore.generate import draw_script
-from pcmrs.campaign.explore.going_on import WITH_STIMULATOR
-from pcmrs.campaign.explore.script import Act, Script, read_script, write_script
-from pcmrs.campaign.explore.session import run_session
-from pcmrs.campaign.explore.settings import workflow_of
-from pcmrs.campaign.explore.shrinking import shrink
 from pcmrs.errors import ConfigurationError
-from sim.faults import FAULTS as SIMULATED
+from pcmrs_lab.campaign.explore.exploring import explore, run_seeds
+from pcmrs_lab.campaign.explore.faults import FAULTS, SCENE
+from pcmrs_lab.campaign.explore.generate import draw_script
+from pcmrs_lab.campaign.explore.going_on import WITH_STIMULATOR
+from pcmrs_lab.campaign.explore.script import Act, Script, read_script, write_script
+from pcmrs_lab.campaign.explore.session import run_session
+from pcmrs_lab.campaign.explore.settings import workflow_of
+from pcmrs_lab.campaign.explore.shrinking import shrink
+from pcmrs_sim.faults import FAULTS as SIMULATED
 
 TO_THE_HEAD = [Act(1.0, "go_on", "anna", {"turn": turn}) for turn in (1, 0, 1, 0, 1, 0, 1, 0, 0, 0)]
 """From nothing to the coil at its place."""
@@ -38,9 +38,7 @@ def test_a_session_holds_and_its_seed_fixes_every_byte_of_its_journal() -> None:
     """Also in another process, where sets and dictionaries of text are walked through in another order."""
     found = run_seeds("ratms", "kinematic", [3])[0]
     assert (found.invariant, found.text) == ("", "")
-    code = (
-        "from pcmrs.campaign.explore.exploring import run_seeds; print(run_seeds('ratms', 'kinematic', [3])[0].digest)"
-    )
+    code = "from pcmrs_lab.campaign.explore.exploring import run_seeds; print(run_seeds('ratms', 'kinematic', [3])[0].digest)"
     environment = {**os.environ, "PYTHONHASHSEED": "4711"}
     other = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert other.stdout.strip() == found.digest

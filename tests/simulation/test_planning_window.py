@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pcmrs.campaign.explore.script import Act, Script
-from pcmrs.campaign.explore.session import run_session
+from pcmrs_lab.campaign.explore.script import Act, Script
+from pcmrs_lab.campaign.explore.session import run_session
 
 BEFORE = [Act(1.0, "go_on", "anna", {"turn": turn}) for turn in (1, 0, 1, 0, 1)]
 APPROACH = Act(1.0, "placement.approach", "anna", waits=False)

@@ -10,8 +10,8 @@ import pytest
 
 from pcmrs.journal import JournalRow
 from pcmrs.messages import BlueprintTag
-from pcmrs.simulation.disk import Disk, SimulatedJournal
-from pcmrs.simulation.loop import SimulatedLoop
+from pcmrs.simulated_time.loop import SimulatedLoop
+from pcmrs_sim.deterministic.disk import Disk, SimulatedJournal
 
 
 def row(name: str) -> JournalRow:

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.simulation.clock import EPOCH, SimulatedClock
-from pcmrs.simulation.entropy import seeded_entropy
-from pcmrs.simulation.loop import SimulatedLoop, SimulationError
+from pcmrs.simulated_time.clock import EPOCH, SimulatedClock
+from pcmrs.simulated_time.loop import SimulatedLoop, SimulationError
+from pcmrs_sim.deterministic.entropy import seeded_entropy
 
 T = TypeVar("T")
 

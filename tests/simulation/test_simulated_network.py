@@ -9,8 +9,8 @@ import msgspec
 import pytest
 
 from pcmrs.errors import DeviceError, UnknownOutcomeError
-from pcmrs.simulation.loop import SimulatedLoop
-from pcmrs.simulation.network import Endpoint, Network
+from pcmrs.simulated_time.loop import SimulatedLoop
+from pcmrs_sim.deterministic.network import Endpoint, Network
 
 
 class Note(msgspec.Struct, frozen=True):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.simulation.loop import SimulatedLoop
+from pcmrs.simulated_time.loop import SimulatedLoop
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "workflows"))
 

@@ -8,8 +8,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from pcmrs.campaign.driving import accept, showing, to_standoff, until
-from pcmrs.campaign.lab import Lab, LabCell
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.messages import TeleopSetpoint
@@ -17,7 +15,10 @@ from pcmrs.messages.teleop import Twist
 from pcmrs.spatial import Transform
 from pcmrs.teleop.script import Script
 from pcmrs.teleop.session import TeleopSession
+from pcmrs.testing.cell import RunningCell
+from pcmrs.testing.driving import accept, showing, to_standoff, until
 from pcmrs.workflows.data import as_transform
+from pcmrs_lab.campaign.lab import Lab
 
 PATIENT = (
     "cell.rate=1",
@@ -34,7 +35,7 @@ STILL = 5e-4
 """What an arm that stands gives way by, and less than what moves goes, m."""
 
 
-def teleop_command(cell: LabCell, script: Path) -> Sequence[str]:
+def teleop_command(cell: RunningCell, script: Path) -> Sequence[str]:
     address = ("--endpoint", cell.ready.endpoint, "--site", cell.ready.prefix.split("/")[1], "--cell", cell.name)
     return (
         sys.executable,
@@ -50,7 +51,7 @@ def teleop_command(cell: LabCell, script: Path) -> Sequence[str]:
     )
 
 
-async def height(cell: LabCell) -> float:
+async def height(cell: RunningCell) -> float:
     """Of the tool, along the axis it had when it was first looked at, m."""
     truth = await cell.scene.truth()
     tool: Transform = as_transform(truth.tracker_from_body_ref).inverse() @ as_transform(truth.tracker_from_coil)
@@ -66,7 +67,7 @@ async def test_a_daemon_is_guided_over_its_bus(tmp_path: Path) -> None:
         assert "Traceback" not in cell.log
 
 
-async def by_the_command_line(cell: LabCell, folder: Path) -> None:
+async def by_the_command_line(cell: RunningCell, folder: Path) -> None:
     script = folder / "up.txt"
     script.write_text("0.0 0 0 0.01 0 0 0   # up\n1.0 0 0 0 0 0 0\n1.5 open\n2.0 open\n")
     before = await height(cell)
@@ -81,7 +82,7 @@ async def by_the_command_line(cell: LabCell, folder: Path) -> None:
     await to_standoff(cell.client)
 
 
-async def beside_somebody_else(cell: LabCell) -> None:
+async def beside_somebody_else(cell: RunningCell) -> None:
     async with (
         Client.connect(cell.ready.endpoint, cell.ready.prefix.split("/")[1], cell.name, user="alice") as alice,
         Client.connect(cell.ready.endpoint, cell.ready.prefix.split("/")[1], cell.name, user="eve") as eve,
@@ -103,7 +104,7 @@ async def beside_somebody_else(cell: LabCell) -> None:
     await to_standoff(cell.client)
 
 
-async def until_it_is_killed(cell: LabCell, folder: Path) -> None:
+async def until_it_is_killed(cell: RunningCell, folder: Path) -> None:
     script = folder / "long.txt"
     script.write_text("0.0 0 0 0.002 0 0 0\n60.0 open\n")
     process = await asyncio.create_subprocess_exec(*teleop_command(cell, script), stdout=asyncio.subprocess.DEVNULL)

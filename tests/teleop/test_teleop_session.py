@@ -13,7 +13,7 @@ from pcmrs.client import Client
 from pcmrs.errors import CommandRefusedError
 from pcmrs.messages import BlueprintTag, DeviceEvent, Reason, Snapshot, TeleopSetpoint, TeleopStatus, Verdict
 from pcmrs.messages.teleop import AT_REST
-from pcmrs.simulation.clock import SimulatedClock
+from pcmrs.simulated_time.clock import SimulatedClock
 from pcmrs.teleop.demand import Demand
 from pcmrs.teleop.session import TeleopSession, Told
 

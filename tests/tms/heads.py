@@ -11,8 +11,8 @@ import numpy as np
 from pcmrs.formats.mesh import read_mesh
 from pcmrs.registration.triangles import TriangleSurface
 from pcmrs.spatial import Floats, Transform
-from pcmrs.tms.recruitment import Recruitment
 from pcmrs.tms.scalp import hand_area
+from pcmrs_sim.tms.recruitment import Recruitment
 
 RADIUS = 0.085
 

@@ -22,7 +22,7 @@ from pcmrs.tms.chart import as_message, as_transform
 from pcmrs.tms.hotspot import HotspotSearch
 from pcmrs.tms.hotspot_settings import HotspotMethod, HotspotSettings
 from pcmrs.tms.scalp import along_scalp, heading, turned
-from pcmrs.tms.subject import Subject
+from pcmrs_sim.tms.subject import Subject
 
 METHODS: tuple[HotspotMethod, ...] = ("adaptive", "grid")
 RNG = np.random.default_rng(0)

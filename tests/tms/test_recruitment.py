@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.tms.recruitment import RESPONSE, Recruitment, draw
+from pcmrs_sim.tms.recruitment import RESPONSE, Recruitment, draw
 
 SUBJECTS = [draw(np.random.default_rng((5, number))) for number in range(300)]
 

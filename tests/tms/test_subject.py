@@ -13,7 +13,7 @@ from trials import examples
 
 from pcmrs.spatial import Transform
 from pcmrs.tms.scalp import along_scalp, heading, turned
-from pcmrs.tms.subject import HALF_AREA, HALF_DEPTH, REACH, TURN_REACH, Subject, draw
+from pcmrs_sim.tms.subject import HALF_AREA, HALF_DEPTH, REACH, TURN_REACH, Subject, draw
 
 SUBJECT = Subject(Steady(50.0), turned(TOP, 0.3))
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from workflow_bench import WorkflowBench, open_bench
 
-from pcmrs.simulation.loop import SimulatedLoop
+from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.opening import open_workflow
 

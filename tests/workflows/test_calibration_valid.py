@@ -9,7 +9,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from clock import EPOCH
 from workflow_bench import LANDMARKS, WorkflowBench, open_bench
 
 from pcmrs.calibration import Calibration, write_calibration
@@ -17,6 +16,7 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.fsm import Blueprint
 from pcmrs.messages import PoseMessage
 from pcmrs.settings import read_settings
+from pcmrs.testing.clock import EPOCH
 from pcmrs.workflows import read_workflow
 
 TODAY = datetime.fromtimestamp(EPOCH, UTC)

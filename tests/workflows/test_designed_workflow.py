@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from workflow_bench import LANDMARKS, POSES, open_bench
 
-from pcmrs.fsm.design import design
+from pcmrs.authoring.design import design
 from pcmrs.workflows.opening import open_workflow
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -20,7 +20,7 @@ from pcmrs.messages import DeviceEvent
 from pcmrs.spatial import Transform
 from pcmrs.workflows.data import as_transform
 from pcmrs.workflows.femoroplasty import Data, check_guide_on_plan, check_guide_pose, guide_pose
-from sim.plan import TRAJECTORIES, trajectory
+from pcmrs_sim.plan import TRAJECTORIES, trajectory
 
 PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "femoroplasty_plan.json").read_text())
 ENTRY, TARGET = [0.1190896, 0.0086103, -0.0247955], [0.0652414, 0.0161782, -0.0051043]

@@ -19,7 +19,7 @@ from pcmrs.workflows.body_track import BodyTrack
 from pcmrs.workflows.data import as_transform
 from pcmrs.workflows.follower import Follower
 from pcmrs.workflows.settings import FollowingSettings
-from sim.settings import GeometrySettings
+from pcmrs_sim.settings import GeometrySettings
 
 Z = (0.0, 0.0, 1.0)
 BREATHING = HeadMotion(breathing_amplitude=0.002, breathing_hz=0.25, breathing_direction=Z)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from clock import ManualClock
 from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
 from pcmrs.dispatcher import Workflow
@@ -19,6 +18,7 @@ from pcmrs.fsm import examine
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Verdict
 from pcmrs.service.recorder import JournalRecorder
+from pcmrs.testing.clock import ManualClock
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message

@@ -28,7 +28,7 @@ from pcmrs.workflows.settings import ProcedureSettings
 from pcmrs.workflows.surface import read_surface
 from pcmrs.workflows.toolplan import ToolPose, pose_of, standoff_postures
 from pcmrs.workflows.zones import CellZones
-from sim.head import CENTRE, SEMI_AXES
+from pcmrs_sim.head import CENTRE, SEMI_AXES
 
 TETRAHEDRON = """ply
 format ascii 1.0

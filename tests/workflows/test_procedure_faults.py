@@ -22,7 +22,7 @@ from pcmrs.messages import Command, DeviceEvent
 from pcmrs.service.reference import ReferenceWatch
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
-from sim.robot import SimRobot
+from pcmrs_sim.robot import SimRobot
 
 Faults = dict[str, Any]
 """Arguments of a fault."""

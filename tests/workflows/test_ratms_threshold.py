@@ -15,7 +15,6 @@ from pcmrs.errors import RefusalError
 from pcmrs.fsm import examine
 from pcmrs.messages import PoseMessage, Verdict
 from pcmrs.spatial import Transform, distance, rotation_angle
-from pcmrs.tms.recruitment import Recruitment
 from pcmrs.tms.threshold import ThresholdHunt
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.data import as_transform
@@ -23,7 +22,8 @@ from pcmrs.workflows.motion import as_result
 from pcmrs.workflows.tms.hotspot import place_known, plan_is_of_search, search_pose_reachable
 from pcmrs.workflows.tms.threshold import hunted_intensity_allowed, set_hunted_intensity
 from pcmrs.workflows.toolplan import ToolPose, pose_of
-from sim.muscle.subject import draw_subject
+from pcmrs_sim.muscle.subject import draw_subject
+from pcmrs_sim.tms.recruitment import Recruitment
 
 CENTRE = pose_of(ToolPose(tuple(POSES[0]["position"]), tuple(POSES[0]["quat_xyzw"])))
 HOTSPOT = CENTRE @ Transform.from_rotvec((0.005, 0.003, 0.0), (0.0, 0.0, 0.0))

@@ -14,7 +14,7 @@ from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
 from pcmrs.spatial import distance
 from pcmrs.workflows.data import PlacementData, as_transform, settle
-from sim import head
+from pcmrs_sim import head
 
 ENOUGH = 25
 

@@ -22,14 +22,14 @@ from pcmrs.dispatcher import Dispatcher, Recorder, Run, Workflow
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
-from pcmrs.simulation.clock import SimulatedClock
+from pcmrs.simulated_time.clock import SimulatedClock
 from pcmrs.spatial import Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
 from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.settings import ProcedureSettings
 from pcmrs.workflows.surface import read_surface
-from sim.cell import open_devices
+from pcmrs_sim.opening import open_devices
 
 PLAN: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "ratms_plan.json").read_text())
 LANDMARKS = PLAN["landmarks"]

@@ -14,7 +14,7 @@ COMMANDS = {
     "export": "pcmrs.cli.fsm.export:export",
     "import": "pcmrs.cli.fsm.import_:import_",
     "simulate": "pcmrs.cli.fsm.simulate:simulate",
-    "test": "pcmrs.cli.fsm.testing:test",
+    "test": "pcmrs_lab.cli.fsm_test:test",
     "diff": "pcmrs.cli.fsm.diff:diff",
 }
 

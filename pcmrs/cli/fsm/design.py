@@ -26,7 +26,7 @@ def design(steps: str, output: Path | None, as_json: bool) -> None:
     output gets one object that says all this, and the blueprint is written with -o only. Exit status 0: sound,
     1: unsound, 2: STEPS cannot be read.
     """
-    from pcmrs.fsm.design import design as design_blueprint
+    from pcmrs.authoring.design import design as design_blueprint
 
     check_json_output(output, as_json=as_json)
     raw, origin, _ = read(steps)

@@ -24,7 +24,7 @@ def export(file: str | None, form: str, output: Path | None) -> None:
     blueprint may hold, for editors; it needs no FILE.
     """
     if form == "json-schema":
-        from pcmrs.fsm.exchange.exporting.schema import schema
+        from pcmrs.authoring.exchange.exporting.schema import schema
 
         write(schema(), output)
     elif file is None:
@@ -37,8 +37,8 @@ def export(file: str | None, form: str, output: Path | None) -> None:
 
 
 def _exported(file: str, form: str) -> str:
-    from pcmrs.fsm.exchange.exporting.promela import promela
-    from pcmrs.fsm.exchange.exporting.scxml import scxml
-    from pcmrs.fsm.exchange.exporting.table import table
+    from pcmrs.authoring.exchange.exporting.promela import promela
+    from pcmrs.authoring.exchange.exporting.scxml import scxml
+    from pcmrs.authoring.exchange.exporting.table import table
 
     return {"scxml": scxml, "promela": promela, "table": table}[form](sound(file))

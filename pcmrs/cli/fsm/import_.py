@@ -27,10 +27,10 @@ def import_(file: str, form: str | None, output: Path | None, as_json: bool) -> 
     be added. The result is verified: exit status 0: sound, 1: written, but unsound, 2: FILE cannot be imported. With
     --json, standard output gets one object that says so, and the blueprint is written with -o only.
     """
-    from pcmrs.fsm.exchange.importing.drawio import from_drawio
-    from pcmrs.fsm.exchange.importing.mermaid import from_mermaid
-    from pcmrs.fsm.exchange.importing.scxml import from_scxml
-    from pcmrs.fsm.exchange.importing.written import written
+    from pcmrs.authoring.exchange.importing.drawio import from_drawio
+    from pcmrs.authoring.exchange.importing.mermaid import from_mermaid
+    from pcmrs.authoring.exchange.importing.scxml import from_scxml
+    from pcmrs.authoring.exchange.importing.written import written
 
     check_json_output(output, as_json=as_json)
     raw, origin, _ = read(file)

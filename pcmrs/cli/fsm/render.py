@@ -61,7 +61,7 @@ def _drawable(file: str) -> Blueprint:
 
 
 def _drawing(form: str) -> Callable[[Blueprint, Mapping[str, str]], str | bytes]:
-    from pcmrs.fsm import chart
+    from pcmrs.authoring import chart
 
     drawings: dict[str, Callable[[Blueprint, Mapping[str, str]], str | bytes]] = {
         "svg": chart.svg,

@@ -18,7 +18,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.fsm.behaviour import line_of
 
 if TYPE_CHECKING:
-    from pcmrs.fsm.trial.walk import Step, Walk
+    from pcmrs.authoring.trial.walk import Step, Walk
 
 HELP = """\
 <number>                    ask for that line of the list
@@ -46,7 +46,7 @@ def simulate(file: str, count: int | None, seed: int, as_json: bool) -> None:
     Commands are read line by line, from the terminal or a pipe; `help` lists them. With --json every step is
     one JSON object.
     """
-    from pcmrs.fsm.trial.walk import Walk
+    from pcmrs.authoring.trial.walk import Walk
 
     walk = Walk(sound(file))
     show: Callable[[Step], None] = _show_json if as_json else _show

@@ -1,0 +1,1 @@
+"""The laboratory: fault campaign, experiments, exploration in simulated time."""

@@ -1,0 +1,122 @@
+"""Consoles as processes, and requests to them that no page has made."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+from collections.abc import AsyncIterator, Iterable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from pcmrs.console.guard import cookie_name
+from pcmrs.console.settings import HOST, UPLOADS
+from pcmrs.files import SECRET
+from pcmrs.service.children import end_child
+from pcmrs.testing.cell import RunningCell
+from pcmrs.testing.errors import Unmet
+from pcmrs_lab.campaign.checks import expect
+from pcmrs_lab.campaign.needs import module
+
+CONSOLE: Final = module("nicegui")
+"""What a console needs of the machine."""
+START_TIME: Final = 60.0
+END_TIME: Final = 15.0
+ANSWERED_WITHIN: Final = 60.0
+"""A request is answered within this, s of the machine."""
+_TOKEN: Final = "token-of-the-campaign"  # noqa: S105  # of its own consoles
+
+
+@dataclass(frozen=True, slots=True)
+class RunningConsole:
+    """A console that serves.
+
+    Attributes:
+        process: Its process.
+        port: At which it listens on loopback.
+        uploads: Folder for what is uploaded, of consoles at all ports.
+    """
+
+    process: asyncio.subprocess.Process
+    port: int
+    uploads: Path
+
+    async def request(self, head: str, *headers: str, body: Iterable[bytes] = ()) -> tuple[int, bytes]:
+        """Sends a request as a program that has the token; returns status and body of the answer.
+
+        Args:
+            head: Method and path.
+            headers: Further ones.
+            body: Pieces, which are sent as they are.
+
+        Returns:
+            0 and nothing where the connection is ended without an answer.
+
+        Raises:
+            Unmet: It is not answered in time.
+        """
+        name = f"{HOST}:{self.port}"
+        own = (f"{head} HTTP/1.1", f"Host: {name}", f"Cookie: {cookie_name(name)}={_TOKEN}", "Connection: close")
+        reader, writer = await asyncio.open_connection(HOST, self.port)
+        try:
+            async with asyncio.timeout(ANSWERED_WITHIN):
+                writer.write("\r\n".join((*own, *headers, "", "")).encode())
+                for piece in body:
+                    writer.write(piece)
+                    await writer.drain()
+                told, _, answer = (await reader.read()).partition(b"\r\n\r\n")
+        except TimeoutError:
+            raise Unmet(f"{head} was not answered within {ANSWERED_WITHIN:g} s.") from None
+        except ConnectionError:
+            return 0, b""
+        finally:
+            writer.close()
+        return (int(told.split()[1]) if told else 0), answer
+
+
+def console_command(cell: RunningCell, port: int, token: Path) -> list[str]:
+    """The command line of a console of the cell; port 0 takes a free one."""
+    _, site, name = cell.ready.prefix.split("/")
+    words = ("--endpoint", cell.ready.endpoint, "--site", site, "--cell", name, "--port", str(port), "--json")
+    return [sys.executable, "-m", "pcmrs.cli", "console", *words, "--token-file", str(token)]
+
+
+@asynccontextmanager
+async def running_console(cell: RunningCell, folder: Path, port: int) -> AsyncIterator[RunningConsole]:
+    """A console of the cell for the length of the context.
+
+    Args:
+        cell: Which it shows.
+        folder: For its token and its log, and in place of the user's cache.
+        port: A free one.
+
+    Raises:
+        Unmet: It does not serve within `START_TIME`.
+    """
+    token = folder / "console.token"
+    token.write_text(_TOKEN)
+    token.chmod(SECRET)
+    command, environment = console_command(cell, port, token), {**os.environ, "XDG_CACHE_HOME": str(folder)}
+    with (folder / "console.log").open("ab") as log:
+        process = await asyncio.create_subprocess_exec(
+            *command, stdout=asyncio.subprocess.PIPE, stderr=log, env=environment
+        )
+    try:
+        await _until_served(process)
+        yield RunningConsole(process, port, folder / "pcmrs" / UPLOADS)
+    finally:
+        if process.returncode is None:
+            process.terminate()
+        await end_child(process, END_TIME)
+
+
+async def _until_served(process: asyncio.subprocess.Process) -> None:
+    assert process.stdout is not None
+    try:
+        async with asyncio.timeout(START_TIME):
+            said = await process.stdout.readline()
+    except TimeoutError:
+        raise Unmet(f"The console does not serve within {START_TIME:g} s.") from None
+    expect(b'"url"' in said, f"The console has not started: {said.decode(errors='replace')}")

@@ -1,0 +1,81 @@
+"""Draws a session: operators who mostly do what leads on, sometimes not, while things go wrong around them."""
+
+from __future__ import annotations
+
+import random
+
+from pcmrs.fsm import Blueprint
+from pcmrs_lab.campaign.explore.aiming import draw_aimed
+from pcmrs_lab.campaign.explore.faults import FAULTS
+from pcmrs_lab.campaign.explore.plans import GARBAGE, arbitrary
+from pcmrs_lab.campaign.explore.script import Act, Physics, Script
+
+OPERATORS = ("anna", "ben")
+SECOND = 0.15
+"""Part of the acts of the second operator."""
+FEWEST, MOST = 12, 30
+"""Acts of a session."""
+CODED = 0.25
+"""Part of the sessions in which every message is packed and unpacked."""
+AIMED = 0.75
+"""Part of the sessions that are aimed at windows."""
+SLOW = (0.0, 0.0, 0.1, 0.3)
+"""Parts of the windows that take time by themselves; one for each session."""
+IN_THE_MIDDLE = 0.3
+"""Part of the commands that are not waited for: what comes next comes while they run."""
+
+PAUSE = 20.0
+"""Mean pause of an operator after a command has ended and nothing has gone wrong, s; one in ten is a long one."""
+LONG_PAUSE = 120.0
+HURRY = 4.0
+"""Mean time until something is done while a command runs or something is wrong, s."""
+BRIEF = 1.5
+"""A fault, or Stop, comes within this, s."""
+
+
+def draw_script(blueprint: Blueprint, workflow: str, seed: int, physics: Physics = "kinematic") -> Script:
+    """The session of a seed.
+
+    Args:
+        blueprint: Of the workflow.
+        workflow: Its name.
+        seed: Of everything.
+        physics: Of the simulated arm.
+    """
+    draw = random.Random(f"session {workflow} {seed}")
+    coded, slow = draw.random() < CODED, draw.choice(SLOW)
+    if draw.random() < AIMED:
+        return Script(seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=draw_aimed(draw))
+    trouble = draw.choice((0.0, 0.1, 0.25, 0.4))
+    acts: list[Act] = []
+    for _ in range(draw.randint(FEWEST, MOST)):
+        acts.append(_act(blueprint, draw, trouble, hurry=bool(acts) and not acts[-1].waits))
+    return Script(seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=acts)
+
+
+def _act(blueprint: Blueprint, draw: random.Random, trouble: float, *, hurry: bool) -> Act:
+    waits = draw.random() >= IN_THE_MIDDLE
+    mean = HURRY if hurry else LONG_PAUSE if draw.random() < 0.1 else PAUSE
+    after = round(draw.expovariate(1.0 / mean), 3)
+    if draw.random() < trouble:
+        return _fault(draw)
+    who = OPERATORS[draw.random() < SECOND]
+    kind = draw.random()
+    if kind < 0.72:
+        return Act(after, "go_on", who, {"turn": draw.randrange(60)}, waits)
+    if kind < 0.84:
+        what, arguments = arbitrary(blueprint, draw)
+        return Act(after, what, who, arguments, waits)
+    if kind < 0.90:
+        return Act(round(draw.uniform(0.0, BRIEF), 3), "stop", who)
+    if kind < 0.95:
+        return Act(after, "repeat", who, {}, waits)
+    return Act(after, "datagram", who, {"number": draw.randrange(len(GARBAGE))})
+
+
+def _fault(draw: random.Random) -> Act:
+    names = list(FAULTS)
+    (name,) = draw.choices(names, [FAULTS[each].weight for each in names])
+    fault = FAULTS[name]
+    lasts = {} if fault.mend is None else {"lasts": round(draw.uniform(0.2, fault.lasts), 3)}
+    return Act(round(draw.uniform(0.0, BRIEF), 3), f"fault:{name}", "", fault.draw(draw) | lasts, waits=False)

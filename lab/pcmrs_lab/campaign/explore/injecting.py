@@ -1,0 +1,221 @@
+"""Brings faults about in a simulated cell, and ends them when their time is over."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from pcmrs.errors import DeviceError, PcmrsError
+from pcmrs.messages import Verdict
+from pcmrs_lab.campaign.explore.faults import HOST, NETWORK, SCENE
+from pcmrs_lab.campaign.explore.operators import Operators
+from pcmrs_lab.campaign.explore.witness import Witness
+from pcmrs_sim.deterministic.cell import NODE, SimulatedCell
+
+BY_HAND = 3.0
+"""So long an arm moves that somebody moves from outside, s."""
+RETRY_AFTER = 2.0
+"""A daemon that has not started is started again after this, s."""
+ATTEMPTS = 60
+"""So often: longer than any fault lasts."""
+FROM_OUTSIDE = ("guide_by_hand", "offset_joint", "push_tool")
+"""Faults that move the arm beside what it is told."""
+
+
+MOVES = ("shift_body", "bump_reference", "dash_head")
+"""A tracked body comes elsewhere, perhaps to where another one was."""
+
+
+class Faults:
+    """All that is wrong in one cell.
+
+    Args:
+        cell: Where.
+        operators: One of whom may have a wrong clock.
+        witness: Told what it may not hold against the cell.
+
+    Attributes:
+        reached: How often each was brought about.
+        mistaken: While two tools were taken for each other, a feed of poses has begun anew, or one of them has moved:
+            no feed can tell then who is who, and the tracker has to be restarted.
+    """
+
+    def __init__(self, cell: SimulatedCell, operators: Operators, witness: Witness) -> None:
+        self.reached: Counter[str] = Counter()
+        self._cell = cell
+        self._operators = operators
+        self._witness = witness
+        self.mistaken = False
+        self._wrong: Counter[str] = Counter()
+        self._mending: dict[asyncio.Task[None], None] = {}
+        self._hosts: dict[str, Callable[[dict[str, Any]], Awaitable[None]]] = {
+            "crash_daemon": self._crash_daemon,
+            "end_daemon": self._end_daemon,
+            "crash_node": self._crash_node,
+            "held_up": self._hold_up,
+            "tracker_restart": self._restart_tracker,
+            "frame_ahead": self._stamp_ahead,
+            "slow_disk": self._slow_disk,
+            "failing_disk": self._fail_disk,
+            "wall_jump": self._jump,
+            "wall_frozen": self._freeze,
+            "skewed_operator": self._skew,
+        }
+
+    async def bring_about(self, name: str, given: dict[str, Any]) -> None:
+        """Brings a fault about, and ends it after its argument `lasts`, s; one that the cell refuses is left out."""
+        arguments = {key: value for key, value in given.items() if key != "lasts"}
+        self._begin(name)
+        try:
+            await self._apply(name, arguments)
+        except DeviceError:  # such as an arm that moves and cannot be guided by hand
+            self._end(name)
+            return
+        self.reached[name] += 1
+        task = asyncio.get_running_loop().create_task(self._mend_later(name, arguments, float(given.get("lasts", 1.0))))
+        self._mending[task] = None
+        task.add_done_callback(self._mending.pop)
+
+    async def mended(self) -> None:
+        """Returns when nothing is wrong any more."""
+        while self._mending:
+            await asyncio.wait(tuple(self._mending))
+
+    async def _mend_later(self, name: str, arguments: dict[str, Any], lasts: float) -> None:
+        await asyncio.sleep(lasts)
+        if name in SCENE:
+            mend = SCENE[name].mend
+            if mend is not None:
+                await self._apply(name, arguments | dict(mend))
+        elif name in NETWORK:
+            self._mend_network(name)
+        else:
+            await self._mend_host(name)
+        self._end(name)
+
+    async def _apply(self, name: str, arguments: dict[str, Any]) -> None:
+        if name in SCENE:
+            await self._cell.devices["scene"].inject(name, arguments)
+        elif name in NETWORK:
+            self._harm_network(name, arguments)
+        else:
+            await self._hosts[name](arguments)
+
+    def _begin_poses_anew(self) -> None:
+        self.mistaken = self._wrong["tool_swap"] > 0
+
+    def _begin(self, name: str) -> None:
+        view = self._witness.view
+        self.mistaken = self.mistaken or (name in MOVES and self._wrong["tool_swap"] > 0)
+        self._wrong[name] += 1
+        view.now = asyncio.get_running_loop().time()
+        view.calm.become(False, view.now)
+        if name in FROM_OUTSIDE:
+            view.by_hand = float("inf")
+
+    def _end(self, name: str) -> None:
+        view = self._witness.view
+        self._wrong[name] -= 1
+        view.now = asyncio.get_running_loop().time()
+        self._wrong += Counter()  # forgets what is at zero
+        view.calm.become(not self._wrong, view.now)
+        if name in FROM_OUTSIDE and not any(self._wrong[each] for each in FROM_OUTSIDE):
+            view.by_hand = view.now + BY_HAND
+
+    def _harm_network(self, name: str, arguments: dict[str, Any]) -> None:
+        conditions = self._cell.network.conditions
+        if name == "partition":
+            conditions.partition(arguments["from"], arguments["to"], both=arguments["both"])
+        else:
+            attribute = {"loss": "loss", "duplicates": "duplicates", "reordering": "reordering", "delay": "delay"}[name]
+            setattr(conditions, attribute, float(arguments.get("part", arguments.get("seconds", 0.0))))
+
+    def _mend_network(self, name: str) -> None:
+        if name == "partition":
+            self._cell.network.conditions.cut.clear()
+        else:
+            self._harm_network(name, dict(NETWORK[name].mend or {}))
+
+    async def _mend_host(self, name: str) -> None:
+        if name == "crash_node":
+            self._cell.start_node()
+            self._begin_poses_anew()
+            self._witness.watcher.node_is_back(asyncio.get_running_loop().time())
+        elif name in ("crash_daemon", "end_daemon"):
+            await self.start_daemon()
+        elif name == "failing_disk":
+            self._cell.disk.failing = False
+        elif name == "wall_frozen":
+            self._cell.clock.freeze(False)
+        elif HOST[name].mend is not None:
+            await self._hosts[name](dict(HOST[name].mend or {}))
+
+    async def start_daemon(self) -> None:
+        """Starts the daemon if there is none, again and again as long as something keeps it from starting."""
+        why = ""
+        for _ in range(ATTEMPTS):
+            if self._cell.daemon is not None:
+                break
+            self._begin_poses_anew()
+            try:
+                await self._cell.start_daemon()
+            except PcmrsError as error:
+                await self._crash_daemon({})
+                why = error.text
+                await asyncio.sleep(RETRY_AFTER)
+        else:
+            self._witness.break_("the_daemon_starts_again", why)
+        if self._cell.daemon is not None:
+            reader = self._cell.daemon.journal.reader
+            self._witness.watcher.check_rows(lambda source, command: _decision(reader.verdict_of(source, command)))
+
+    async def _crash_daemon(self, _arguments: dict[str, Any]) -> None:
+        self._witness.lose_daemon(crash=self._cell.daemon is not None)
+        self._operators.snapshot = None
+        await self._cell.crash_daemon()
+
+    async def _end_daemon(self, _arguments: dict[str, Any]) -> None:
+        await self._cell.end_daemon()
+        self._witness.lose_daemon(crash=False)
+        self._operators.snapshot = None
+
+    async def _crash_node(self, _arguments: dict[str, Any]) -> None:
+        self._witness.watcher.excuse_node(float("inf"))
+        await self._cell.crash_node()
+
+    async def _hold_up(self, arguments: dict[str, Any]) -> None:
+        process, seconds = str(arguments["process"]), float(arguments["seconds"])
+        if process == NODE:
+            self._witness.watcher.excuse_node(asyncio.get_running_loop().time() + seconds)
+        self._cell.hold_up(process, seconds)
+
+    async def _restart_tracker(self, _arguments: dict[str, Any]) -> None:
+        if self._witness.tracker is not None:
+            self._witness.tracker.restart()
+            self._begin_poses_anew()
+
+    async def _stamp_ahead(self, _arguments: dict[str, Any]) -> None:
+        if self._witness.tracker is not None:
+            self._witness.tracker.stamp_ahead()
+
+    async def _slow_disk(self, arguments: dict[str, Any]) -> None:
+        self._cell.disk.delay = float(arguments["seconds"])
+
+    async def _fail_disk(self, arguments: dict[str, Any]) -> None:
+        self._witness.view.excused = True
+        self._cell.disk.failing, self._cell.disk.landing = True, bool(arguments["landing"])
+
+    async def _jump(self, arguments: dict[str, Any]) -> None:
+        self._cell.clock.ahead = float(arguments["seconds"])
+
+    async def _freeze(self, arguments: dict[str, Any]) -> None:
+        self._cell.clock.freeze(bool(arguments["on"]))
+
+    async def _skew(self, arguments: dict[str, Any]) -> None:
+        self._operators.clock.ahead = float(arguments["seconds"])
+
+
+def _decision(verdict: Verdict | None) -> str | None:
+    return None if verdict is None else verdict.decision

@@ -1,0 +1,282 @@
+"""Runs one script: a cell in simulated time, its operators, its faults, and the witness of it all."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from time import process_time
+from typing import Any, NoReturn
+
+import msgspec
+import structlog
+
+from pcmrs.journal import JournalReader
+from pcmrs.simulated_time.loop import SimulatedLoop
+from pcmrs_lab.campaign.explore.going_on import going_on
+from pcmrs_lab.campaign.explore.injecting import Faults
+from pcmrs_lab.campaign.explore.operators import PATIENCE, Operators
+from pcmrs_lab.campaign.explore.plans import GARBAGE, landmark_commands, plan_of, pose_commands
+from pcmrs_lab.campaign.explore.script import Act, Script
+from pcmrs_lab.campaign.explore.settings import settings_of, workflow_of
+from pcmrs_lab.campaign.explore.witness import Violation, Witness
+from pcmrs_sim.deterministic.cell import SimulatedCell, simulated_cell
+from pcmrs_sim.deterministic.entropy import seeded_entropy
+
+QUIET_END = 10.0
+"""After the last act, with nothing wrong any more, everything has come to an end within this and `PATIENCE`, s."""
+WINDOW_OPENS = 8.0
+"""An act that waits for a window is done after this anyhow, s: longer than any motion takes."""
+REFERENCE = "body_ref"
+"""The body that no session takes away for good."""
+LONGEST_FOLLOWING = 3.0
+"""While the tool follows the head, nobody waits longer until the next act, s: each second has 60 set points."""
+
+
+class Found(msgspec.Struct, frozen=True):
+    """What came of a session.
+
+    Attributes:
+        seed: Of the script.
+        time: Simulated, s.
+        cost: Of the processor, s.
+        digest: Hash of the last row of its journal, which holds those of all before; hexadecimal.
+        rows: Of the journal.
+        reached: How often each fault was brought about.
+        seen: How often each decision on each operation was seen.
+        invariant: What did not hold; empty where everything did.
+        text: What was seen then.
+        at: When, s.
+    """
+
+    seed: int
+    time: float
+    cost: float
+    digest: str
+    rows: int
+    reached: dict[str, int]
+    seen: dict[str, int]
+    invariant: str = ""
+    text: str = ""
+    at: float = 0.0
+
+
+def run_session(script: Script, *, seconds: float = 0.0) -> Found:
+    """Runs a script to its end, or to the first violation.
+
+    The process must do nothing else meanwhile: randomness of the operating system is replaced.
+
+    Args:
+        script: What happens.
+        seconds: Of pause at its end, in which nothing happens; for measuring what that costs.
+
+    Raises:
+        ConfigurationError: There is no such workflow.
+        SimulationError: The simulation itself could not go on.
+    """
+    begun = process_time()
+    with (
+        tempfile.TemporaryDirectory(prefix=_prefix(os.getpid()), dir=_memory()) as folder,
+        seeded_entropy(script.seed),
+        quiet(),
+    ):
+        path = Path(folder) / "journal.sqlite"
+        loop = SimulatedLoop()
+        try:
+            session = loop.run_until_complete(_play(script, path, seconds))
+        finally:
+            loop.close()
+        digest, rows = _digest(path)
+    violation = session.witness.violation
+    return Found(
+        seed=script.seed,
+        time=loop.time(),
+        cost=process_time() - begun,
+        digest=digest,
+        rows=rows,
+        reached=dict(session.faults.reached),
+        seen=dict(session.witness.view.seen),
+        invariant=violation.invariant if violation else "",
+        text=violation.text if violation else "",
+        at=violation.time if violation else 0.0,
+    )
+
+
+async def _play(script: Script, path: Path, seconds: float) -> Session:
+    workflow = workflow_of(script.workflow)
+    witness = Witness(workflow.blueprint)
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: _unhandled(witness, context))
+    async with simulated_cell(
+        settings_of(script.workflow, script.physics, script.seed),
+        workflow,
+        path,
+        script.seed,
+        coded=script.coded,
+        watched=witness.watched,
+        observe=witness.observe,
+    ) as cell:
+        cell.network.windows.share = script.slow
+        session = Session(cell, witness, script)
+        with witness.watching(cell.devices["scene"]):
+            await session.faults.start_daemon()
+            await session.play(seconds)
+    return session
+
+
+class Session:
+    """A running session.
+
+    Attributes:
+        witness: Of everything.
+        faults: What is wrong.
+    """
+
+    def __init__(self, cell: SimulatedCell, witness: Witness, script: Script) -> None:
+        self.witness = witness
+        self._cell = cell
+        self._script = script
+        self._operators = Operators(cell, witness.answered, witness.watcher)
+        self.faults = Faults(cell, self._operators, witness)
+        self._under_way: dict[asyncio.Task[None], str] = {}
+
+    async def play(self, seconds: float) -> None:
+        """Does everything in its order; ends with the first violation."""
+        loop = asyncio.get_running_loop()
+        violated = loop.create_task(self.witness.violated.wait())
+        acting = loop.create_task(self._act_all(seconds))
+        await asyncio.wait([violated, acting], return_when=asyncio.FIRST_COMPLETED)
+        for task in (violated, acting, *self._under_way):
+            task.cancel()
+        await asyncio.gather(violated, *self._under_way, return_exceptions=True)
+        if acting.done() and not acting.cancelled():
+            acting.result()
+        await asyncio.gather(acting, return_exceptions=True)
+
+    async def _act_all(self, seconds: float) -> None:
+        for act in self._script.acts:
+            if act.window:
+                await self._cell.network.windows.reached(act.window, act.held, WINDOW_OPENS)
+            await asyncio.sleep(min(act.after, LONGEST_FOLLOWING) if self._following() else act.after)
+            task = asyncio.get_running_loop().create_task(self._do(act))
+            self._under_way[task] = act.what
+            task.add_done_callback(self._under_way.pop)
+            if act.waits:
+                await asyncio.wait([task], timeout=PATIENCE)
+        if begun := [task for task, what in self._under_way.items() if what.startswith("fault:")]:
+            await asyncio.wait(begun, timeout=PATIENCE)  # what has not come about yet cannot be mended
+        await self.faults.mended()
+        await self.faults.start_daemon()
+        await asyncio.sleep(seconds)
+        await self._come_to_an_end()
+
+    def _following(self) -> bool:
+        snapshot = self.witness.view.snapshot
+        return snapshot is not None and snapshot.branches.get("placement") == "following"
+
+    async def _come_to_an_end(self) -> None:
+        """With nothing wrong any more everything that was begun ends."""
+        if self._under_way:
+            await asyncio.wait(tuple(self._under_way), timeout=2 * PATIENCE)
+        if self.faults.mistaken:
+            await self.faults.bring_about("tracker_restart", {})
+        await asyncio.sleep(QUIET_END)
+        snapshot, daemon = self.witness.view.snapshot, self._cell.daemon
+        if daemon is not None and daemon.procedure is not None:
+            self.witness.watcher.poses_end(daemon.procedure.cell.poses.rate_hz(REFERENCE) > 0.0)
+        if snapshot is not None and snapshot.running:
+            names = ", ".join(f"{each.branch}.{each.operation}" for each in snapshot.running)
+            self.witness.break_("everything_ends", f"{names} is still running after everything was mended.")
+
+    async def _do(self, act: Act) -> None:
+        name, operators, who = act.what, self._operators, act.who
+        if name.startswith("fault:"):
+            await self.faults.bring_about(name.removeprefix("fault:"), act.arguments)
+        elif name == "go_on":
+            turn = int(act.arguments.get("turn", 0))
+            what, arguments = going_on(operators.snapshot, turn)
+            await self._step(who, what, arguments, turn)
+        elif name == "stop":
+            operators.stop(who)
+        elif name == "repeat":
+            await operators.repeat(who)
+        elif name.startswith("reuse:"):
+            await operators.reuse(who, name.removeprefix("reuse:"), act.arguments)
+        elif name.startswith("old:"):
+            operators.old_client(name.removeprefix("old:"), tuple(act.arguments.get("tokens", ())))
+        elif name == "datagram":
+            operators.datagram(who, GARBAGE[int(act.arguments["number"]) % len(GARBAGE)])
+        else:
+            await self._step(who, name, act.arguments, 0)
+
+    async def _step(self, who: str, what: str, arguments: dict[str, Any], turn: int) -> None:
+        operators, workflow = self._operators, self._script.workflow
+        if what in ("landmarks", "pose"):
+            commands = landmark_commands(workflow) if what == "landmarks" else pose_commands(workflow, turn)
+            for name, tokens in commands:
+                await operators.wire(who, name, tokens)
+        elif what.startswith("wire:"):
+            await operators.wire(who, what.removeprefix("wire:"), tuple(arguments.get("tokens", ())))
+        else:
+            payload = {"registration.plan_landmarks": "landmarks", "toolplan.plan": "tool_pose"}.get(what)
+            if payload is not None and not arguments:
+                arguments = self._planned(payload, turn)
+            elif what == "robot.acknowledge" and not arguments and operators.snapshot is not None:
+                arguments = {"stop": operators.snapshot.stop.number}
+            await operators.operate(who, what, arguments)
+
+    def _planned(self, payload: str, turn: int) -> dict[str, Any]:
+        poses = plan_of(self._script.workflow).poses
+        if payload == "tool_pose":
+            return dict(msgspec.to_builtins(poses[turn % len(poses)]))
+        landmarks = plan_of(self._script.workflow).landmarks
+        return {"landmarks": msgspec.to_builtins(landmarks)}
+
+
+def _unhandled(witness: Witness, context: dict[str, Any]) -> None:
+    error = context.get("exception")
+    witness.break_("no_error_is_lost", f"{context.get('message')}: {type(error).__name__} {error}")
+
+
+def _digest(path: Path) -> tuple[str, int]:
+    with JournalReader(path) as journal:
+        last = next(iter(journal.read(last=1)), None)
+    return ("", 0) if last is None else (last.hash.hex(), last.sequence)
+
+
+def forget_sessions(pid: int | None) -> None:
+    """Removes what a process that was killed in a session has left."""
+    for left in Path(_memory()).glob(f"{_prefix(pid)}*"):
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def _prefix(pid: int | None) -> str:
+    return f"pcmrs-explore-{pid}-"
+
+
+def _memory() -> str:
+    """Where files are kept in memory, if anywhere: nothing of a session outlives it."""
+    shared = Path("/dev/shm")  # noqa: S108  # names in it are made by mkdtemp
+    return str(shared) if shared.is_dir() else tempfile.gettempdir()
+
+
+def _drop(_logger: object, _method: str, _event: object) -> NoReturn:
+    raise structlog.DropEvent
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Nobody reads the logs of thousands of sessions, and writing them costs more than all the rest."""
+    before = structlog.get_config()
+    structlog.configure(processors=[_drop], wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
+    try:
+        yield
+    finally:
+        structlog.configure(**before)
+
+
+__all__ = ["Found", "Violation", "quiet", "run_session"]

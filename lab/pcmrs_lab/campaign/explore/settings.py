@@ -1,0 +1,63 @@
+"""The configuration of an explored cell: everything as it is, at lower rates, since what passes often is what costs."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import msgspec
+
+from pcmrs.dispatcher import Workflow
+from pcmrs.settings import Settings, read_settings
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.opening import open_workflow
+from pcmrs_lab.campaign.explore.script import Physics
+
+DEADMAN = 1.0
+"""The longest that can be configured, s: heartbeats, a quarter of it apart, cost as much as all other messages."""
+SLOWER = (
+    f"robot.deadman={DEADMAN}",
+    "sim.tracker.rate_hz=6.25",
+    "sim.arm.state_rate_hz=3.125",
+    "sim.tracker.latency=0.0",
+    "sim.tracker.jitter_mm=0.0",
+    "sim.tracker.jitter_deg=0.0",
+    "procedure.max_pose_age=0.6",
+    "procedure.placement.frames=2",
+    "procedure.registration.samples=2",
+    "procedure.registration.reference_frames=2",
+    "procedure.tracking.steady=2",
+    "sim.digitization.rest_time=0.5",
+    "procedure.following.longest_gap=0.2",
+    "procedure.following.period=0.016",
+    "procedure.alignment.off_time=0.5",
+    "procedure.stimulation.pose_age=0.2",
+    "procedure.stimulation.speed_time=0.5",
+    "procedure.body.surface=",
+)
+"""Rates of streams, numbers of frames, and the ages that go with them; what is decided by them is decided alike.
+
+The tracker is as slow as a pulse allows, which needs 4 frames within 0.5 s; the joints come with every second frame.
+"""
+
+REAL_RATES = (f"robot.deadman={DEADMAN}",)
+"""With MuJoCo, all streams at the rates of a real cell."""
+
+
+def settings_of(workflow: str, physics: Physics, seed: int) -> Settings:
+    """The whole configuration of a session."""
+    common = _common(workflow, physics)
+    return msgspec.structs.replace(common, sim=common.sim | {"seed": seed})
+
+
+@cache
+def _common(workflow: str, physics: Physics) -> Settings:
+    """What all sessions have in common: reading and checking it costs as much as many an operation."""
+    rates = SLOWER if physics == "kinematic" else REAL_RATES
+    return read_settings(overrides=(f"workflow={workflow}", f"sim.arm.physics={physics}", *rates))
+
+
+@cache
+def workflow_of(name: str) -> Workflow[Cell, PlacementData]:
+    """The workflow, opened once for all sessions of this process."""
+    return open_workflow(name)

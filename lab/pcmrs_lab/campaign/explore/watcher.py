@@ -1,0 +1,278 @@
+"""Watches the physical side of a session: the arm at every step, what its driver was told, what was acknowledged.
+
+It shares no code with the dispatcher and asks it nothing. It compares the arm, the calls that reach the driver, and the
+answers that reach people with what was published and journalled.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+
+from pcmrs.fsm.blueprint import OperationSpec
+from pcmrs.messages import Command, DeviceEvent, Ongoing, Snapshot, Verdict
+from pcmrs_lab.campaign.explore.invariants import braked
+from pcmrs_lab.campaign.explore.view import REGISTERING, View, refuses_the_id
+
+MOVED = 0.002
+"""A joint that is farther than this from where it stood has moved, rad."""
+DECIDED = 20.0
+"""The operation of an event is decided within this, whatever runs, s."""
+ID = re.compile("[0-9a-f]{32}")
+"""Of the commands that the gateway makes for clients without ids."""
+TURNED_AWAY = ("busy", "queue_full", "latched", "stopped")
+"""Reasons for which no event may be rejected: what it says has happened already."""
+BEGUN = 1.2
+"""A motion begins within this of the arrival of its command, s: 0.1 s, a loop that was held up, and planning."""
+SECOND = 0.4
+"""Clients take what comes later for their next acknowledgement, s."""
+HELD = 0.1
+"""Beside the deadman: 25 ms, and what the simulation sees late, s."""
+AT_THE_BODY = ("standoff", "placed", "following", "guided")
+"""States of the placement in which the tool is where the plan says."""
+
+
+class Watcher:
+    """One per session.
+
+    Args:
+        view: What was published and journalled.
+        break_: Told the name of what did not hold, and what was seen.
+        deadman: Of the nodes, s.
+    """
+
+    def __init__(self, view: View, break_: Callable[[str, str], None], deadman: float) -> None:
+        self._view = view
+        self._break = break_
+        self._deadman = deadman
+        self._posture: Sequence[float] | None = None
+        self._in_doubt = False
+        self._allowed: dict[str, float] = {}
+        self._newest: tuple[str, float] | None = None
+        self._last_hold = float("-inf")
+        self._ending: set[str] = set()
+        self._gone: float | None = None
+        self._node_excused = float("-inf")
+        self._reference_moved: float | None = None
+        self._undecided: dict[str, float] = {}
+        self._dangers: set[str] = set()
+        self._tool_at: tuple[str | None, str | None] | None = None
+        self._arrived: dict[str, float] = {}
+        self._guided = self._must_latch = False
+        self._told: dict[tuple[str, str], str] = {}
+
+    # -- the arm and its driver ----------------------------------------------------------------------
+
+    def step(self, now: float, positions: Sequence[float], *, at_rest: bool, braking: bool, relieving: bool) -> None:
+        """The simulated arm after a step."""
+        if self._view.motion.holds or now < self._view.by_hand or relieving:
+            self._posture = None
+        elif self._posture is not None:
+            moved = max(abs(one - other) for one, other in zip(positions, self._posture, strict=True))
+            if moved > MOVED:
+                text = f"A joint is {moved:.4f} rad from where the arm stood, and no motion is allowed."
+                self._break("the_arm_stays", text)
+        elif at_rest and not self._in_doubt:
+            self._posture = tuple(positions)
+        asked = not (at_rest or braking) and now >= self._view.by_hand
+        if self._gone is not None and asked and now > self._held_by(self._gone):
+            text = f"The daemon ended {now - self._gone:.3f} s ago, and the arm moves."
+            self._break("silence_is_held", text)
+        self._look_for_undecided(now)
+
+    def begins(self, method: str, now: float) -> None:
+        """The driver is told to begin a motion."""
+        self._posture = None
+        self._guided = method == "begin_servo"
+        if now < self._view.by_hand:
+            return
+        name, since = self._newest or ("nothing", float("-inf"))
+        if self._last_hold > since:
+            text = f"robot.{method} came {now - self._last_hold:.3f} s after a hold, and {name} began before that."
+            self._break("nothing_begins_after_its_hold", text)
+        spec = self._spec(name)
+        if spec is None or not _approaches(spec) or self._reference_moved is None:
+            return
+        hold_on_its_way = self._last_hold < self._reference_moved and now - self._reference_moved < braked(self._view)
+        if not hold_on_its_way:
+            self._break("approaches_only_when_ready", f"{name} moves, and the reference has moved since registration.")
+
+    def held(self, now: float) -> None:
+        """The driver is told to hold.
+
+        The hold by which an activity ends comes while the motion that it gives way to waits for just that.
+        """
+        snapshot = self._view.snapshot
+        if not self._ending or snapshot is None or snapshot.latched:
+            self._last_hold = now
+        if not self._view.motion.holds:
+            self._in_doubt = False
+
+    def excuse_node(self, until: float) -> None:
+        """The node has no time, or is not there, until then, s."""
+        self._node_excused = max(self._node_excused, until)
+
+    def node_is_back(self, now: float) -> None:
+        """The node has been started again."""
+        self._node_excused = now
+
+    def _held_by(self, since: float) -> float:
+        return max(since, self._node_excused) + self._deadman + HELD
+
+    # -- what the daemon says ------------------------------------------------------------------------
+
+    def begin_run(self, snapshot: Snapshot) -> None:
+        """A daemon has started."""
+        if self._must_latch and not snapshot.latched:
+            self._break("a_crash_in_motion_latches", "The daemon ended while the arm was guided, and starts unlatched.")
+        self._must_latch = False
+        self._gone = None
+        self._undecided.clear()
+        self._dangers.clear()
+        self._ending.clear()
+        self._allowed.clear()
+        self._arrived.clear()
+        self._reference_moved = None
+        self._tool_at = None
+
+    def lose_daemon(self, now: float, *, crash: bool) -> None:
+        """It is gone."""
+        snapshot = self._view.snapshot
+        if crash:
+            self._gone = now
+            self._must_latch = self._guided and snapshot is not None and self._guides(snapshot)
+        self._undecided.clear()
+
+    def take_snapshot(self, snapshot: Snapshot, now: float) -> None:
+        """It was published."""
+        self._note_motions(snapshot, now)
+        placement = snapshot.branches.get("placement")
+        ids = (snapshot.plan, snapshot.registration)
+        if placement not in AT_THE_BODY:
+            self._tool_at = None
+        elif self._tool_at is None:
+            self._tool_at = ids
+        elif ids != self._tool_at:
+            text = (
+                f"placement is {placement} under plan and registration {ids}; the tool went there by {self._tool_at}."
+            )
+            self._break("the_tool_is_at_its_plan", text)
+
+    def take_event(self, event: DeviceEvent, now: float) -> None:
+        """It was published."""
+        if event.code == "activity_ended":
+            self._ending.discard(event.device.removeprefix("activity:"))
+        if event.code == "reference_moved" and self._states("registration") in ("110", "111"):
+            self._reference_moved = now
+        branches = self._view.blueprint.branches.values()
+        if any((spec := branch.operations.get(event.code)) is not None and spec.event for branch in branches):
+            self._undecided[event.code] = now
+            if event.danger:
+                self._dangers.add(event.code)
+
+    def take_verdict(self, verdict: Verdict) -> None:
+        """It was published."""
+        name, spec = f"{verdict.branch}.{verdict.operation}", self._spec(f"{verdict.branch}.{verdict.operation}")
+        if spec is None:
+            return
+        if spec.event:
+            code = verdict.reason.code if verdict.reason is not None else ""
+            if verdict.decision == "rejected" and code in TURNED_AWAY:
+                self._break("no_event_is_turned_away", f"{name} was rejected {code}.")
+            self._undecided.pop(verdict.operation, None)
+            self._dangers.discard(verdict.operation)
+        if verdict.decision == "accepted":
+            if spec.moves and self._newest is not None and self._newest[0] == name:
+                self._in_doubt = False
+            if verdict.branch == "registration" and verdict.operation in REGISTERING:
+                self._reference_moved = None
+
+    def _note_motions(self, snapshot: Snapshot, now: float) -> None:
+        running = {
+            each.id: f"{each.branch}.{each.operation}"
+            for each in snapshot.running
+            if self._view.blueprint.branches[each.branch].operations[each.operation].moves
+        }
+        self._ending |= {each.name for each in snapshot.activities if self._moves(each)}
+        going_on = {f"{each.branch}:{each.name}": f"{each.branch}:{each.name}" for each in snapshot.activities}
+        for key, name in running.items():
+            if key not in self._allowed:
+                self._check_beginning(key, name, now)
+        for key, name in (running | going_on).items():
+            if key not in self._allowed:
+                self._newest, self._in_doubt = (name, now), True
+        self._allowed = {key: self._allowed.get(key, now) for key in running | going_on}
+
+    def _check_beginning(self, key: str, name: str, now: float) -> None:
+        if self._dangers:
+            text = f"{name} begins, and {', '.join(sorted(self._dangers))} is not decided."
+            self._break("dangers_are_decided_first", text)
+        since = self._arrived.pop(name, now) if ID.fullmatch(key) else now
+        if now - since > BEGUN:
+            text = f"{name} begins {now - since:.3f} s after its command has arrived."
+            self._break("motions_begin_in_time", text)
+
+    def _look_for_undecided(self, now: float) -> None:
+        for code, since in self._undecided.items():
+            if now - since > DECIDED and not self._view.excused:
+                self._break("no_event_is_lost", f"{code} was reported {now - since:.1f} s ago and is not decided.")
+
+    # -- what people are told ------------------------------------------------------------------------
+
+    def answered(self, command: Command, verdict: Verdict) -> None:
+        """A verdict has reached the operator who asked."""
+        about = (verdict.branch, verdict.operation)
+        if about != (command.branch, command.operation):
+            text = f"{command.branch}.{command.operation} got the verdict on {'.'.join(about)}: {verdict.decision}."
+            self._break("answers_are_about_the_command", text)
+        if not refuses_the_id(verdict):
+            self._told[command.source, command.id] = verdict.decision
+
+    def arrived(self, name: str, now: float) -> None:
+        """A command without an id, which leads to this operation, has arrived at a link."""
+        self._arrived[name] = now
+
+    def second(self, after: float) -> None:
+        """The second datagram was sent so long after the acknowledgement, s."""
+        if after > SECOND:
+            self._break("no_second_is_late", f"The second datagram was sent {after:.3f} s after the acknowledgement.")
+
+    def poses_end(self, fresh: bool) -> None:
+        """Nothing is wrong any more, and for some time: whether the daemon takes poses."""
+        if not fresh:
+            self._break("poses_go_on", "The tracker has sent good poses for seconds, and the daemon takes none.")
+
+    def check_rows(self, decision_of: Callable[[str, str], str | None]) -> None:
+        """Holds what people were told against the disk.
+
+        Args:
+            decision_of: What the journal has on a source and an id.
+        """
+        for (source, command), decision in self._told.items():
+            found = decision_of(source, command)
+            if decision in ("accepted", "failed") and found != decision:
+                self._break("acknowledged_rows_last", f"{command} was told to be {decision}; the disk has {found}.")
+
+    # -- helpers -------------------------------------------------------------------------------------
+
+    def _states(self, branch: str) -> str:
+        snapshot = self._view.snapshot
+        return "" if snapshot is None else snapshot.branches.get(branch, "")
+
+    def _spec(self, name: str) -> OperationSpec | None:
+        branch, _, operation = name.partition(".")
+        found: Mapping[str, OperationSpec] = (
+            self._view.blueprint.branches[branch].operations if branch in self._view.blueprint.branches else {}
+        )
+        return found.get(operation)
+
+    def _guides(self, snapshot: Snapshot) -> bool:
+        return any(self._moves(each) for each in snapshot.activities)
+
+    def _moves(self, ongoing: Ongoing) -> bool:
+        spec = self._view.blueprint.branches[ongoing.branch].activities.get(ongoing.state)
+        return spec is not None and spec.moves
+
+
+def _approaches(spec: OperationSpec) -> bool:
+    return spec.moves and "registration" in spec.requires

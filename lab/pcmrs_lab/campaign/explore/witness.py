@@ -1,0 +1,203 @@
+"""Watches a session from inside: all that is published, moved, fired or answered is held against invariants."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from pcmrs.devices.motion.press import Relief
+from pcmrs.fsm import Blueprint
+from pcmrs.journal import JournalReader
+from pcmrs.messages import (
+    Command,
+    DeviceEvent,
+    FiredPulse,
+    JointState,
+    JointTrajectory,
+    MotionResult,
+    PressRequest,
+    ServoSession,
+    Snapshot,
+    Verdict,
+)
+from pcmrs_lab.campaign.explore.invariants import INVARIANTS
+from pcmrs_lab.campaign.explore.settings import DEADMAN
+from pcmrs_lab.campaign.explore.tampering import TamperedTracker
+from pcmrs_lab.campaign.explore.view import Answered, Event, Fired, Moved, View
+from pcmrs_lab.campaign.explore.watcher import Watcher
+from pcmrs_sim.deterministic.cell import Devices
+from pcmrs_sim.deterministic.daemon import ProcedureDispatcher
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """An invariant that did not hold.
+
+    Attributes:
+        invariant: Its name.
+        text: What was seen.
+        time: s of the simulation.
+    """
+
+    invariant: str
+    text: str
+    time: float
+
+
+class Witness:
+    """Holds every event against the invariants; the first violation counts.
+
+    Attributes:
+        view: What is known.
+        watcher: Of the physical side.
+        violation: The first one; None while there is none.
+        violated: Set with it.
+        reader: Of the journal, while a daemon runs.
+        tracker: Between the simulated one and its node; None before the devices are opened.
+    """
+
+    def __init__(self, blueprint: Blueprint) -> None:
+        self.view = View(blueprint)
+        self.watcher = Watcher(self.view, self.break_, DEADMAN)
+        self.violation: Violation | None = None
+        self.violated = asyncio.Event()
+        self.reader: JournalReader | None = None
+        self.tracker: TamperedTracker | None = None
+        self._loop = asyncio.get_running_loop()
+        self._run = 0
+
+    def observe(self, dispatcher: ProcedureDispatcher, reader: JournalReader) -> None:
+        """A run of the daemon begins."""
+        self.reader = reader
+        self.view.now = self._loop.time()
+        self.view.begin_run()
+        self._run = run = self.view.run
+        dispatcher.on_publish(lambda message: self._published(run, message))
+        self.watcher.begin_run(dispatcher.snapshot())
+        self._published(run, dispatcher.snapshot())
+
+    def lose_daemon(self, *, crash: bool) -> None:
+        """The daemon is gone: what it still says to itself while it is cleared away counts no more."""
+        self.view.now = self._loop.time()
+        self.watcher.lose_daemon(self.view.now, crash=crash)
+        self.view.end_run()
+        self.reader = None
+        self._run = 0
+
+    def watched(self, devices: Devices) -> Devices:
+        """The devices as the node is to serve them."""
+        found = dict(devices)
+        if "robot" in found:
+            found["robot"] = _WatchedRobot(found["robot"], self)
+        if "tracker" in found:
+            found["tracker"] = self.tracker = TamperedTracker(found["tracker"])
+        if "stimulator" in found:
+            found["stimulator"] = _WatchedStimulator(found["stimulator"], self)
+        return found
+
+    def answered(self, command: Command, verdict: Verdict) -> None:
+        """A verdict has reached the operator who asked."""
+        self._take_rows()
+        self.watcher.answered(command, verdict)
+        self.judge(Answered(command, verdict))
+
+    @contextmanager
+    def watching(self, scene: Any) -> Iterator[None]:
+        """Looks at the simulated arm after every step, as long as the context lasts."""
+
+        def look() -> None:
+            arm = scene.arm
+            self.watcher.step(
+                self._loop.time(),
+                arm.positions,
+                at_rest=arm.at_rest,
+                braking=arm.stopped is not None,
+                relieving=isinstance(arm.reference, Relief),
+            )
+
+        with scene.watched(look):
+            yield
+
+    def judge(self, event: Event) -> None:
+        """Holds an event against all invariants that are about such events."""
+        self.view.now = self._loop.time()
+        for invariant in INVARIANTS[type(event)]:
+            text = invariant(self.view, event)
+            if text is not None:
+                self.break_(invariant.__name__, text)
+
+    def break_(self, invariant: str, text: str) -> None:
+        """Something did not hold."""
+        if self.violation is None:
+            self.violation = Violation(invariant, text, self._loop.time())
+            self.violated.set()
+
+    def _published(self, run: int, message: Snapshot | Verdict | DeviceEvent) -> None:
+        if run != self._run:
+            return
+        self.view.now = self._loop.time()
+        if isinstance(message, Snapshot):
+            self.view.take_snapshot(message)
+            self.watcher.take_snapshot(message, self.view.now)
+        if isinstance(message, Verdict):
+            self.view.take_verdict(message)
+            self.watcher.take_verdict(message)
+        if isinstance(message, DeviceEvent):
+            self.watcher.take_event(message, self.view.now)
+        if not isinstance(message, DeviceEvent):
+            self._take_rows()
+        self.judge(message)
+
+    def _take_rows(self) -> None:
+        if self.reader is not None:
+            self.view.take_rows(self.reader)
+
+
+class _Watched:
+    """A device whose calls go through."""
+
+    def __init__(self, device: Any, witness: Witness) -> None:
+        self._device, self._witness = device, witness
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._device, name)
+
+
+class _WatchedRobot(_Watched):
+    async def follow(self, trajectory: JointTrajectory) -> MotionResult:
+        self._begins("follow")
+        result: MotionResult = await self._device.follow(trajectory)
+        return result
+
+    async def press(self, request: PressRequest) -> MotionResult:
+        self._begins("press")
+        result: MotionResult = await self._device.press(request)
+        return result
+
+    async def begin_servo(self) -> ServoSession:
+        self._begins("begin_servo")
+        session: ServoSession = await self._device.begin_servo()
+        return session
+
+    async def hold(self) -> JointState:
+        self._witness.watcher.held(asyncio.get_running_loop().time())
+        state: JointState = await self._device.hold()
+        return state
+
+    def _begins(self, method: str) -> None:
+        self._witness.watcher.begins(method, asyncio.get_running_loop().time())
+
+    async def states(self) -> AsyncIterator[JointState]:
+        async for state in self._device.states():
+            self._witness.judge(Moved(state))
+            yield state
+
+
+class _WatchedStimulator(_Watched):
+    async def fire(self, number: int) -> FiredPulse:
+        pulse: FiredPulse = await self._device.fire(number)
+        self._witness.judge(Fired(number))
+        return pulse

@@ -1,0 +1,428 @@
+"""Faults of access: people and programs that reach for what is not theirs, at a cell that is open to other machines."""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import msgspec
+
+from pcmrs.bus.codec import MAX_BYTES, unpack
+from pcmrs.bus.settings import BusSettings, open_session
+from pcmrs.client import Client
+from pcmrs.clock import SystemClock
+from pcmrs.errors import BusError, ConfigurationError
+from pcmrs.gateway.keys import read_key
+from pcmrs.gateway.signing import Signer
+from pcmrs.messages import Verdict
+from pcmrs.pki import read_credentials
+from pcmrs.testing.cell import RunningCell
+from pcmrs.testing.driving import PATIENCE, accept, said
+from pcmrs_lab.campaign.checks import check_refused, expect, shape
+from pcmrs_lab.campaign.counted_session import CountedSession, counted_session, counting_endpoint
+from pcmrs_lab.campaign.datagrams import raw_socket, refusals_after, taken
+from pcmrs_lab.campaign.fault import Evidence, fault
+from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.reachable import EXPIRED, FOREIGN, REVOKED, ReachableCell, reachable_cell
+from pcmrs_lab.campaign.samples import sample
+from pcmrs_lab.campaign.sham import bring_about, is_sham
+from pcmrs_lab.campaign.waiting import until_true
+
+TLS = "a running cell that listens for other machines, over real TLS on loopback"
+SIGNED = "raw datagrams at a running cell with a peer that signs"
+FORGED = 200
+"""Signed commands that are tampered with, of each kind."""
+LARGE = 24 * 1024 * 1024
+"""Bytes of a message that is longer than any is allowed to be."""
+KEPT = 4.0
+"""A connection that is not ended within this is kept, s of the machine: the daemon waits longer for its first words."""
+QUIET = 1.0
+"""What has no effect by then has none, s of the machine."""
+AT_ONCE = 64
+"""Datagrams that are sent without waiting: more might not find a place in the socket's buffer."""
+
+
+@fault("O9", how=TLS)
+async def two_operators(lab: Lab) -> Evidence:
+    """The one who does not hold the cell is refused, and may still stop."""
+    async with reachable_cell(lab) as open_cell, open_cell.client("anna") as anna, open_cell.client("bob") as bob:
+        row = open_cell.cell.last_row()
+        nobody = await _refused(open_cell, bob, "registration.reinit", "no_lease")
+        async with anna.holding():
+            await accept(anna, "registration.reinit")
+            other = anna if is_sham() else bob
+            held = await _refused(open_cell, other, "registration.reinit", "lease_held")
+            await _refused(open_cell, other, "lease.acquire", "lease_held")
+            await bob.stop()
+            expect((await anna.state()).latched, "Stop of who does not hold the cell was not honoured.")
+        async with bob.holding():
+            control = await accept(bob, "registration.reinit")
+        rows = [each for each in open_cell.cell.rows(row) if each.source == "bus:bob"]
+    return Evidence(
+        "refused; Stop honoured",
+        took_place={
+            "rejected_in_the_journal": sum(each.verdict.decision == "rejected" for each in rows if each.verdict)
+        },
+        control={"with_the_lease": control.decision},
+        details={"nobody": nobody, "held": held},
+    )
+
+
+@fault("A1", how=f"{SIGNED}: with the peer's name and another key, as a peer that is not known, and unsigned")
+async def spoofed_source(lab: Lab) -> Evidence:
+    """Whoever says to be somebody else is refused and gets no answer."""
+    async with reachable_cell(lab, 'gateway.unsigned_peers=["127.0.0.2"]') as open_cell:
+        key = bytes(reversed(read_key(open_cell.peer_key)))
+        other = [Signer("slicer", key, lambda: 1).sign(b"img_fid_numxxxxx_4;") for _ in range(FORGED)]
+        unknown = [Signer("mallory", key, lambda: 1).sign(b"img_fid_numxxxxx_4;")]
+        forged = [*other, *unknown, b"img_fid_numxxxxx_4;"]
+        return await _ignored(open_cell, forged, control=open_cell.signer().sign(b"img_fid_numxxxxx_4_#1;"))
+
+
+@fault("A2", how=f"{SIGNED}: each a second time, in reverse order")
+async def replayed(lab: Lab) -> Evidence:
+    """What the peer has sent is refused when somebody sends it again."""
+    async with reachable_cell(lab) as open_cell:
+        signer = open_cell.signer()
+        sent = [signer.sign(b"stop_visualizexx_#%d;" % number) for number in range(20)]
+        async with raw_socket(open_cell.cell.ready.links["planner"]) as raw:
+            for datagram in sent:
+                raw.send(datagram)
+            async with asyncio.timeout(10.0):
+                answers = [await raw.answers.get() for _ in sent]
+        expect(all(b"_accepted_" in answer for answer in answers), f"The peer itself was answered {answers[0]!r}.")
+        evidence = await _ignored(open_cell, [*reversed(sent)] * 5, control=signer.sign(b"stop_visualizexx_#21;"))
+        return replace(evidence, control={**evidence.control, "the_first_time": len(answers)})
+
+
+@fault("A3", how=f"{SIGNED}: with any bit flipped")
+async def flipped_bit(lab: Lab) -> Evidence:
+    """A signed command of which any bit was changed is refused."""
+    async with reachable_cell(lab) as open_cell:
+        datagram = open_cell.signer().sign(b"img_fid_numxxxxx_4_#1;")
+        flipped = [
+            bytes(byte ^ (1 << bit % 8) if place == bit // 8 else byte for place, byte in enumerate(datagram))
+            for bit in range(8 * len(datagram))
+        ]
+        return await _ignored(open_cell, flipped, control=datagram)
+
+
+@fault("A9", how=f"{SIGNED}: {FORGED} of every kind of garbage, and of forged commands")
+async def unauthenticated(lab: Lab) -> Evidence:
+    """Nobody learns from an answer that there is somebody."""
+    async with reachable_cell(lab, 'gateway.unsigned_peers=["127.0.0.2"]') as open_cell:
+        garbage = [lab.random.randbytes(lab.random.randrange(1, 200)) for _ in range(FORGED)]
+        forged = [b"stop_now_xxxxxxx;|slicer|%d|%s" % (n, b"0" * 32) for n in range(FORGED)]
+        unsigned = [b"stop_now_xxxxxxx_#%d;" % n for n in range(FORGED)]
+        control = open_cell.signer().sign(b"stop_now_xxxxxxx_#1;")
+        return await _ignored(open_cell, [*garbage, *forged, *unsigned], control=control)
+
+
+@fault("A11", how=f"{TLS}: without certificate, with one of another authority, and with an expired one")
+async def no_certificate(lab: Lab) -> Evidence:
+    """Nobody without a certificate that counts gets in."""
+    async with reachable_cell(lab) as open_cell:
+        alert = await _ended_by(open_cell, with_certificate=is_sham())
+        expect("CERTIFICATE_REQUIRED" in alert, f"Without a certificate a connection was ended by {alert!r}.")
+        alone = await _ended_by(open_cell, with_certificate=True)
+        expect(not alone, f"With a certificate, too, a connection was ended by {alone!r}.")
+        turned_away: dict[str, object] = {"alert_to_nobody": alert}
+        for name in (FOREIGN, EXPIRED):
+            used = "anna" if is_sham() else name
+            async with counting_endpoint(open_cell) as (endpoint, weather):
+                settings = msgspec.structs.replace(open_cell.settings(used), endpoint=endpoint)
+                expect(not await _let_in(settings), f"{used} was let in.")
+            turned_away[f"bytes_of_{name}_at_the_daemon"] = weather.passed["towards"]
+        expect(await _let_in(open_cell.settings("anna")), "Not even anna is let in.")
+    return Evidence(
+        "refused",
+        took_place=turned_away,
+        control={"let_in": "anna", "kept_with_a_certificate": not alone},
+    )
+
+
+@fault("A11", how=f"{TLS}: with a certificate that was revoked")
+async def revoked_certificate(lab: Lab) -> Evidence:
+    """Whoever has it is connected, and nothing that they send has an effect."""
+    async with reachable_cell(lab) as open_cell:
+        async with unmoved(open_cell), counted_session(open_cell, REVOKED) as session:
+            await _try_everything(open_cell, session, REVOKED)
+            arrived = await session.arrived()
+        async with open_cell.client("anna") as anna, anna.holding():
+            control = await _taken_of(open_cell, "anna")
+    return Evidence(
+        "connected, and nothing that it sent had an effect",
+        took_place={"bytes_of_the_revoked_one_at_the_daemon": arrived},
+        control={"the_same_command_by_anna": control},
+    )
+
+
+@fault("A12", how=f"{TLS}: every role sends what is another's, under its own name and others'")
+async def wrong_role(lab: Lab) -> Evidence:
+    """What is not a role's is dropped; what a role may not ask for is refused with the reason."""
+    async with reachable_cell(lab) as open_cell, open_cell.client("anna") as anna, anna.holding():
+        arrived = {}
+        async with unmoved(open_cell):
+            for name, others in (("eve", ("eve", "anna", "local")), ("slicer", ("anna", "local")), ("tom", ("anna",))):
+                async with counted_session(open_cell, name) as session:
+                    for other in others:
+                        await _try_everything(open_cell, session, other)
+                    arrived[name] = await session.arrived()
+        async with open_cell.client("slicer") as slicer:
+            planner = await _refused(open_cell, slicer, "robot.connect", "role_not_allowed")
+        control = await _taken_of(open_cell, "anna")
+    return Evidence(
+        "dropped; a planner's motion refused",
+        took_place={f"bytes_of_{name}_at_the_daemon": count for name, count in arrived.items()},
+        control={"the_same_command_by_anna": control},
+        details={"planner": planner},
+    )
+
+
+@fault("A14", how=f"{TLS}: a message of {LARGE // 2**20} MiB, of somebody who may send")
+async def enormous_message(lab: Lab) -> Evidence:
+    """A message that is too long is not taken, and nobody else is kept waiting."""
+    async with reachable_cell(lab) as open_cell, open_cell.client("anna") as anna:
+        before = sample(open_cell.cell.process.pid).memory
+        async with unmoved(open_cell), counted_session(open_cell, "bob") as session:
+            for _ in range(4):
+                await session.put(f"pcmrs/lab/{open_cell.cell.name}/cmd/bob/registration/reinit", bytes(LARGE))
+            arrived = await session.arrived(most=MAX_BYTES)
+        grown = sample(open_cell.cell.process.pid).memory - before
+        expect(grown < 4 * LARGE, f"The daemon has grown by {grown / 2**20:.0f} MiB.")
+        async with anna.holding():
+            await accept(anna, "registration.reinit")
+        async with open_cell.client("bob") as bob, bob.holding():
+            control = await _taken_of(open_cell, "bob", "registration/reinit")
+    return Evidence(
+        "not taken; others are served",
+        took_place={"bytes_at_the_daemon": arrived},
+        control={"a_short_one_of_the_same_user": control},
+        details={"grown_mib": round(grown / 2**20, 1)},
+    )
+
+
+@fault("A15", how=f"{TLS}: on keys with wildcards, of an operator and a viewer")
+async def wildcards(lab: Lab) -> Evidence:
+    """Nobody sends to all at once."""
+    arrived = {}
+    async with reachable_cell(lab) as open_cell:
+        keys = ("**", "pcmrs/**", "pcmrs/*/*/**", "pcmrs/lab/*/cmd/**", "pcmrs/lab/*/stop/*", "pcmrs/lab/*/dev/*/cmd")
+        async with unmoved(open_cell):
+            for name in ("anna", "eve"):
+                async with counted_session(open_cell, name) as session:
+                    for key in keys:
+                        await session.put(key, b"{}")
+                        await session.delete(key)
+                    arrived[name] = await session.arrived()
+        async with open_cell.client("anna") as anna, anna.holding():
+            control = await _taken_of(open_cell, "anna")
+    return Evidence(
+        "denied",
+        took_place={f"bytes_of_{name}_at_the_daemon": count for name, count in arrived.items()},
+        control={"a_key_without_wildcards": control},
+        details={"keys": len(keys)},
+    )
+
+
+@fault("A17", how="real key files that others may read: of the daemon, of a peer, and of the journal")
+async def readable_key(lab: Lab) -> Evidence:
+    """The daemon does not start with a secret that is none, and says which."""
+    said_so = {}
+    async with reachable_cell(lab) as open_cell:
+        settings = open_cell.cell.settings
+        keys = [open_cell.people.folder / "daemon1" / "daemon1.key", open_cell.peer_key]
+        keys.append(open_cell.cell.folder / "journal.key")
+    modes = {}
+    for key in keys:
+        bring_about(partial(key.chmod, 0o644))
+        modes[key.name] = f"{key.stat().st_mode & 0o777:04o}"
+        status, errors = await lab.ending(*settings, folder=open_cell.cell.folder)
+        expect(status in (2, 4) and str(key) in errors and "0644" in errors, f"Exit status {status}: {errors[-300:]}")
+        said_so[key.name] = status
+        key.chmod(0o600)
+    async with lab.daemon(*settings, folder=open_cell.cell.folder) as cell:
+        started = await cell.client.state()
+    return Evidence(
+        "the daemon does not start, and names the file",
+        took_place={"modes": modes},
+        control={"with_0600": f"starts, robot {started.branches['robot']}"},
+        details={"status": said_so},
+    )
+
+
+@fault("A18", how=f"{TLS}: on the keys of Zenoh's own configuration")
+async def administration(lab: Lab) -> Evidence:
+    """Nobody changes the access control through the router's own keys."""
+    async with reachable_cell(lab) as open_cell:
+        async with unmoved(open_cell):
+            async with counted_session(open_cell, "anna") as session:
+                routers = [str(each) for each in session.zenoh.info.routers_zid()]
+                for router in (*routers, "*"):
+                    for path in ("access_control/enabled", "access_control/default_permission", "adminspace/enabled"):
+                        await session.put(f"@/{router}/router/config/{path}", b"false")
+                        await session.delete(f"@/{router}/router/config/{path}")
+                arrived = await session.arrived()
+                asked = await asyncio.to_thread(lambda: list(session.zenoh.get("@/**", timeout=QUIET)))
+            replies = [str(reply.ok.key_expr).split("/")[1] for reply in asked if reply.ok is not None]
+            answers = [each for each in replies if each in routers]  # others are its own
+            expect(not answers, f"The administration answers: {len(answers)} times.")
+            async with counted_session(open_cell, "eve") as session:
+                await _try_everything(open_cell, session, "anna")
+                arrived_after = await session.arrived()
+        async with open_cell.client("anna") as anna, anna.holding():
+            control = await _taken_of(open_cell, "anna")
+    return Evidence(
+        "denied; access control holds",
+        took_place={"bytes_for_the_administration": arrived, "bytes_of_eve_afterwards": arrived_after},
+        control={"its_own_administration_answers": len(replies), "the_command_of_eve_by_anna": control},
+        details={"routers": len(routers)},
+    )
+
+
+@fault("C6", how=f"{TLS}: of a user, and of the daemon itself")
+async def expired_certificate(lab: Lab) -> Evidence:
+    """Whoever has it is told; whoever hides that is not let in."""
+    now = SystemClock().wall()
+    async with reachable_cell(lab) as open_cell:
+        reason = _why_not(open_cell.people.folder / EXPIRED, now)
+        expect("has expired on" in reason, f"It is said: {reason}")
+        used = "anna" if is_sham() else EXPIRED
+        expect(not await _let_in(open_cell.settings(used)), "Somebody whose certificate has expired was let in.")
+        expect(await _let_in(open_cell.settings("anna")), "Nor is anna let in, whose certificate counts.")
+        authority, folder = open_cell.people.authority, open_cell.people.folder
+        settings = [each for each in open_cell.cell.settings if not each.startswith("access.identity")]
+        place = open_cell.cell.folder
+    authority.issue("daemon", "daemon2", now - 10 * 86400.0, days=7.0, hosts=("127.0.0.1",), into=folder)
+    status, errors = await lab.ending(*settings, f"access.identity={folder / 'daemon2'}")
+    expect(status == 4 and "daemon2.pem has expired on" in errors, f"Exit status {status}: {errors[-300:]}")
+    async with lab.daemon(*settings, f"access.identity={folder / 'daemon1'}", folder=place) as cell:
+        started = await cell.client.state()
+    return Evidence(
+        "refused, and why is said",
+        took_place={"user": reason, "daemon": errors.strip().splitlines()[-1]},
+        control={"let_in": "anna", "daemon_with_one_that_counts": f"starts, robot {started.branches['robot']}"},
+        details={"status": status},
+    )
+
+
+async def _refused(open_cell: ReachableCell, client: Client, name: str, code: str) -> str:
+    """Response R to somebody's command; returns what was said."""
+    before, row = await open_cell.cell.client.state(), open_cell.cell.last_row()
+    verdict = await client.call(name)
+    await check_refused(open_cell.cell, verdict, before, row, [code])
+    return said(verdict)
+
+
+async def _ignored(open_cell: ReachableCell, datagrams: list[bytes], *, control: bytes) -> Evidence:
+    """None of the datagrams is answered or changes anything, and the journal tells of all; `control` is accepted."""
+    cell = open_cell.cell
+    before, row = await cell.client.state(), cell.last_row()
+    async with raw_socket(cell.ready.links["planner"]) as raw:
+        for count, datagram in enumerate(datagrams, 1):
+            raw.attack(datagram)
+            if count % AT_ONCE == 0 or count == len(datagrams):
+                await _until_refused(cell, row, count)
+        await asyncio.sleep(QUIET)
+        answered = raw.answers.qsize()
+    expect(answered == 0, f"{answered} were answered.")
+    expect(shape(await cell.client.state()) == shape(before), "The state has changed.")
+    told = [each for each in cell.rows(row) if each.operation == "refused"]
+    reasons = sorted({(each.result or {})["fields"]["reason"] for each in told})
+    refused_ones = refusals_after(cell, row)
+    answer = await taken(cell, control)
+    return Evidence(
+        "refused, not answered, told in the journal",
+        took_place={"refused_in_the_journal": refused_ones},
+        control={"signed_by_the_peer": answer},
+        details={"sent": len(datagrams), "reasons": reasons},
+    )
+
+
+async def _until_refused(cell: RunningCell, row: int, count: int) -> None:
+    await until_true(lambda: refusals_after(cell, row) >= count, f"The journal does not have {count} refusals")
+
+
+async def _let_in(settings: BusSettings) -> bool:
+    """Whether a session is opened."""
+    try:
+        session = await asyncio.to_thread(open_session, settings)
+    except BusError:
+        return False
+    await asyncio.to_thread(session.close)
+    return True
+
+
+async def _ended_by(open_cell: ReachableCell, *, with_certificate: bool) -> str:
+    """Why the daemon ends a bare connection over TLS, if it does; Zenoh's client dials nobody without a certificate."""
+    own = open_cell.people.credentials("anna")
+    context = ssl.create_default_context(cafile=own.authority)
+    if with_certificate:
+        context.load_cert_chain(own.certificate, own.key)
+    reader, writer = await asyncio.open_connection(*open_cell.address, ssl=context)
+    try:
+        async with asyncio.timeout(KEPT):
+            return "nothing but its end" if not await reader.read(1) else ""
+    except TimeoutError:
+        return ""
+    except ssl.SSLError as error:
+        return error.reason or str(error)
+    finally:
+        writer.close()
+
+
+async def _try_everything(open_cell: ReachableCell, session: CountedSession, name: str) -> None:
+    """Commands, calls of devices, false poses and states, and Stop, as if one were somebody else."""
+    prefix = f"pcmrs/lab/{open_cell.cell.name}"
+    hold = msgspec.json.encode({"method": "hold", "arguments": {}})
+    for key, payload in (
+        (f"cmd/{name}/robot/connect", b"{}"),
+        (f"cmd/{name}/lease/take_over", b"{}"),
+        ("dev/robot/cmd", hold),
+        ("state/fsm", b"{}"),
+        ("state/pose/coil", b"{}"),
+        ("dev/robot/beat", b"{}"),
+    ):
+        await session.put(f"{prefix}/{key}", payload)
+        expect(not await session.ask(f"{prefix}/{key}", payload), f"{key} was answered.")
+
+
+async def _taken_of(open_cell: ReachableCell, name: str, command: str = "robot/connect") -> str:
+    """The bytes of a command by somebody who holds the cell: a control."""
+    key = f"pcmrs/lab/{open_cell.cell.name}/cmd/{name}/{command}"
+
+    def ask() -> list[bytes]:
+        with open_session(open_cell.settings(name)) as session:
+            replies = list(session.get(key, payload=b"{}", timeout=PATIENCE))
+            return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+
+    answers = await asyncio.to_thread(ask)
+    expect(len(answers) == 1, f"{key} had {len(answers)} answers.")
+    verdict = unpack(answers[0], Verdict)
+    expect(verdict.decision == "accepted", f"{key} of who may was {verdict.decision}: {said(verdict)}.")
+    return verdict.decision
+
+
+@asynccontextmanager
+async def unmoved(open_cell: ReachableCell) -> AsyncIterator[None]:
+    """The state of the cell is at the end what it was, and its journal has no decision of anybody's."""
+    cell = open_cell.cell
+    before, row = await cell.client.state(), cell.last_row()
+    yield
+    await asyncio.sleep(QUIET)
+    expect(shape(await cell.client.state()) == shape(before), "The state has changed.")
+    decided = [each for each in cell.rows(row) if each.kind in ("intent", "outcome")]
+    expect(not decided, f"{len(decided)} commands got to the dispatcher.")
+
+
+def _why_not(folder: Path, now: float) -> str:
+    try:
+        read_credentials(folder, now)
+    except ConfigurationError as error:
+        return error.text
+    return "nothing"

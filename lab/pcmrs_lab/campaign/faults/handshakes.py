@@ -1,0 +1,139 @@
+"""A flood of handshakes at the router's TLS port, from a machine behind another NAT."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+from pathlib import Path
+
+import pcmrs
+from pcmrs.clock import SystemClock
+from pcmrs.pki import Authority
+from pcmrs_lab.campaign.checks import expect
+from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
+from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.natlab import NEEDS, ROUTER, NatLab, nat_lab
+from pcmrs_lab.campaign.sham import is_sham
+
+PORT = 7449
+RULES = Path(pcmrs.__file__).parents[1] / "deploy" / "router" / "router.nft"
+CONNECTIONS = 200
+WITHIN = 1.0
+"""A legitimate client connects within this, s of the machine."""
+
+ESTABLISHED = "01"
+"""As the kernel writes it."""
+
+FLOOD = """
+import socket, sys, time
+held = []
+for number in range(int(sys.argv[3])):
+    connection = socket.socket()
+    connection.setblocking(False)
+    connection.connect_ex((sys.argv[1], int(sys.argv[2])))
+    held.append(connection)
+time.sleep(0.5)
+for number, connection in enumerate(held):
+    try:
+        connection.send(b"garbage" if number % 2 else b"\\x16\\x03\\x01")
+    except OSError:
+        pass
+print("flooded", flush=True)
+sys.stdin.read()
+"""
+"""So many connections that are held open: half send what is no TLS, half begin a handshake and do not go on."""
+
+CONNECT = """
+import sys, time
+from pathlib import Path
+from pcmrs.bus import BusSettings
+from pcmrs.bus.settings import open_session
+from pcmrs.clock import SystemClock
+from pcmrs.errors import BusError
+from pcmrs.pki import read_credentials
+own = read_credentials(Path(sys.argv[2]), SystemClock().wall())
+begun = time.monotonic()
+while True:
+    try:
+        session = open_session(BusSettings(endpoint=sys.argv[1], credentials=own))
+        break
+    except BusError:
+        if time.monotonic() - begun > 60.0:
+            raise
+print(time.monotonic() - begun, flush=True)
+session.close()
+"""
+"""Seconds that a client needs to be let in, however often it has to try."""
+
+
+@fault(
+    "A13", how="network namespaces, rules for nftables of deploy/router: 200 connections", needs=NEEDS, deadline=180.0
+)
+async def handshake_flood(lab: Lab) -> Evidence:
+    """While somebody holds 200 connections open that are no TLS, a client from elsewhere is let in."""
+    if not RULES.is_file():
+        raise NotRun("deploy/router/router.nft is not there: it comes with the source, not with the wheel")
+    return await asyncio.to_thread(_flooded, lab.folder)
+
+
+def _flooded(folder: Path) -> Evidence:
+    now = SystemClock().wall()
+    authority = Authority.init(folder / "pki", "lab", now)
+    authority.issue("router", "gate", now, hosts=tuple(ROUTER.values()), into=folder)
+    authority.issue("operator", "anna", now, via=("gate",), into=folder)
+    with nat_lab() as net:
+        _start_router(net, folder)
+        unprotected, open_without = _connected_beside_a_flood(net, folder)
+        loaded = net.run("router", "nft", "-f", str(RULES))
+        expect(loaded.returncode == 0, f"The rules are not loaded: {loaded.stderr}")
+        protected, open_with = _connected_beside_a_flood(net, folder)
+    expect(unprotected > WITHIN, f"Without the rules, too, the client was let in after {unprotected:.2f} s.")
+    expect(protected < WITHIN, f"The client was let in after {protected:.2f} s.")
+    return Evidence(
+        "let in, by the rules of nftables",
+        took_place={"open_at_the_router_without_the_rules": open_without},
+        control={"let_in_without_the_rules_after_s": round(unprotected, 1)},
+        details={"let_in_after_s": round(protected, 2), "open_at_the_router_with_the_rules": open_with},
+    )
+
+
+def _connected_beside_a_flood(net: NatLab, folder: Path) -> tuple[float, int]:
+    """Seconds until a client is let in while connections are held open elsewhere, and how many the router had."""
+    pipe, many = subprocess.PIPE, str(0 if is_sham() else CONNECTIONS)
+    words = (sys.executable, "-c", FLOOD, ROUTER["remote"], str(PORT), many)
+    flood = net.start("remote", *words, stdin=pipe, stdout=pipe)
+    _line(flood)
+    held = _established(net)
+    taken = _connected(net, folder)
+    flood.communicate()
+    return taken, held
+
+
+def _established(net: NatLab) -> int:
+    """Connections at the router's port, by its kernel."""
+    lines = [line.split() for line in net.run("router", "cat", "/proc/net/tcp").stdout.splitlines()]
+    return sum(line[1].endswith(f":{PORT:04X}") and line[3] == ESTABLISHED for line in lines)
+
+
+def _start_router(net: NatLab, folder: Path) -> None:
+    words = ["router", "--identity", str(folder / "gate"), "--register", str(folder / "pki" / "register.json")]
+    router = net.start(
+        "router", sys.executable, "-m", "pcmrs.cli", *words, "--listen", f"tls/0.0.0.0:{PORT}", stdout=subprocess.PIPE
+    )
+    while _line(router) != "ready":
+        pass
+
+
+def _connected(net: NatLab, folder: Path) -> float:
+    endpoint = f"tls/{ROUTER['cell']}:{PORT}"
+    done = net.run("cell", sys.executable, "-c", CONNECT, endpoint, str(folder / "anna"), timeout=90.0)
+    expect(done.returncode == 0, f"The client was not let in: {done.stderr[-300:]}")
+    return float(done.stdout)
+
+
+def _line(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    expect(bool(line), "The process has ended.")
+    return line.strip()

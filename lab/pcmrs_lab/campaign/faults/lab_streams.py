@@ -1,0 +1,142 @@
+"""A stream of Lab Streaming Layer from another machine on the cell's network, under the name of the cell's own."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from pcmrs.devices.lsl.library import lab_configuration
+from pcmrs_lab.campaign.checks import expect
+from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
+from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.lan import NEEDS, Machine, lan
+from pcmrs_lab.campaign.namespaces import Namespaces
+from pcmrs_lab.campaign.needs import Need
+from pcmrs_lab.campaign.sham import is_sham
+
+WIDER: Final = "[multicast]\nResolveScope = link\n[log]\nlevel = -3\n"
+"""A lab's own file for streams of its whole network."""
+WARNING: Final = "lsl_configured_by_lab"
+
+OFFER: Final = """
+import time
+from pcmrs.devices.lsl.library import EMG, load_lsl
+lsl = load_lsl()
+outlet = lsl.StreamOutlet(lsl.StreamInfo(EMG, "EMG", 1, 100.0, lsl.cf_float32, "another-machine"))
+print("ready", flush=True)
+while True:
+    outlet.push_sample([1.0])
+    time.sleep(0.01)
+"""
+
+READ: Final = """
+import json, select, sys
+from pcmrs.devices.lsl.inlet import Inlet
+from pcmrs.devices.lsl.library import EMG
+inlet, samples = Inlet(EMG, "EMG"), 0
+print("ready", flush=True)
+while samples < 100 and not select.select([sys.stdin], [], [], 0.02)[0]:
+    samples += len(inlet.pull()[1])
+print(json.dumps({"samples": samples, "problem": inlet.problem}))
+"""
+"""Reads the stream as the driver does, until it has 100 samples or its standard input ends."""
+
+LOOKING: Final = 15.0
+"""A stream that is there is read within this, s of the machine."""
+LONGER: Final = 2.0
+"""The reader by default looks for so much longer, s of the machine."""
+
+
+class Read(msgspec.Struct, frozen=True):
+    """What a reader has come to.
+
+    Attributes:
+        samples: That it has taken.
+        problem: Why it has none; empty where it has some.
+    """
+
+    samples: int
+    problem: str
+
+
+def _is_installed() -> bool:
+    """Whether there is the module, and the library that it loads."""
+    try:
+        import pylsl  # noqa: F401
+    except (ImportError, OSError, RuntimeError):
+        return False
+    return True
+
+
+@fault(
+    "A35",
+    how="two network namespaces: a stream with the name of the cell's EMG is offered in the other one",
+    needs=(*NEEDS, Need("pylsl", _is_installed)),
+)
+async def stream_of_another_machine(lab: Lab) -> Evidence:
+    """By default nobody finds it; beside it a reader takes it by the lab's own file, which it warns of."""
+    if own := lab_configuration():
+        raise NotRun(f"{own} configures Lab Streaming Layer here, so nothing shows what is so by default")
+    return await asyncio.to_thread(_offered, lab.folder)
+
+
+def _offered(folder: Path) -> Evidence:
+    wider = folder / "lsl_api.cfg"
+    wider.write_text(WIDER)
+    with lan() as net:
+        if not is_sham():
+            _until_ready(_start(net, "other", OFFER, wider))
+        closed, opened = _start(net, "cell", READ), _start(net, "cell", READ, wider)
+        said_by_default, said_of_wider = _until_ready(closed), _until_ready(opened)
+        taken = _read(opened, LOOKING)
+        arrived = _segments(net)
+        kept_out = _read(closed, LONGER)
+    expect(taken.samples > 0, f"With the scope opened, too, nothing was taken: {taken.problem}.")
+    expect(WARNING in said_of_wider, "Nobody warns where the scope is opened.")
+    expect(WARNING not in said_by_default, f"By default it warns: {said_by_default}")
+    expect(kept_out.samples == 0, f"By default {kept_out.samples} samples of another machine were taken.")
+    expect("has not been found" in kept_out.problem, f"By default another reason is given: {kept_out.problem}.")
+    return Evidence(
+        "not found by default; where the scope is opened, that is logged",
+        took_place={"tcp_segments_at_the_cells_machine": arrived},
+        control={"samples_with_the_scope_opened": taken.samples, "logged_where_it_is_opened": WARNING},
+        details={"by_default": kept_out.problem},
+    )
+
+
+def _start(
+    net: Namespaces[Machine], machine: Machine, script: str, configuration: Path | None = None
+) -> subprocess.Popen[str]:
+    variables = [f"LSLAPICFG={configuration}"] if configuration else []
+    pipe = subprocess.PIPE
+    return net.start(machine, "env", *variables, sys.executable, "-c", script, stdin=pipe, stdout=pipe)
+
+
+def _until_ready(process: subprocess.Popen[str]) -> str:
+    """Waits until a script is ready; returns what it has logged before."""
+    assert process.stdout is not None
+    said = ""
+    while (line := process.stdout.readline()) != "ready\n":
+        expect(bool(line), f"It has ended: {said}")
+        said += line
+    return said
+
+
+def _read(reader: subprocess.Popen[str], within: float) -> Read:
+    """What a reader has come to when it has enough, or that time is over."""
+    with suppress(subprocess.TimeoutExpired):
+        reader.wait(within)
+    said, _ = reader.communicate()  # ends its standard input
+    return msgspec.json.decode(said.splitlines()[-1], type=Read)
+
+
+def _segments(net: Namespaces[Machine]) -> int:
+    """TCP segments that the kernel of the cell's machine has taken: streams come by TCP, questions for them by UDP."""
+    names, numbers = (line.split() for line in net.run("cell", "grep", "Tcp:", "/proc/net/snmp").stdout.splitlines())
+    return int(numbers[names.index("InSegs")])

@@ -1,0 +1,70 @@
+"""What an account on the cell's machine finds in its files, or is configured as."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+from pcmrs.gateway.keys import new_key
+from pcmrs.testing.driving import accept
+from pcmrs_lab.campaign.checks import expect
+from pcmrs_lab.campaign.fault import Evidence, fault
+from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.sham import is_sham
+
+OTHERS = 0o077
+"""Bits of a mode by which others than the owner may do something."""
+
+
+@fault("A30", how="a daemon that is started by hand in an open folder, by a shell that lets everybody read new files")
+async def open_folder(lab: Lab) -> Evidence:
+    """Nobody else may read what the daemon writes; what the same shell writes itself, everybody may."""
+    folder, probe = lab.folder / "open", lab.folder / "probe"
+    opened = await asyncio.to_thread(_make_open, folder)
+    umask = "077" if is_sham() else "022"
+    shell = ("sh", "-c", f'umask {umask}; : > "{probe}"; exec "$@"', "sh")
+    async with lab.daemon(folder=folder, prefix=shell) as cell:
+        await accept(cell.client, "registration.reinit")
+        modes = await asyncio.to_thread(_modes, folder, Path(cell.ready.journal), probe)
+    probed = modes.pop(probe.name)
+    expect(probed & OTHERS == 0o044, "The shell did not let others read new files.")
+    expect(len(modes) > 4, f"Only {', '.join(modes)} were looked at.")
+    shared = {name: f"{mode:04o}" for name, mode in modes.items() if mode & OTHERS}
+    expect(not shared, f"Others may use {shared}.")
+    return Evidence(
+        "readable by its owner only",
+        took_place={"mode_of_the_folder_before": opened},
+        control={"mode_of_a_file_of_the_shell": f"{probed:04o}"},
+        details={"files": sorted(modes)},
+    )
+
+
+def _make_open(folder: Path) -> str:
+    folder.mkdir()
+    folder.chmod(0o700 if is_sham() else 0o755)
+    return f"{folder.stat().st_mode & 0o777:04o}"
+
+
+def _modes(folder: Path, journal: Path, probe: Path) -> dict[str, int]:
+    """Modes of the folder, of journal and keys in it, and of the probe, by name."""
+    files = (folder, probe, *folder.glob(f"{journal.name}*"), *folder.glob("journal.*"))
+    return {path.name: path.stat().st_mode & 0o777 for path in files}
+
+
+@fault("A31", how="a peer in the configuration with the name of the operators on site, and with another name")
+async def peer_named_local(lab: Lab) -> Evidence:
+    """The daemon refuses to start with the first, and says why; with the second it starts."""
+    key = lab.folder / "peer.key"
+    new_key(key)
+    name = "locals" if is_sham() else "local"
+    status, errors = await lab.ending(f"gateway.peers.{name}.key_file={key}")
+    text = errors.strip().splitlines()[-1] if errors.strip() else ""
+    expect(status != 0 and "local" in text and "Traceback" not in errors, f"It ended with {status}: {text}")
+    async with lab.daemon(f"gateway.peers.locals.key_file={key}") as cell:
+        control = await accept(cell.client, "registration.reinit")
+    return Evidence(
+        "refused to start, and said why",
+        took_place={"said_of_the_name": text},
+        control={"accepted_with_another_name": control.decision},
+        details={"status": status},
+    )

@@ -1,0 +1,479 @@
+"""Operator faults: what a person asks for that must not be done, over the bus and over UDP, to a running daemon."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, nullcontext, suppress
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from pcmrs.client import Client
+from pcmrs.clock import SystemClock
+from pcmrs.fsm import load_blueprint
+from pcmrs.fsm.behaviour import behaviour, joint_of, operations
+from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.closure import Denial
+from pcmrs.journal import JournalRow
+from pcmrs.testing.cell import REAL_TIME, RunningCell
+from pcmrs.testing.driving import (
+    MOVES,
+    accept,
+    connect,
+    digitized,
+    landmarks,
+    moving,
+    plan,
+    register,
+    said,
+    state,
+    to_placed,
+    to_retracted,
+    to_standoff,
+    tool_pose,
+    until,
+)
+from pcmrs.testing.errors import Unmet
+from pcmrs.workflows import find_workflow
+from pcmrs_lab.campaign.checks import check_refused, confirmed, expect, refused, shape, stands
+from pcmrs_lab.campaign.every_state import walk
+from pcmrs_lab.campaign.fault import Evidence, fault
+from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.sham import is_sham
+from pcmrs_lab.experiment.tours.arguments import Arguments, plan_arguments
+
+GATES = ("residual_too_large", "landmark_outlier", "swapped_landmarks", "mirrored", "tre_too_large")
+"""Codes of a registration that is refused for what its landmarks say."""
+
+
+@fault(
+    "O1",
+    how="dispatcher and journal in one process, scripted steps, every joint state of the workflow",
+    deadline=400.0,
+)
+async def every_state(lab: Lab) -> Evidence:
+    """What is forbidden is refused in every joint state there is."""
+    workflows = ("ratms", "femoroplasty")
+    blueprint = load_blueprint(find_workflow(workflows[lab.seed % len(workflows)]).blueprint)
+    # In a thread: it takes seconds of computing, and the deadlines of others go on.
+    found = await asyncio.to_thread(asyncio.run, walk(blueprint, lab.folder))
+    expect(not found.wrong, f"{len(found.wrong)} of {found.forbidden}: {'; '.join(found.wrong[:3])}")
+    control = await asyncio.to_thread(asyncio.run, walk(blueprint, _folder(lab), _without_guard(blueprint), 1))
+    expect(bool(control.wrong), "A guard was removed, and nothing was found.")
+    return Evidence(
+        f"{found.forbidden} refused in {found.joint_states} joint states",
+        took_place={"refusals that the journal has": found.recorded},
+        control={"found with one guard removed": control.wrong[0]},
+        details={"workflow": blueprint.id, "joint_states": found.joint_states, "forbidden": found.forbidden},
+    )
+
+
+def _folder(lab: Lab) -> Path:
+    folder = lab.folder / "control"
+    folder.mkdir()
+    return folder
+
+
+def _without_guard(blueprint: Blueprint) -> Blueprint:
+    """The same workflow, in which an approach asks for nothing but its own branch."""
+    branch = blueprint.branches["placement"]
+    freed = msgspec.structs.replace(branch.operations["approach"], requires={})
+    changed = msgspec.structs.replace(branch, operations={**branch.operations, "approach": freed})
+    return msgspec.structs.replace(blueprint, branches={**blueprint.branches, "placement": changed})
+
+
+@fault("O1", how="a running daemon, on its way to the placed tool, asked over the bus for all that is forbidden there")
+async def all_forbidden(lab: Lab) -> Evidence:
+    """What is forbidden is refused by a whole daemon."""
+    blueprint = load_blueprint(find_workflow("ratms").blueprint)
+    rulings, asked, states = behaviour(blueprint), 0, 0
+    async with lab.cell() as cell:
+        row = cell.last_row()
+        for step in _way():
+            if step is not None:
+                await step(cell.client)
+                await until(cell.client, lambda snapshot: not snapshot.running)
+            asked += await _ask_forbidden(cell, blueprint, rulings)
+            states += 1
+        decisions = Counter(stored.verdict.decision for stored in cell.rows(row) if stored.verdict is not None)
+        reached = await state(cell.client, "placement")
+    return Evidence(
+        f"{asked} refused in {states} joint states",
+        took_place={"refusals that the journal has": decisions["rejected"]},
+        control={"accepted, as the journal has it": decisions["accepted"], "reached": reached},
+    )
+
+
+def _way() -> tuple[Callable[[Client], Awaitable[object]] | None, ...]:
+    async def planned(client: Client) -> None:
+        await accept(client, "registration.plan_landmarks", **landmarks())
+
+    async def all_digitized(client: Client) -> None:
+        await accept(client, "digitization.digitize_all")
+
+    return None, planned, all_digitized, register, to_standoff, to_placed
+
+
+async def _ask_forbidden(cell: RunningCell, blueprint: Blueprint, rulings: Any) -> int:
+    """Asks for every operation that is denied in the present joint state; how many these are."""
+    before, row = await cell.client.state(), cell.last_row()
+    there = rulings[joint_of(blueprint, before.branches)]
+    arguments = Arguments(plan_arguments(plan()))
+    denied = [
+        (f"{branch}.{name}", spec.payload)
+        for branch, name, spec in operations(blueprint)
+        if spec.event or spec.iio or isinstance(there[f"{branch}.{name}"], Denial)
+    ]
+    # Whether the tool counts as aligned is for a watch to say, in these states at any time.
+    denied = [(name, payload) for name, payload in denied if not name.startswith("alignment.") and not is_sham()]
+    verdicts = [await cell.client.call(name, arguments.next(name, payload)) for name, payload in denied]
+    after, recorded = await cell.client.state(), [stored.verdict for stored in cell.rows(row)]
+    for verdict in verdicts:
+        expect(verdict.decision == "rejected", f"{verdict.branch}.{verdict.operation} was {verdict.decision}.")
+        expect(verdict in recorded, f"The journal has no row of {verdict.branch}.{verdict.operation}.")
+    if after.branches["alignment"] == before.branches["alignment"]:
+        expect(shape(after) == shape(before), f"The state changed: {before} became {after}.")
+    return len(verdicts)
+
+
+@fault("O2", how="index beyond the plan, negative and far off, over the bus and over UDP")
+async def index_out_of_range(lab: Lab) -> Evidence:
+    """A landmark that is not planned is not digitized."""
+    async with lab.cell() as cell:
+        await accept(cell.client, "registration.plan_landmarks", **landmarks())
+        count = len(plan().landmarks)
+        indices = (0,) if is_sham() else (-1, count, lab.random.randrange(count, 10**6))
+        codes = []
+        for index in indices:
+            verdict = await refused(
+                cell, "digitization.digitize_one", {"index": index}, codes=("no_such_landmark", "bad_arguments")
+            )
+            codes.append(f"{index}: {said(verdict)}")
+        before = await cell.client.state()
+        answer = await cell.planner.command("img_dig_digitize", count, timeout=30.0)
+        expect(answer.decision == "rejected", f"Over UDP it was {answer.decision}.")
+        expect(shape(await cell.client.state()) == shape(before), "The state changed.")
+        control = await accept(cell.client, "digitization.digitize_one", index=count - 1)
+    return Evidence(
+        f"refused: {said(verdict)}",
+        took_place={"the daemon says of each index": codes, "of the datagram": answer.decision},
+        control={f"index {count - 1}": control.decision},
+    )
+
+
+async def _displaced(cell: RunningCell, offsets: dict[int, Any]) -> Evidence:
+    """Digitizes with touches off by `offsets` (m, by index): registering is refused, and without them it is not."""
+    await accept(cell.client, "registration.plan_landmarks", **landmarks())
+    for index, offset in offsets.items():
+        x, y, z = map(float, offset)
+        if not is_sham():
+            await cell.scene.displace_touch(index, (x, y, z))
+    await accept(cell.client, "digitization.digitize_all")
+    verdict = await refused(cell, "registration.register", codes=GATES)
+    await refused(cell, "placement.approach", codes=("requirement_not_met", "invalid_in_state", "parent_refuses"))
+    await digitized(cell.client)
+    control = await accept(cell.client, "registration.register")
+    reason = verdict.reason
+    return Evidence(
+        f"registration refused: {reason.code if reason is not None else ''}",
+        took_place={"the daemon's fit of the touches": said(verdict)},
+        control={"the same landmarks without the error": control.decision},
+    )
+
+
+def _points() -> Any:
+    return np.array([landmark.position for landmark in plan().landmarks])
+
+
+@fault("O3", how="simulated person touches two landmarks in exchanged order")
+async def swapped(lab: Lab) -> Evidence:
+    """Landmarks in another order are no registration."""
+    points = _points()
+    first, second = lab.random.sample(range(len(points)), 2)
+    way = points[second] - points[first]
+    async with lab.cell() as cell:
+        evidence = await _displaced(cell, {first: way, second: -way})
+    return replace(evidence, details={"landmarks": f"{first}, {second}"})
+
+
+@fault("O4", how="simulated person touches 25 mm or more beside a landmark")
+async def large_residual(lab: Lab) -> Evidence:
+    """A landmark far off is no registration."""
+    index, direction = lab.random.randrange(len(_points())), np.array([lab.random.gauss(0, 1) for _ in range(3)])
+    offset = lab.random.uniform(0.025, 0.050) * direction / np.linalg.norm(direction)
+    async with lab.cell() as cell:
+        evidence = await _displaced(cell, {index: offset})
+    return replace(evidence, details={"landmark": index, "millimetres": float(np.linalg.norm(offset) * 1e3)})
+
+
+@fault("O5", how="landmarks planned on one line")
+async def collinear(lab: Lab) -> Evidence:
+    """Landmarks on a line are no plan."""
+    step = lab.random.uniform(0.01, 0.05)
+    line = [{"name": f"p{n}", "position": [step * n, 2 * step * n, 0.0]} for n in range(6)]
+    codes = ("degenerate_points", "landmarks_collinear")
+    async with lab.cell() as cell:
+        asked = landmarks() if is_sham() else {"landmarks": line}
+        verdict = await refused(cell, "registration.plan_landmarks", asked, codes=codes)
+        control = await accept(cell.client, "registration.plan_landmarks", **landmarks())
+    return Evidence(
+        f"refused: {said(verdict)}",
+        took_place={"the daemon's words": said(verdict)},
+        control={"the example's landmarks": control.decision},
+    )
+
+
+def _patient(name: str) -> tuple[str, ...]:
+    """Settings of a patient, of whom there is no surface."""
+    return f"procedure.patient={name}", 'procedure.body.surface=""'
+
+
+@fault("O6", how="the daemon is started for another patient on the journal of the last one", deadline=300.0)
+async def previous_patient(lab: Lab) -> Evidence:
+    """Another patient's registration is not taken."""
+    async with lab.daemon(*_patient("one")) as cell:
+        await digitized(cell.client)
+        await accept(cell.client, "registration.register")
+    async with lab.daemon(*_patient("one" if is_sham() else "two"), folder=cell.folder) as other:
+        verdict = await refused(other, "registration.use_previous", codes=("other_patient",))
+    async with lab.daemon(*_patient("one"), folder=cell.folder) as same:
+        control = await accept(same.client, "registration.use_previous")
+    return Evidence(
+        f"refused: {said(verdict)}",
+        took_place={"the daemon's words": said(verdict)},
+        control={"for the same patient": control.decision},
+    )
+
+
+@fault("O7", how="landmarks are planned again, as many as before, while the head is registered")
+async def planned_again(lab: Lab) -> Evidence:
+    """A new plan ends digitization and registration."""
+    async with lab.cell() as cell:
+        await register(cell.client)
+        before = (await cell.client.state()).registration
+        if not is_sham():
+            await accept(cell.client, "registration.plan_landmarks", **landmarks())
+        shown = await cell.client.state()
+        states = (shown.branches["registration"], shown.branches["digitization"], shown.registration)
+        expect(states == ("100", "0", None), f"registration, digitization and id are {states}.")
+        await refused(cell, "registration.register", codes=("invalid_in_state",))
+        await refused(cell, "placement.approach", codes=("requirement_not_met", "invalid_in_state"))
+        await accept(cell.client, "digitization.digitize_all")
+        control = await accept(cell.client, "registration.register")
+    return Evidence(
+        "digitization and registration gone, approach refused",
+        took_place={"registration until the new plan": before, "states after it": states},
+        control={"register, digitized anew": control.decision},
+    )
+
+
+@fault("O8", how="landmarks planned in mm; the person touches the mirror image of every landmark")
+async def wrong_units(lab: Lab) -> Evidence:
+    """Another unit, or a mirror image, is no registration."""
+    given = landmarks()["landmarks"]
+    in_mm = [{**each, "position": [1e3 * value for value in each["position"]]} for each in given]
+    points = _points()
+    middle = points.mean(axis=0)
+    normal = np.array([lab.random.gauss(0, 1) for _ in range(3)])
+    normal /= np.linalg.norm(normal)
+    mirrored = points - 2.0 * np.outer((points - middle) @ normal, normal)
+    async with lab.cell() as cell:
+        asked = landmarks() if is_sham() else {"landmarks": in_mm}
+        unit = await refused(cell, "registration.plan_landmarks", asked, codes=("wrong_unit",))
+        mirror = await _displaced(cell, dict(enumerate(mirrored - points)))
+    return replace(
+        mirror,
+        response=f"mm: {said(unit)}; mirror image: {mirror.response}",
+        took_place={"the daemon's words of mm": said(unit), **mirror.took_place},
+    )
+
+
+@fault("O10", how="commands with an id that was used: at once, later, and while the first runs")
+async def repeated(lab: Lab) -> Evidence:
+    """One id is run once."""
+    async with lab.cell() as cell:
+        row, name = cell.last_row(), f"again-{lab.random.random()}"
+        arguments = landmarks()
+        ids = (name, f"{name}-b") if is_sham() else (name, name)
+        both = [cell.client.call("registration.plan_landmarks", arguments, id=each) for each in ids]
+        first, second = await asyncio.gather(*both)
+        await accept(cell.client, "digitization.digitize_all")
+        third = await cell.client.call("registration.plan_landmarks", arguments, id=name)
+        expect(first == second == third, f"Three verdicts for one id: {first}, {second}, {third}.")
+        shown = (await cell.client.state()).branches
+        expect(shown["digitization"] == "1", "The repeat was run: the digitization is gone.")
+        outcomes = [stored for stored in cell.rows(row) if (stored.kind, stored.command_id) == ("outcome", name)]
+        expect(len(outcomes) == 1, f"The journal has {len(outcomes)} outcomes of one id.")
+        other = await accept(cell.client, "registration.plan_landmarks", **arguments)
+        expect(other.sequence > first.sequence, "Another id was not run.")
+    return Evidence(
+        "run once, the recorded verdict thrice",
+        took_place={"verdicts received for one id": sum(each.sequence == first.sequence for each in (second, third))},
+        control={"another id is run, rows later": other.sequence - first.sequence},
+    )
+
+
+STOPS = 9
+PROMISE = 0.020
+"""A digitization is cancelled within this of a Stop, s."""
+
+
+@fault(
+    "O11", how="Stop over UDP while the simulated person reaches for a landmark; the median of 9 counts", deadline=180
+)
+async def stop_while_digitizing(lab: Lab) -> Evidence:
+    """Stop ends a digitization at once."""
+    took: list[float] = []
+    async with lab.daemon("sim.digitization.reach_time=25") as cell:
+        await connect(cell.client)
+        await accept(cell.client, "registration.plan_landmarks", **landmarks())
+        row = cell.last_row()
+        for _ in range(STOPS):
+            took.append(await _stop_digitizing(cell))
+            await accept(cell.client, "robot.acknowledge")
+            expect((await cell.client.state()).branches["digitization"] == "0", "Something was digitized.")
+        stops = sum((stored.kind, stored.operation) == ("device", "stopped") for stored in cell.rows(row))
+        control = await cell.client.call("digitization.digitize_one", {"index": 0}, timeout=30.0)
+        expect(control.decision == "accepted", f"Without a Stop it was {control.decision}: {said(control)}.")
+    late = await _timer_lateness()
+    if median(took) > PROMISE:
+        raise Unmet(
+            f"Cancelled after {median(took) * 1e3:.1f} ms in the median; a bare timer is {late * 1e3:.1f} ms late."
+        )
+    values = {"median_ms": median(took) * 1e3, "worst_ms": max(took) * 1e3, "timer_worst_ms": late * 1e3}
+    return Evidence(
+        f"cancelled within {values['median_ms']:.1f} ms",
+        took_place={"Stops that the journal has": stops},
+        control={"the same digitization without a Stop": control.decision},
+        details=values,
+    )
+
+
+async def _stop_digitizing(cell: RunningCell) -> float:
+    """From the datagram of Stop to the cancelled operation's verdict at its caller, s."""
+    clock = SystemClock()
+    call = asyncio.create_task(cell.client.call("digitization.digitize_one", {"index": 0}, timeout=30.0))
+    await until(cell.client, lambda snapshot: bool(snapshot.running))
+    expect(not call.done(), "The digitization ended without a Stop.")
+    begun = clock.monotonic()
+    stop = None if is_sham() else asyncio.create_task(cell.planner.stop())
+    verdict = await call
+    took = clock.monotonic() - begun
+    if stop is not None:
+        await stop
+    expect(verdict.decision == "failed", f"The digitization was {verdict.decision}.")
+    return took
+
+
+async def _timer_lateness() -> float:
+    """How late a bare timer of 5 ms is in the worst of 100 cases, s."""
+    clock, late = SystemClock(), list[float]()
+    for _ in range(100):
+        due = clock.monotonic() + 0.005
+        await clock.sleep(0.005)
+        late.append(clock.monotonic() - due)
+    return max(late)
+
+
+@fault("O12", how="another pose and other landmarks are planned while the tool moves to the first one")
+async def edited_while_moving(lab: Lab) -> Evidence:
+    """No plan changes under a motion."""
+    async with lab.cell(*REAL_TIME) as cell:
+        await to_retracted(cell.client)
+        before = await cell.client.state()
+        async with moving(cell.client) as approach:
+            if is_sham():  # asked for after the motion, it is no fault
+                await approach
+            joints = await cell.client.request_device("robot", "joints")
+            speed = float(np.abs(joints["velocities"]).max())
+            row, meanwhile = cell.last_row(), await cell.client.state()
+            pose = await cell.client.call("toolplan.plan", tool_pose(1))
+            await check_refused(cell, pose, meanwhile, row, ("busy",))
+            points = await cell.client.call("registration.plan_landmarks", landmarks())
+            await check_refused(cell, points, meanwhile, row, ("busy",))
+            verdict = await approach
+        expect(verdict.decision == "accepted", f"The approach was {verdict.decision}: {said(verdict)}.")
+        expect((await cell.client.state()).plan == before.plan, "The plan was changed.")
+        control = await accept(cell.client, "toolplan.plan", **tool_pose(1))
+        await until(cell.client, lambda snapshot: snapshot.branches["placement"] == "held")
+        revoked = await state(cell.client, "placement")
+    return Evidence(
+        f"refused: {said(pose)}",
+        took_place={
+            "a joint moves, rad/s": speed if speed > MOVES else 0.0,
+            "runs": [each.operation for each in meanwhile.running],
+        },
+        control={"planned when the tool stands": control.decision, "the standoff is": revoked},
+    )
+
+
+LIMIT = 3.0
+"""A session that nobody attends to for so long is made safe here, s of the machine."""
+ATTENDED = 6.0
+ABANDONED_EVENT = "session_abandoned"
+ABANDONED = (f"procedure.abandoned_after={LIMIT:g}", "workflow=ratms_threshold", *REAL_TIME)
+
+
+@fault("O13", how="the operator leaves with the stimulator armed and the tool on the head; the limit is 3 s here")
+async def abandoned(lab: Lab) -> Evidence:
+    """A session that nobody attends to is made safe."""
+    async with lab.daemon(*ABANDONED) as cell:
+        return await _leave(cell)
+
+
+async def _leave(cell: RunningCell) -> Evidence:
+    await to_placed(cell.client)
+    await accept(cell.client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
+    await accept(cell.client, "stimulation.set_intensity", percent=50.0)
+    await accept(cell.client, "stimulation.arm")
+    row = cell.last_row()
+    async with _attended(cell.client):
+        await asyncio.sleep(ATTENDED)
+    expect(not (await cell.client.state()).latched, "It was held although somebody was there.")
+    attended = _quiet(cell.rows(row))
+    async with _attended(cell.client) if is_sham() else nullcontext():
+        shown = await until(
+            cell.client, lambda snapshot: snapshot.latched and snapshot.branches["stimulation"] == "disarmed"
+        )
+    quiet = _quiet(cell.rows(row))
+    stimulator = await cell.client.request_device("stimulator", "state")
+    expect(not stimulator["armed"], "The stimulator itself is armed.")
+    await stands(cell)
+    await confirmed(cell)
+    return Evidence(
+        "held, latched, stimulator disarmed",
+        took_place={"nobody has asked for anything for_s": quiet if quiet >= LIMIT else 0.0},
+        control={f"{ATTENDED:g} s with somebody there, who is never silent for longer than_s": attended},
+        details={"placement": shown.branches["placement"]},
+    )
+
+
+@asynccontextmanager
+async def _attended(client: Client) -> AsyncIterator[None]:
+    """Somebody asks for something during the context, and again before the limit."""
+
+    async def ask() -> None:
+        while True:
+            await client.call("stimulation.set_intensity", {"percent": 50.0})
+            await asyncio.sleep(LIMIT / 2)
+
+    asking = asyncio.create_task(ask())
+    try:
+        yield
+    finally:
+        asking.cancel()
+        with suppress(asyncio.CancelledError):
+            await asking
+
+
+def _quiet(rows: list[JournalRow]) -> float:
+    """Longest time between two rows of a journal that tell of a command, or of its absence, s."""
+    times = [row.monotonic for row in rows if row.kind == "outcome" or row.operation == ABANDONED_EVENT]
+    return max((later - earlier for earlier, later in pairwise(times)), default=0.0)

@@ -1,0 +1,272 @@
+"""Faults of order: a request that was sent before a hold arrives after it."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from pcmrs.client import Client
+from pcmrs.testing.cell import QUICK, REAL_TIME, RunningCell
+from pcmrs.testing.driving import (
+    PATIENCE,
+    accept,
+    landmarks,
+    moving,
+    said,
+    showing,
+    start_anew,
+    state,
+    to_placed,
+    to_retracted,
+    to_standoff,
+    until,
+)
+from pcmrs_lab.campaign.checks import BRAKING, confirmed, expect, held, standing
+from pcmrs_lab.campaign.delays import Delayed, Place, Rule
+from pcmrs_lab.campaign.fault import Evidence, fault
+from pcmrs_lab.campaign.lab import Lab
+
+LATE = 0.25
+"""A late frame arrives after this, s of the machine: longer than a resting arm takes to confirm a hold, less than the
+age for which alone a device refuses a request."""
+
+LATER = 0.9
+"""The same, but after the next command has begun."""
+
+LOOKS = 20
+
+ROBOT = "dev/robot/cmd"
+STIMULATOR = "dev/stimulator/cmd"
+ON_ITS_WAY = "the bus delivers the request late, after the hold"
+
+Bring = Callable[[Client], Awaitable[None]]
+
+
+def delayed(response: str, late: list[Delayed], moved: list[float] | None = None, **control: Any) -> Evidence:
+    """What a row reports: what the delayed process has counted, what moved, and what its control showed."""
+    found = {"delayed": len(late), "late_s": [round(each.ended - each.begun, 3) for each in late]}
+    details: dict[str, Any] = {"overtaken_by": sum(each.overtaken for each in late)}
+    if moved is not None:
+        details["moved_deg"] = round(math.degrees(moved[0]), 3)
+    return Evidence(response, took_place=found, control=control, details=details)
+
+
+async def late_motion(
+    lab: Lab,
+    place: Place,
+    bring: Bring,
+    name: str,
+    arguments: dict[str, Any] | None = None,
+    *,
+    word: str = "follow",
+    blocked: float = 0.0,
+) -> Evidence:
+    """Stop is pressed while a motion's request is on its way; the request arrives after the hold, and moves nothing.
+
+    Args:
+        lab: Of the row.
+        place: Where the request is delayed.
+        bring: To where the motion may begin.
+        name: ``branch.operation`` of the motion.
+        arguments: Its own.
+        word: Method of the request.
+        blocked: The daemon's loop stands still so long when Stop comes, s, so that the node's own hold is the only one.
+    """
+    rule = Rule(place, ROBOT, word, LATE)
+    blocking = [Rule("pass", "service.before_publish", seconds=blocked)] if blocked else []
+    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+        await bring(cell.client)
+        await asyncio.sleep(BRAKING)
+        async with cell.delays.delaying(rule):
+            motion = asyncio.create_task(cell.client.call(name, arguments, timeout=PATIENCE))
+            await cell.delays.begins(rule)
+            async with standing(cell) as moved, cell.delays.delaying(*blocking):
+                await cell.client.stop()
+                late = await cell.delays.took_place(rule)
+                verdict = await motion
+            await held(cell)
+        await confirmed(cell)
+        await bring(cell.client)
+        async with moving(cell.client, name, arguments=arguments) as control:
+            again = await control
+        expect(again.decision == "accepted", f"{name} was {again.decision} when it was asked for again.")
+        await start_over(cell)
+    expect(verdict.decision in ("failed", "accepted"), f"{name} ended {verdict.decision}: {said(verdict)}.")
+    return delayed("no joint moved", late, moved, moved_the_arm_when_asked_again=again.decision)
+
+
+async def start_over(cell: RunningCell) -> None:
+    """Ends what still follows, so that the next row finds a resting arm."""
+    if (await state(cell.client, "placement")) == "following":
+        await accept(cell.client, "placement.stop_following")
+
+
+@fault("Q1", how="the thread that sends the request of an approach is slow")
+async def sent_late(lab: Lab) -> Evidence:
+    """The daemon's own thread sends `follow` after the hold."""
+    return await late_motion(lab, "send", to_retracted, "placement.approach")
+
+
+@fault("Q1", how=ON_ITS_WAY)
+async def delivered_late(lab: Lab) -> Evidence:
+    """`follow` is on its way for longer than the hold that was sent after it."""
+    return await late_motion(lab, "receive", to_retracted, "placement.approach")
+
+
+@fault(
+    "Q2", how="the daemon's loop stands still, so that the node alone holds, on the lane of Stop; `follow` arrives then"
+)
+async def after_the_node_s_own_hold(lab: Lab) -> Evidence:
+    """The node's own hold counts as the daemon's does."""
+    return await late_motion(lab, "receive", to_retracted, "placement.approach", blocked=2 * LATE)
+
+
+@fault("Q11", how=ON_ITS_WAY)
+async def confirm_late(lab: Lab) -> Evidence:
+    """The motion to the body."""
+    return await late_motion(lab, "receive", to_standoff, "placement.confirm")
+
+
+@fault("Q12", how=ON_ITS_WAY)
+async def nudge_late(lab: Lab) -> Evidence:
+    """A small motion at the body."""
+    nudge = {"translation": [0.0, 0.0, 0.004]}
+    return await late_motion(lab, "receive", to_placed, "placement.nudge", nudge)
+
+
+@fault("Q13", how=ON_ITS_WAY)
+async def retreat_late(lab: Lab) -> Evidence:
+    """A motion away from the body is stopped like any other."""
+    return await late_motion(lab, "receive", to_standoff, "placement.home")
+
+
+@fault("Q14", how=ON_ITS_WAY)
+async def servo_late(lab: Lab) -> Evidence:
+    """The request that begins a servo session, for following the head."""
+    rule = Rule("receive", ROBOT, "begin_servo", LATE)
+    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+        await to_placed(cell.client)
+        await asyncio.sleep(BRAKING)
+        async with cell.delays.delaying(rule):
+            follow = asyncio.create_task(cell.client.call("placement.follow", timeout=PATIENCE))
+            await cell.delays.begins(rule)
+            await cell.client.stop()
+            await until(cell.client, lambda shown: shown.latched and shown.branches["placement"] != "following")
+            async with standing(cell) as moved:
+                late = await cell.delays.took_place(rule)
+            await follow
+            await held(cell)
+        await confirmed(cell)
+        await to_placed(cell.client)
+        await accept(cell.client, "placement.follow")
+        shown = await until(cell.client, showing(placement="following"))
+        await start_over(cell)
+    return delayed("no servo session begins", late, moved, asked_again=shown.branches["placement"])
+
+
+@fault(
+    "Q15", how="the bus delivers the request of the stopped motion while the next one, after the acknowledgement, runs"
+)
+async def overtaken_by_the_next(lab: Lab) -> Evidence:
+    """Only the motion that was asked for after the acknowledgement is done."""
+    rule = Rule("receive", ROBOT, "follow", LATER)
+    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+        await to_standoff(cell.client)
+        await asyncio.sleep(BRAKING)
+        async with cell.delays.delaying(rule):
+            stopped = asyncio.create_task(cell.client.call("placement.confirm", timeout=PATIENCE))
+            await cell.delays.begins(rule)
+            await cell.client.stop()
+            await stopped
+            shown = await until(cell.client, lambda shown: shown.latched and not shown.stop.pending)
+            await accept(cell.client, "robot.acknowledge", stop=shown.stop.number)
+            verdict = await cell.client.call("placement.back_off", timeout=PATIENCE)
+            async with standing(cell) as moved:
+                late = await cell.delays.took_place(rule)
+        expect(verdict.decision == "accepted", f"back_off was {verdict.decision}: {said(verdict)}.")
+        where = await state(cell.client, "placement")
+        expect(where in ("standoff", "retracted"), f"The placement is {where} after back_off.")
+    return delayed("the next motion was done, and no other", late, moved, back_off=verdict.decision, reached=where)
+
+
+THRESHOLD = ("workflow=ratms_threshold", *REAL_TIME)
+
+
+async def ready_to_stimulate(client: Client) -> None:
+    """The tool is at its pose, and the stimulator may be armed."""
+    await to_placed(client)
+    await accept(client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
+    await accept(client, "stimulation.set_intensity", percent=50.0)
+
+
+async def late_stimulation(lab: Lab, method: str, name: str, arguments: dict[str, Any]) -> Evidence:
+    """Stop is pressed while a request to the stimulator is on its way; it has no effect when it arrives."""
+    rule = Rule("receive", STIMULATOR, method, LATE)
+    async with lab.cell(*THRESHOLD, delayed=True) as cell:
+        await ready_to_stimulate(cell.client)
+        before = await cell.client.request_device("stimulator", "state")
+        async with cell.delays.delaying(rule):
+            asked = asyncio.create_task(cell.client.call(name, arguments, timeout=PATIENCE))
+            await cell.delays.begins(rule)
+            await cell.client.stop()
+            late = await cell.delays.took_place(rule)
+            verdict = await asked
+            await asyncio.sleep(BRAKING)
+            after = await cell.client.request_device("stimulator", "state")
+        expect(verdict.decision != "accepted", f"{name} was accepted after Stop.")
+        expect(not after["armed"], "The stimulator is armed after Stop.")
+        expect(after["intensity"] == before["intensity"], f"The intensity has changed: {before} became {after}.")
+        await confirmed(cell)
+        await ready_to_stimulate(cell.client)
+        again = await accept(cell.client, name, **arguments)
+        effect = await cell.client.request_device("stimulator", "state")
+        changed = [each for each in ("armed", "intensity") if effect[each] != before[each]]
+        expect(bool(changed), f"{name} has no effect when it is asked for again, either.")
+        await accept(cell.client, "stimulation.disarm")
+    return delayed("disarmed, unchanged", late, asked_again=again.decision, changed=changed)
+
+
+@fault("Q16", how=ON_ITS_WAY, deadline=240.0)
+async def arming_late(lab: Lab) -> Evidence:
+    """The stimulator is not armed after Stop."""
+    return await late_stimulation(lab, "arm", "stimulation.arm", {})
+
+
+@fault("Q17", how=ON_ITS_WAY, deadline=240.0)
+async def intensity_late(lab: Lab) -> Evidence:
+    """Its intensity does not change after Stop."""
+    return await late_stimulation(lab, "set_intensity", "stimulation.set_intensity", {"percent": 60.0})
+
+
+@fault("Q18", how=ON_ITS_WAY)
+async def touch_late(lab: Lab) -> Evidence:
+    """A simulated hand that was stopped touches nothing afterwards."""
+    rule = Rule("receive", "dev/pointer/cmd", "touch", LATE)
+    async with lab.cell(*QUICK, delayed=True) as cell:
+        await accept(cell.client, "registration.plan_landmarks", **landmarks())
+        before = (await cell.scene.truth()).tip_in_tracker
+        async with cell.delays.delaying(rule):
+            asked = asyncio.create_task(cell.client.call("digitization.digitize_one", {"index": 0}, timeout=PATIENCE))
+            await cell.delays.begins(rule)
+            await cell.client.stop()
+            verdict = await asked
+            late = await cell.delays.took_place(rule)
+            seen = await _tips(cell)
+        expect(verdict.decision == "failed", f"digitize_one ended {verdict.decision}: {said(verdict)}.")
+        expect(set(seen) == {before}, f"The hand was at {before}, and after Stop at {set(seen)}.")
+        await start_anew(cell.client)
+        await accept(cell.client, "registration.plan_landmarks", **landmarks())
+        again = await accept(cell.client, "digitization.digitize_one", index=0)
+    spreads = {name: round(spread * 1e3, 3) for name, spread in (again.result or {})["spreads"].items()}
+    return delayed("the hand rests", late, asked_again=again.decision, touched_with_spread_mm=spreads)
+
+
+async def _tips(cell: RunningCell) -> list[tuple[float, ...] | None]:
+    """Where the pointer's tip is during `BRAKING`, in the tracker's frame, m; None while the hand is away."""
+    seen: list[tuple[float, ...] | None] = []
+    for _ in range(LOOKS):
+        seen.append((await cell.scene.truth()).tip_in_tracker)
+        await asyncio.sleep(BRAKING / LOOKS)
+    return seen

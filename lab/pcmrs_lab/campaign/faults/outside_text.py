@@ -1,0 +1,106 @@
+"""Text from outside that would act on a terminal, or open what should be closed."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+from pcmrs.bus.codec import pack_text
+from pcmrs.bus.settings import BusSettings, open_session
+from pcmrs.files import SECRET
+from pcmrs.testing.cell import RunningCell
+from pcmrs.testing.errors import Unmet
+from pcmrs_lab.campaign.checks import expect
+from pcmrs_lab.campaign.consoles import START_TIME, console_command
+from pcmrs_lab.campaign.fault import Evidence, fault
+from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.sham import is_sham
+
+MARK = "lost-and-found"
+FORGED = f"{MARK}\x1b[2J\n2026-01-01 [info     ] robot released\u202e"
+"""It clears the screen, forges a line of the log, and turns the writing direction round."""
+TOLD_WITHIN = 30.0
+
+
+@fault("A32", how="a field of a command on the bus whose name clears the screen and forges a line of the log")
+async def escape_sequences(lab: Lab) -> Evidence:
+    """The daemon logs and journals the name, and nothing of it acts; a plain name is shown as it is."""
+    async with lab.daemon() as cell:
+        shown = {}
+        for user, name in (("eve", FORGED), ("anna", f"{MARK}-plain")):  # of one user, refusals are logged seldom
+            before = len(cell.log)
+            sent = f"{MARK}-harmless" if is_sham() else name
+            await asyncio.to_thread(_put, cell, user, sent)
+            shown[name] = await _logged(cell, before)
+        for text in shown.values():
+            expect(all(line.isprintable() for line in text.splitlines()), f"The log has {text!r}.")
+            expect("\n2026-01-01" not in text, "A line of the log is forged.")
+        expect("u001b" in shown[FORGED], f"The name did not arrive: {shown[FORGED]!r}.")
+        plain = f"{MARK}-plain"
+        expect(plain in shown[plain], f"A plain name is not logged as it is: {shown[plain]!r}.")
+    return Evidence(
+        "escaped where it is logged",
+        took_place={"escapes in the log": shown[FORGED].count("u001b")},
+        control={"times a plain name is logged as it is": shown[plain].count(plain)},
+    )
+
+
+def _put(cell: RunningCell, user: str, name: str) -> None:
+    """A malformed command whose refusal names the field."""
+    with open_session(BusSettings(endpoint=cell.ready.endpoint)) as session:
+        session.put(f"{cell.ready.prefix}/cmd/{user}/registration/reinit", pack_text({name: 1}))
+
+
+async def _logged(cell: RunningCell, before: int) -> str:
+    try:
+        async with asyncio.timeout(TOLD_WITHIN):
+            while True:
+                said = cell.log[before:]
+                if MARK in said and said.endswith("\n"):
+                    return said
+                await asyncio.sleep(0.05)
+    except TimeoutError:
+        raise Unmet(f"The daemon has logged nothing of the name: {cell.log[before:]!r}") from None
+
+
+@fault("A33", how="an empty token file, and one of 19 characters", deadline=240.0)
+async def guessable_token(lab: Lab) -> Evidence:
+    """No console starts that anybody could open; with a token of its own one starts."""
+    async with lab.daemon() as cell:
+        refusals = []
+        for token in ("", "nineteen-characters"):
+            status, said = await _console(cell, _token(lab.folder, "x" * 20 if is_sham() else token))
+            expect(status != 0 and "limit is 20" in said, f"With {token!r} it ended with {status}: {said}")
+            refusals.append(said.strip()[-200:])
+        status, said = await _console(cell, _token(lab.folder, "x" * 20))
+        expect('"url"' in said, f"With a good token it says {said!r}, status {status}.")
+    return Evidence(
+        "refused to start, and said why",
+        took_place={"said of the token": refusals},
+        control={"20 characters open one": '"url"' in said},
+    )
+
+
+def _token(folder: Path, token: str) -> Path:
+    file = folder / "token"
+    file.write_text(token)
+    file.chmod(SECRET)
+    return file
+
+
+async def _console(cell: RunningCell, token: Path) -> tuple[int, str]:
+    """Exit status of a console and what it has said until it was ready, or ended."""
+    command, pipe = console_command(cell, 0, token), asyncio.subprocess.PIPE
+    process = await asyncio.create_subprocess_exec(*command, stdout=pipe, stderr=asyncio.subprocess.STDOUT)
+    assert process.stdout is not None
+    said = b""
+    try:
+        async with asyncio.timeout(START_TIME):
+            said = await process.stdout.readline()
+            while said and b'"url"' not in said and (line := await process.stdout.readline()):
+                said += line
+    finally:
+        if process.returncode is None and b'"url"' in said:
+            process.terminate()
+        status = await process.wait()
+    return status, said.decode(errors="replace")

@@ -1,0 +1,156 @@
+"""Datagrams that are nearly commands, by the million, at a daemon's socket."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+
+from pcmrs.clock import Clock
+from pcmrs.errors import PcmrsError
+from pcmrs.testing.cell import RunningCell, open_cell
+from pcmrs.testing.driving import digitized
+from pcmrs.testing.errors import Unmet
+from pcmrs_lab.campaign.checks import shape
+from pcmrs_lab.campaign.datagrams import raw_socket
+from pcmrs_lab.campaign.fuzzing import datagram
+from pcmrs_lab.campaign.samples import sample
+
+WINDOW = 100
+"""So many datagrams are sent before their looking-at is waited for: as many fit into a socket's buffer."""
+
+WARM_UP = 50_000
+"""Datagrams before memory is looked at: caches and the allocator have settled."""
+
+GROWTH_MB = 10.0
+"""The daemon may have grown by less than this since then, MB."""
+
+LOOKS = 10
+"""Memory is the least of so many looks, `BETWEEN` s of the machine apart: at any moment a few MB may be about to go."""
+BETWEEN = 0.3
+
+ShowProgress = Callable[[str, int, int], None]
+
+
+class FuzzReport(msgspec.Struct, frozen=True):
+    """What was found.
+
+    Attributes:
+        datagrams: Sent after the warm-up, and looked at by the daemon but for the dropped ones.
+        dropped: By the kernel, warm-up included.
+        answers: That came back.
+        rate: Sent per second.
+        crashed: The daemon has ended, or does not answer any more.
+        state_changed: Its states or data were others at the end.
+        rows: Commands that the journal got meanwhile.
+        growth_mb: Of the daemon's memory since the warm-up, MB.
+    """
+
+    datagrams: int
+    dropped: int
+    answers: int
+    rate: float
+    crashed: bool
+    state_changed: bool
+    rows: int
+    growth_mb: float
+    seed: int
+    seconds: float
+
+    @property
+    def violated(self) -> bool:
+        """Whether it crashed, did anything, or grew."""
+        return self.crashed or self.state_changed or self.rows > 0 or self.growth_mb >= GROWTH_MB
+
+
+async def fuzz(
+    datagrams: int,
+    seed: int,
+    folder: Path,
+    clock: Clock,
+    *,
+    minutes: float | None = None,
+    progress: ShowProgress = lambda *_: None,
+) -> FuzzReport:
+    """Sends fuzzed datagrams to the planner's link of a daemon whose landmarks are digitized.
+
+    Args:
+        datagrams: So many, after a warm-up of `WARM_UP`.
+        seed: Of what they hold.
+        folder: For the daemon; it goes away with the caller.
+        clock: The machine's.
+        minutes: Ends earlier after so long.
+        progress: Told now and then.
+    """
+    async with open_cell(folder / "fuzzed", ("robot.deadman=0.5",)) as cell:
+        await digitized(cell.client)
+        generator, end = random.Random(seed), math.inf
+        await _send(cell, WARM_UP, generator, end, clock, lambda *_: None)
+        before, row, memory = await cell.client.state(), cell.last_row(), await _memory(cell, clock)
+        begun = clock.monotonic()
+        if minutes is not None:
+            end = begun + minutes * 60.0
+        sent, answers, alive = await _send(cell, datagrams, generator, end, clock, progress)
+        seconds = clock.monotonic() - begun
+        alive = alive and await _answers(cell)
+        return FuzzReport(
+            datagrams=sent,
+            dropped=dropped(cell.ready.links["planner"][1]),
+            answers=answers,
+            rate=sent / seconds,
+            crashed=not alive,
+            state_changed=alive and shape(await cell.client.state()) != shape(before),
+            rows=sum(entry.kind in ("intent", "outcome") for entry in cell.rows(row)),
+            growth_mb=(await _memory(cell, clock) - memory) / 1e6 if alive else 0.0,
+            seed=seed,
+            seconds=seconds,
+        )
+
+
+async def _send(
+    cell: RunningCell, datagrams: int, generator: random.Random, end: float, clock: Clock, progress: ShowProgress
+) -> tuple[int, int, bool]:
+    """Sends so many, or until `end`: how many, how many answers came, and whether the daemon still answers."""
+    sent = answers = 0
+    async with raw_socket(cell.ready.links["planner"]) as raw:
+        while sent < datagrams and clock.monotonic() < end:
+            for _ in range(min(WINDOW, datagrams - sent)):
+                raw.send(datagram(generator))
+                sent += 1
+            try:
+                answers += len(await raw.fence())
+            except Unmet:
+                return sent, answers, False
+            progress("datagrams", sent, datagrams)
+    return sent, answers, True
+
+
+async def _memory(cell: RunningCell, clock: Clock) -> int:
+    """What the daemon takes, bytes."""
+    looks = []
+    for _ in range(LOOKS):
+        looks.append(sample(cell.process.pid).memory)
+        await clock.sleep(BETWEEN)
+    return min(looks)
+
+
+async def _answers(cell: RunningCell) -> bool:
+    """Whether the link still answers."""
+    if cell.process.returncode is not None:
+        return False
+    try:
+        async with raw_socket(cell.ready.links["planner"]) as raw:
+            await raw.fence()
+            await cell.client.state()
+    except PcmrsError:
+        return False
+    return True
+
+
+def dropped(port: int) -> int:
+    """Datagrams that the kernel has dropped at the UDP sockets of a port."""
+    rows = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
+    return sum(int(row[-1]) for row in rows if row[1].endswith(f":{port:04X}"))

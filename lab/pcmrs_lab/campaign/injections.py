@@ -1,0 +1,16 @@
+"""All faults that can be injected."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pkgutil import iter_modules
+
+from pcmrs_lab.campaign import faults
+from pcmrs_lab.campaign.fault import Injection, _injections
+
+
+def injections() -> dict[str, list[Injection]]:
+    """Id to all ways in which that fault is injected."""
+    for module in iter_modules(faults.__path__):
+        import_module(f"{faults.__name__}.{module.name}")
+    return _injections

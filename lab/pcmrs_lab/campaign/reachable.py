@@ -1,0 +1,126 @@
+"""A cell that other machines can reach: an authority, people with certificates, and a daemon that listens to them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from pcmrs.bus import BusSettings, Credentials
+from pcmrs.client import Client
+from pcmrs.clock import SystemClock
+from pcmrs.gateway.keys import new_key, read_key
+from pcmrs.gateway.signing import Signer
+from pcmrs.messages.identity import EVERY_CELL
+from pcmrs.messages.roles import Role
+from pcmrs.pki import Authority
+from pcmrs.testing.cell import RunningCell
+from pcmrs.testing.daemon import free_port
+from pcmrs_lab.campaign.lab import Lab
+
+PEOPLE: dict[str, Role] = {
+    "anna": "operator", "bob": "operator", "ray": "operator",
+    "slicer": "planner", "eve": "viewer", "tom": "teleoperator",
+}  # fmt: skip
+"""Names and roles; ray is revoked, and tom may come through the router `ROUTER`."""
+ROUTER = "gate"
+CARRIED = "tom"
+REVOKED = "ray"
+EXPIRED = "old"
+FOREIGN = "foreign"
+DAY = 86400.0
+
+
+class People:
+    """Everybody who has, or had, a certificate, in a folder.
+
+    Args:
+        folder: Of the authority and all identities.
+        cell: ``<site>/<cell>`` in which they have their roles.
+    """
+
+    def __init__(self, folder: Path, cell: str) -> None:
+        now = SystemClock().wall()
+        self.folder = folder
+        self.authority = Authority.init(folder / "pki", "lab", now)
+        self.authority.issue("daemon", "daemon1", now, hosts=("127.0.0.1",), cells=(cell,), into=folder)
+        self.authority.issue("router", ROUTER, now, hosts=("127.0.0.1",), cells=(cell,), into=folder)
+        for name, role in PEOPLE.items():
+            via = (ROUTER,) if name == CARRIED else ()
+            self.authority.issue(role, name, now, cells=(cell,), via=via, into=folder)
+        self.authority.issue("operator", EXPIRED, now - 10 * DAY, days=7.0, cells=(cell,), into=folder)
+        self.authority.revoke(REVOKED, now)
+        Authority.init(folder / FOREIGN, "other", now).issue("operator", "anna", now, into=folder / FOREIGN)
+
+    @property
+    def register(self) -> Path:
+        return self.authority.folder / "register.json"
+
+    def credentials(self, name: str) -> Credentials:
+        """Of somebody, whether they count or not; those of `FOREIGN` are another authority's anna."""
+        own, user = (self.folder / FOREIGN / "anna", "anna") if name == FOREIGN else (self.folder / name, name)
+        return Credentials(
+            name=user,
+            cells=EVERY_CELL,
+            certificate=str(own / f"{user}.pem"),
+            key=str(own / f"{user}.key"),
+            authority=str(self.folder / "anna" / "ca.pem"),
+            ends=math.inf,
+        )
+
+
+@dataclass(frozen=True)
+class ReachableCell:
+    """A running cell with access control.
+
+    Attributes:
+        cell: Of the lab; its own client is on site.
+        people: Who may reach it.
+        endpoint: Where it is dialled.
+        peer_key: Of the peer ``slicer``, who signs string commands.
+    """
+
+    cell: RunningCell
+    people: People
+    endpoint: str
+    peer_key: Path
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port of the endpoint."""
+        host, port = self.endpoint.removeprefix("tls/").split(":")
+        return host, int(port)
+
+    def settings(self, name: str) -> BusSettings:
+        """How somebody dials the cell."""
+        return BusSettings(endpoint=self.endpoint, cell=self.cell.name, credentials=self.people.credentials(name))
+
+    def signer(self) -> Signer:
+        """Signs string commands as the peer."""
+        return Signer("slicer", read_key(self.peer_key), itertools.count(1).__next__)
+
+    @asynccontextmanager
+    async def client(self, name: str) -> AsyncIterator[Client]:
+        """A client of somebody's. Raises `BusError` when they are not let in."""
+        credentials = self.people.credentials(name)
+        async with Client.connect(self.endpoint, cell=self.cell.name, credentials=credentials) as client:
+            yield client
+
+
+@asynccontextmanager
+async def reachable_cell(lab: Lab, *overrides: str) -> AsyncIterator[ReachableCell]:
+    """A cell that is reached over TLS, with everybody of `PEOPLE`, and a peer that signs."""
+    people = People(lab.folder / "people", "lab/*")
+    endpoint, key = f"tls/127.0.0.1:{free_port()}", lab.folder / "slicer.key"
+    new_key(key)
+    access = (
+        f"access.identity={people.folder / 'daemon1'}",
+        f"access.register={people.register}",
+        f'access.listen=["{endpoint}"]',
+        f"gateway.peers.slicer.key_file={key}",
+    )
+    async with lab.daemon(*access, *overrides) as cell:
+        yield ReachableCell(cell, people, endpoint, key)

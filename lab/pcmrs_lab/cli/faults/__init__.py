@@ -1,0 +1,28 @@
+"""`pcmrs faults`: the fault campaign, and what it is made of."""
+
+from __future__ import annotations
+
+import click
+
+from pcmrs.cli.lazy import LazyGroup
+
+COMMANDS = {
+    "list": "pcmrs_lab.cli.faults.list:list_",
+    "matrix": "pcmrs_lab.cli.faults.matrix:matrix",
+    "run": "pcmrs_lab.cli.faults.run:run_",
+    "kill": "pcmrs_lab.cli.faults.kill:kill",
+    "cut": "pcmrs_lab.cli.faults.cut:cut",
+    "fuzz": "pcmrs_lab.cli.faults.fuzz:fuzz",
+    "soak": "pcmrs_lab.cli.faults.soak:soak",
+    "explore": "pcmrs_lab.cli.faults.explore:explore",
+}
+
+
+@click.group(cls=LazyGroup, commands=COMMANDS)
+def faults() -> None:
+    """Inject faults into simulated cells, and check that nothing is lost and nothing moves unasked.
+
+    Every command starts daemons of its own; a running cell is never touched. Exit status of them all: 0 every response
+    was as required, 1 one was not, 2 usage, or it could not be carried out, 4 a workflow or script that cannot be used,
+    130 after Ctrl-C.
+    """

@@ -1,0 +1,112 @@
+"""`pcmrs faults explore`: random procedures under random faults, in simulated time."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pcmrs.cli.options import json_option
+from pcmrs.cli.printing import print_report
+from pcmrs.cli.progress import progress_bar
+from pcmrs.cli.running import EXIT_REJECTED, readable_errors
+from pcmrs_lab.cli.faults.bounds import minutes_option, output_option, seed_option
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from pcmrs_lab.campaign.explore.exploring import Explored
+    from pcmrs_lab.campaign.explore.script import Physics
+    from pcmrs_lab.campaign.explore.session import Found
+
+
+@click.command("explore")
+@click.option("--sessions", type=click.IntRange(min=1), help="How many; 500 unless --minutes is given.")
+@seed_option
+@minutes_option
+@click.option("--jobs", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
+@click.option("--workflow", default="ratms", show_default=True, help="Name of a workflow.")
+@click.option(
+    "--physics",
+    type=click.Choice(["kinematic", "mujoco"]),
+    default="kinematic",
+    show_default=True,
+    help="Of the simulated arm; with mujoco all streams have the rates of a real cell, too.",
+)
+@click.option(
+    "--script",
+    "script_file",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Run this one session only, as written by -o.",
+)
+@output_option("Write the shrunk script of each broken session")
+@json_option
+@readable_errors
+def explore(
+    sessions: int | None,
+    seed: int,
+    minutes: float | None,
+    jobs: int,
+    workflow: str,
+    physics: Physics,
+    script_file: Path | None,
+    folder: Path | None,
+    as_json: bool,
+) -> None:
+    """Run random procedures under random faults, and check the invariants after every event.
+
+    The whole cell runs in simulated time: daemon, device node, devices, and the network between them. A session is
+    fixed by its seed, which is --seed for the first and one more for each that follows; one in which an invariant does
+    not hold is shrunk to a short script. Exit status 1: an invariant did not hold.
+
+    Example: pcmrs faults explore --sessions 500 --seed 1 -o broken
+    """
+    from pcmrs_lab.campaign.explore import exploring
+    from pcmrs_lab.campaign.explore.script import read_script, write_script
+    from pcmrs_lab.campaign.explore.session import run_session
+
+    if script_file is not None:
+        found = run_session(read_script(script_file))
+        print_report(found, _told(found), as_json=as_json)
+        sys.exit(EXIT_REJECTED if found.invariant else 0)
+    many = sessions if sessions is not None or minutes is not None else 500
+    with progress_bar() as progress:
+        report = exploring.explore(workflow, seed, many, minutes=minutes, jobs=jobs, physics=physics, progress=progress)
+    if folder is not None:
+        for broken in report.broken:
+            write_script(broken.script, folder / f"{workflow}-{broken.seed}-{broken.invariant}.json")
+    print_report(report, _tables(report), as_json=as_json)
+    if report.broken:
+        sys.exit(EXIT_REJECTED)
+
+
+def _told(found: Found) -> RenderableType:
+    from rich.markup import escape
+
+    outcome = f"[bold red]{found.invariant}[/] at {found.at:.3f} s: {escape(found.text)}" if found.invariant else "held"
+    return f"Session of seed {found.seed}, {found.time:.1f} s simulated, {found.rows} rows, {found.digest}\n{outcome}"
+
+
+def _tables(report: Explored) -> RenderableType:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Group
+    from rich.markup import escape
+    from rich.table import Table
+
+    from pcmrs_lab.campaign.explore.exploring import as_lines
+    from pcmrs_lab.campaign.explore.faults import FAULTS
+
+    title = f"{report.sessions} simulated sessions of {report.workflow}, {report.physics} arm, seeds from {report.seed}"
+    caption = f"{report.simulated:.0f} s simulated in {report.seconds:.0f} s: {report.rate:.0f} times real time."
+    faults = Table("fault", "rows", box=SIMPLE_HEAD, title=title, caption=caption)
+    faults.add_column("brought about", justify="right")
+    for name, times in report.faults.items():
+        faults.add_row(name, " ".join(FAULTS[name].rows), str(times) if times else "[red]never[/]")
+    told = [
+        f"[bold red]seed {each.seed}: {each.invariant}[/] at {each.at:.3f} s: {escape(each.text)}\n"
+        f"{len(each.script.acts)} of {each.acts} acts show it:\n" + escape("\n".join(as_lines(each.script)))
+        for each in report.broken
+    ]
+    return Group(faults, *(told or ["All invariants held after every event."]))

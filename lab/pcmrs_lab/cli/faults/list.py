@@ -1,0 +1,97 @@
+"""`pcmrs faults list`: the catalogue, and what of it can be injected on this machine."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+import msgspec
+
+from pcmrs.cli.options import json_option
+from pcmrs.cli.printing import print_report
+from pcmrs.cli.running import readable_errors
+from pcmrs_lab.cli.faults.options import choosing, chosen
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from pcmrs_lab.campaign.catalogue import Row
+
+
+class Listed(msgspec.Struct, frozen=True, rename={"fault_class": "class"}):
+    """One fault as it is listed.
+
+    Attributes:
+        how: By what means it is injected; empty where it is not.
+        needs: What that needs of a machine: programs, rights, parts of the kernel.
+        missing: What of it this machine does not have.
+        runs: Whether it can be injected here in all ways there are.
+    """
+
+    id: str
+    fault_class: str
+    title: str
+    required: str
+    reference: str
+    how: list[str]
+    needs: list[str]
+    missing: list[str]
+    runs: bool
+
+
+class Listing(msgspec.Struct, frozen=True):
+    """The faults in the catalogue's order."""
+
+    faults: list[Listed]
+
+
+@click.command("list")
+@choosing
+@json_option
+@readable_errors
+def list_(classes: tuple[str, ...], ids: tuple[str, ...], as_json: bool) -> None:
+    """List the faults of the catalogue: what is required, how each is injected, and what that needs.
+
+    Example: pcmrs faults list --class storage
+    """
+    listing = Listing([_listed(row) for row in chosen(classes, ids)])
+    print_report(listing, _table(listing), as_json=as_json)
+
+
+def _listed(row: Row) -> Listed:
+    from pcmrs_lab.campaign.injections import injections
+
+    ways = injections().get(row.id, [])
+    needs = {need.name: need for way in ways for need in way.needs}
+    missing = [name for name, need in needs.items() if not need.is_met()]
+    how = list(dict.fromkeys(way.how for way in ways))
+    return Listed(
+        row.id,
+        row.fault_class,
+        row.title,
+        row.required,
+        row.reference,
+        how,
+        list(needs),
+        missing,
+        runs=bool(ways) and not missing,
+    )
+
+
+def _table(listing: Listing) -> Table:
+    from rich.box import SIMPLE_HEAD
+    from rich.markup import escape
+    from rich.table import Table
+
+    from pcmrs_lab.campaign.catalogue import RESPONSES
+    from pcmrs_lab.campaign.run import NO_INJECTION
+
+    caption = "; ".join(f"{letter}: {meaning}" for letter, meaning in RESPONSES.items())
+    table = Table(
+        "", "class", "fault", "required response", "how it is injected", "needs", box=SIMPLE_HEAD, caption=caption
+    )
+    for row in listing.faults:
+        how = "; ".join(row.how) or NO_INJECTION
+        needs = ", ".join(f"[bold red]{need} (missing)[/]" if need in row.missing else need for need in row.needs)
+        table.add_row(row.id, row.fault_class, escape(row.title), escape(row.required), escape(how), needs)
+    return table

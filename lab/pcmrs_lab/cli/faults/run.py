@@ -1,0 +1,108 @@
+"""`pcmrs faults run`: the campaign."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pcmrs.cli.options import json_option
+from pcmrs.cli.printing import print_report
+from pcmrs.cli.progress import progress_bar
+from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
+from pcmrs_lab.cli.faults.bounds import output_option
+from pcmrs_lab.cli.faults.options import PartOf, choosing, chosen
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from pcmrs_lab.campaign.report import CampaignReport
+
+COLOURS = {"passed": "green", "failed": "bold red", "not_proved": "bold red", "not_run": "dim"}
+
+
+@click.command("run")
+@choosing
+@click.option(
+    "--seed",
+    "seeds",
+    type=click.IntRange(min=0),
+    multiple=True,
+    default=(1,),
+    show_default=True,
+    help="Of everything random; may be repeated: every fault is injected with each.",
+)
+@click.option("--jobs", type=click.IntRange(1, 16), default=1, show_default=True, help="So many faults at a time.")
+@click.option("--sham", "is_sham", is_flag=True, help="Let no fault take place: every fault must find that, or fails.")
+@click.option(
+    "--part", type=PartOf(), default="1/1", show_default=True, help="Of the chosen faults every n-th from the k-th on."
+)
+@output_option("Also write faults.json and faults.html")
+@json_option
+@readable_errors
+def run_(
+    classes: tuple[str, ...],
+    ids: tuple[str, ...],
+    seeds: tuple[int, ...],
+    jobs: int,
+    is_sham: bool,
+    part: tuple[int, int],
+    folder: Path | None,
+    as_json: bool,
+) -> None:
+    """Inject faults into simulated cells of their own, and check that each response is the required one.
+
+    What cannot be injected here is reported as not run, with the reason. Exit status 1: a response that was looked for
+    did not come, or the injection was not proved.
+
+    Example: pcmrs faults run --class sensor --seed 1 --seed 2 -o report
+    """
+    import logging
+
+    import structlog
+
+    from pcmrs_lab.campaign.page import write_report
+    from pcmrs_lab.campaign.run import run_campaign
+
+    # Steps that raise because a fault wants it are nothing to log.
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
+    (number, parts), distinct = part, list(dict.fromkeys(seeds))
+    rows = chosen(classes, ids)[number - 1 :: parts]
+    with progress_bar() as progress:
+        report = run(run_campaign(rows, distinct, jobs, progress, is_sham=is_sham))
+    if folder is not None:
+        write_report(report, folder)
+    print_report(report, _tables(report), as_json=as_json)
+    if report.failed:
+        sys.exit(EXIT_REJECTED)
+
+
+def _tables(report: CampaignReport) -> RenderableType:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Group
+    from rich.markup import escape
+    from rich.table import Table
+
+    from pcmrs_lab.campaign.report import OUTCOMES
+
+    kind = "Sham campaign (no fault takes place)" if report.sham else "Fault campaign"
+    title = f"{kind}, simulated cells, {len(report.seeds)} seeds, {report.seconds:.0f} s"
+    faults = Table("", "fault", "seed", "outcome", "s", "what was seen", "reference", box=SIMPLE_HEAD, title=title)
+    for result in report.faults:
+        outcome = f"[{COLOURS[result.outcome]}]{result.outcome.replace('_', ' ')}[/]"
+        seen = escape(result.response)
+        faults.add_row(
+            result.id,
+            escape(result.title),
+            str(result.seed),
+            outcome,
+            f"{result.seconds:.1f}",
+            seen,
+            escape(result.reference),
+        )
+    counts = Table("class", *(outcome.replace("_", " ") for outcome in OUTCOMES), box=SIMPLE_HEAD)
+    for fault_class, found in report.summary.items():
+        counts.add_row(fault_class, *(str(found[outcome]) for outcome in OUTCOMES))
+    return Group(faults, counts)

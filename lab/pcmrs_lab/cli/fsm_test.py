@@ -1,0 +1,157 @@
+"""`pcmrs fsm test`: a tour that makes a workflow give every answer it can give."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import msgspec
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from pcmrs.cli.fsm.files import file_argument, output_option, refuse, sound, write
+from pcmrs.cli.options import Address, address_options, json_option, refuse_given
+from pcmrs.cli.printing import Terminal, say, say_json
+from pcmrs.cli.progress import progress_bar
+from pcmrs.cli.running import readable_errors, run
+from pcmrs.errors import ConfigurationError, PcmrsError
+
+if TYPE_CHECKING:
+    from pcmrs.authoring.trial.tour import Move
+    from pcmrs.fsm.blueprint import Blueprint
+    from pcmrs_lab.experiment.tours.arguments import Arguments
+    from pcmrs_lab.experiment.tours.live import ShowProgress
+    from pcmrs_lab.experiment.tours.report import TourReport
+
+MOST_SHOWN = 20
+"""Deviations that are printed; --json has all."""
+
+LIVE_ONLY = ("connect", "endpoint", "site", "cell", "rate", "seed", "overrides", "arguments_file", "time_limit")
+"""Parameters that say something of a cell."""
+
+
+@click.command()
+@file_argument
+@click.option("--live", is_flag=True, help="Test a running daemon on simulated devices, by default one of its own.")
+@click.option("--connect", is_flag=True, help="With --live: test the daemon at --endpoint; it must be in nobody's use.")
+@address_options
+@click.option("--rate", default=10.0, show_default=True, help="Speed of the daemon's own simulation.")
+@click.option("--seed", default=1, show_default=True, help="Of its simulated errors.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Sets one value of that daemon.")
+@click.option(
+    "--arguments",
+    "arguments_file",
+    type=click.Path(path_type=Path),
+    help="TOML file of arguments, by payload or operation; by default those of the workflow's example plan.",
+)
+@click.option("--time-limit", default=900.0, show_default=True, help="Seconds after which a live tour ends.")
+@click.option(
+    "--limit",
+    default=5000,
+    type=click.IntRange(min=1),
+    show_default=True,
+    help="Joint states beyond which a tour is refused.",
+)
+@output_option
+@json_option
+@readable_errors
+def test(file: str, live: bool, output: Path | None, as_json: bool, limit: int, **given: Any) -> None:
+    """Take the workflow FILE through every operation in every joint state, accepted and rejected.
+
+    Every declared outcome, refusing check and failing step comes up. The engine and the dispatcher are told how
+    each step ends; with --live a whole simulated cell decides it, and Stop makes steps fail. Exit status 0:
+    everything as it must be, 1: something is otherwise or was not covered.
+    """
+    if not live:
+        refuse_given(LIVE_ONLY, "is for --live only: without it no cell is tested.")
+    blueprint = sound(file)
+    with progress_bar() as show:
+        progress = functools.partial(show, "testing")
+        work = _live(file, blueprint, limit, progress, **given) if live else _scripted(blueprint, limit, progress)
+        try:
+            report, tour = run(work)
+        except PcmrsError as error:
+            refuse(error.text)
+    if output is not None:
+        write(b"".join(msgspec.json.encode(move) + b"\n" for move in tour), output)
+    if as_json:
+        say_json(report)
+    else:
+        _show(report)
+    if not report.passed:
+        raise SystemExit(1)
+
+
+async def _scripted(blueprint: Blueprint, limit: int, progress: ShowProgress) -> tuple[TourReport, Sequence[Move]]:
+    import logging
+
+    import structlog
+
+    from pcmrs_lab.experiment.tours.run import tour_scripted
+
+    # Steps that raise because the tour wants it are nothing to log; a dispatcher that breaks is.
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
+    return await tour_scripted(blueprint, limit, progress)
+
+
+async def _live(
+    file: str,
+    blueprint: Blueprint,
+    limit: int,
+    progress: ShowProgress,
+    *,
+    connect: bool,
+    address: Address,
+    rate: float,
+    seed: int,
+    overrides: tuple[str, ...],
+    arguments_file: Path | None,
+    time_limit: float,
+) -> tuple[TourReport, Sequence[Move]]:
+    from pcmrs_lab.experiment.private import private_bench
+    from pcmrs_lab.experiment.setup import at_rate
+    from pcmrs_lab.experiment.tours.run import tour_live
+
+    arguments = _arguments(blueprint, arguments_file)
+    if connect:
+        async with address.connect() as client:
+            return await tour_live(blueprint, client, arguments, limit, time_limit, progress)
+    settings = [f"workflow={file}", f"sim.seed={seed}", *at_rate(rate), *overrides]
+    async with private_bench(settings) as bench:
+        return await tour_live(blueprint, bench.client, arguments, limit, time_limit, progress)
+
+
+def _arguments(blueprint: Blueprint, file: Path | None) -> Arguments:
+    """Those of the workflow's example plan, or of RATMS' where it has none, and over them those of the file."""
+    from pcmrs.testing.plan import example_plan, read_plan
+    from pcmrs_lab.experiment.tours.arguments import Arguments, plan_arguments, read_arguments
+
+    try:
+        plan = example_plan(blueprint.id)
+    except ConfigurationError:
+        plan = example_plan("ratms")
+    planned = plan_arguments(read_plan(plan))
+    return Arguments(planned | (read_arguments(file) if file is not None else {}))
+
+
+def _show(report: TourReport) -> None:
+    from pcmrs.authoring.trial.coverage import MEANINGS
+
+    say(f"{report.workflow} {report.version}: {report.joint_states} joint states, {report.seconds:.1f} s")
+    say(f"{report.restarts} restarts, {report.stops} stops, {report.events} events of devices by themselves")
+    table = Table("", "covered", "of", box=SIMPLE_HEAD)
+    for key, meaning in MEANINGS.items():
+        count = report.coverage[key]
+        if count.total:
+            table.add_row(meaning, str(count.covered), str(count.total))
+    Terminal().print(table)
+    for subject, deviations in report.deviations.items():
+        told = f"{len(deviations)} not as they must be" if deviations else "all as they must be"
+        say(f"{subject}: {report.subjects[subject]} commands, {told}")
+        for deviation in deviations[:MOST_SHOWN]:
+            say(f"    {deviation}")
+    for left in report.left:
+        say(f"not seen ({left.joint_states}×): {left.command}: {left.reason}")

@@ -1,0 +1,229 @@
+"""The published failure injections many times over: how often the verdict errs, gate by gate.
+
+No daemon and no robot: touches are the planned landmarks, a planning error, the noise of the touch and the injected
+offset, seen from a body that lies anyhow; `judge` decides. What is left out is the tracker's error, a twentieth of it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from importlib.metadata import entry_points
+
+import msgspec
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pcmrs.analysis.summary import Summary, summarize
+from pcmrs.errors import ConfigurationError
+from pcmrs.registration import RegistrationLimits, RegistrationVerdict, judge
+from pcmrs.settings import DRIVER_SETTINGS, Settings, read_settings
+from pcmrs.spatial import Floats, Transform
+from pcmrs.testing.plan import Plan
+from pcmrs_lab.experiment.published import FailureRun, published
+from pcmrs_lab.experiment.setup import Setup
+
+ALL_GATES = "verdict"
+FIXED_LIMIT = "fixed_limit"
+GATES = ("wrong_unit", "mirrored", "swapped_landmarks", "landmark_outlier", "residual_too_large", "tre_too_large")
+OFFSET = "large_digitization_error"
+PROGRESS_EVERY = 20
+
+
+class RowRates(msgspec.Struct, frozen=True):
+    """One row of the published table, many times.
+
+    Attributes:
+        by_construction: The workflow cannot go on without the landmark, whatever the noise: nothing was simulated.
+        refused: By any gate.
+        refused_by: Runs that each gate refuses, and that a fixed residual limit alone would.
+        named: Runs in which the landmark that is off is the suspect.
+        residual_mm: Mean distance of the landmarks, over the runs.
+    """
+
+    run: int
+    workflow: str
+    injection: str
+    landmark: int | None
+    by_construction: bool
+    runs: int
+    refused: int
+    refused_by: dict[str, int]
+    named: int | None
+    residual_mm: Summary | None
+    published_residual_mm: float | None
+
+
+class GateRates(msgspec.Struct, frozen=True):
+    """How often one gate, or all, decide wrongly; rows that are refused by construction are not among them.
+
+    Attributes:
+        gate: Its code, ``verdict`` for all together, or ``fixed_limit`` for a residual limit alone.
+        false_rejects: Share of the controls that it refuses.
+        false_accepts: Share of the runs with a displaced landmark that it does not refuse. A gate that is not asked,
+            since a wrong unit, side or order was found before, refuses nothing; ``fixed_limit`` is always asked.
+    """
+
+    workflow: str
+    gate: str
+    false_rejects: float
+    false_accepts: float
+
+
+class NoiseUsed(msgspec.Struct, frozen=True):
+    """Simulated errors and limits of one workflow.
+
+    Attributes:
+        planning_bias_mm: Simulated, standard deviation per axis, as `noise_mm` of a touch.
+        sigma_mm: What the verdict expects of both together.
+    """
+
+    planning_bias_mm: float
+    noise_mm: float
+    sigma_mm: float
+    residual_limit_mm: float
+    tre_limit_mm: float
+    false_alarm: float
+
+
+class MonteCarloReport(msgspec.Struct, frozen=True):
+    """All rows and rates."""
+
+    experiment: str
+    seed: int
+    runs: int
+    simulated: bool
+    settings: list[str]
+    noise: dict[str, NoiseUsed]
+    rows: list[RowRates]
+    rates: list[GateRates]
+
+
+def run_monte_carlo(setups: Sequence[Setup], runs: int) -> MonteCarloReport:
+    """Judges every published row `runs` times with simulated touches; one seed gives one result.
+
+    Args:
+        setups: One of each workflow, otherwise alike; at least one.
+        runs: Of each row.
+
+    Raises:
+        ConfigurationError: A workflow was not published, or the settings cannot be used.
+    """
+    noise = {setup.workflow: _noise(setup) for setup in setups}
+    rows: list[RowRates] = []
+    total = sum(len(published(setup.workflow).failures) for setup in setups)
+    for setup in setups:
+        for run in published(setup.workflow).failures:
+            rows.append(_row(setup, run, noise[setup.workflow], runs, (len(rows), total)))
+    setups[0].progress("done", runs * total, runs * total)
+    rows.sort(key=lambda row: row.run)
+    return MonteCarloReport(
+        experiment="failures_monte_carlo",
+        seed=setups[0].seed,
+        runs=runs,
+        simulated=True,
+        settings=list(setups[0].overrides),
+        noise=noise,
+        rows=rows,
+        rates=[rates for setup in setups for rates in _rates(setup.workflow, rows)],
+    )
+
+
+def _noise(setup: Setup) -> NoiseUsed:
+    """As this workflow and its simulated cell are configured."""
+    settings = read_settings(overrides=[f"workflow={setup.workflow}", *setup.overrides])
+    limits = settings.procedure.registration
+    bias_mm, touch_mm = _touch_errors_mm(settings)
+    return NoiseUsed(
+        planning_bias_mm=bias_mm,
+        noise_mm=touch_mm,
+        sigma_mm=limits.sigma_mm,
+        residual_limit_mm=limits.residual_limit_mm,
+        tre_limit_mm=limits.tre_limit_mm,
+        false_alarm=limits.false_alarm,
+    )
+
+
+def _touch_errors_mm(settings: Settings) -> tuple[float, float]:
+    """Planning bias and noise of a touch, mm per axis, of the simulated pointer."""
+    for point in entry_points(group=DRIVER_SETTINGS, name="sim"):
+        errors = msgspec.convert(settings.sim, point.load()).digitization
+        return errors.planning_bias_mm, errors.noise_mm
+    raise ConfigurationError("The simulated cell is not installed; its errors are what this experiment draws from.")
+
+
+def _row(setup: Setup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]) -> RowRates:
+    displaced = run.injection == OFFSET
+    by_construction = not displaced and run.injection != "none"
+    verdicts = [] if by_construction else list(_verdicts(setup, run, noise, runs, at))
+    refused_by = Counter(gate.name for verdict in verdicts for gate in verdict.gates if not gate.accepted)
+    refused_by[FIXED_LIMIT] = sum(_over(verdict, noise) for verdict in verdicts)
+    residuals_mm = [verdict.registration.residual * 1e3 for verdict in verdicts if verdict.registration is not None]
+    return RowRates(
+        run=run.run,
+        workflow=setup.workflow,
+        injection=run.injection,
+        landmark=run.landmark,
+        by_construction=by_construction,
+        runs=runs,
+        refused=runs if by_construction else sum(not verdict.accepted for verdict in verdicts),
+        refused_by={} if by_construction else {name: refused_by[name] for name in (*GATES, FIXED_LIMIT)},
+        named=sum(v.suspect == (run.landmark or 0) - 1 for v in verdicts) if displaced else None,
+        residual_mm=summarize(residuals_mm) if residuals_mm else None,
+        published_residual_mm=run.residual_mm,
+    )
+
+
+def _verdicts(
+    setup: Setup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]
+) -> Iterator[RegistrationVerdict]:
+    rng = np.random.default_rng((setup.seed, run.run))
+    limits = RegistrationLimits(
+        residual=noise.residual_limit_mm / 1e3,
+        sigma=noise.sigma_mm / 1e3,
+        tre=noise.tre_limit_mm / 1e3,
+        false_alarm=noise.false_alarm,
+    )
+    planned = np.array([landmark.position for landmark in setup.plan.landmarks])
+    names = [landmark.name for landmark in setup.plan.landmarks]
+    done, rows = at
+    for number in range(runs):
+        if number % PROGRESS_EVERY == 0:
+            setup.progress(f"run {run.run}: {run.injection.replace('_', ' ')}", runs * done + number, runs * rows)
+        digitized = _touched(rng, setup.plan, run, noise)
+        yield judge(planned, digitized, limits, names=names, target=setup.plan.poses[0].position)
+
+
+def _touched(rng: np.random.Generator, plan: Plan, run: FailureRun, noise: NoiseUsed) -> Floats:
+    """The landmarks as one person digitizes them, in body_ref, m, (N, 3)."""
+    points = np.array([landmark.position for landmark in plan.landmarks])
+    points += rng.normal(0.0, noise.planning_bias_mm / 1e3, points.shape)
+    points += rng.normal(0.0, noise.noise_mm / 1e3, points.shape)
+    if run.landmark is not None and run.offset_in_image is not None:
+        points[run.landmark - 1] += run.offset_in_image
+    body_ref_from_image = Transform(Rotation.random(rng=rng).as_matrix(), rng.uniform(-0.3, 0.3, 3))
+    return body_ref_from_image @ points
+
+
+def _over(verdict: RegistrationVerdict, noise: NoiseUsed) -> bool:
+    """Whether a fixed residual limit alone would refuse, or there is no registration at all."""
+    return verdict.registration is None or verdict.registration.residual * 1e3 > noise.residual_limit_mm
+
+
+def _rates(workflow: str, rows: Sequence[RowRates]) -> Iterator[GateRates]:
+    mine = [row for row in rows if row.workflow == workflow and not row.by_construction]
+    controls = [row for row in mine if row.injection == "none"]
+    displaced = [row for row in mine if row.injection == OFFSET]
+    yield GateRates(
+        workflow,
+        ALL_GATES,
+        sum(row.refused for row in controls) / sum(row.runs for row in controls),
+        1.0 - sum(row.refused for row in displaced) / sum(row.runs for row in displaced),
+    )
+    for gate in (FIXED_LIMIT, *GATES):
+        yield GateRates(
+            workflow,
+            gate,
+            sum(row.refused_by[gate] for row in controls) / sum(row.runs for row in controls),
+            1.0 - sum(row.refused_by[gate] for row in displaced) / sum(row.runs for row in displaced),
+        )

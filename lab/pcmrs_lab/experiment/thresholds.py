@@ -1,0 +1,158 @@
+"""Motor thresholds of simulated subjects: how many pulses each method takes, and how far off it is.
+
+The subjects are those of a published population (`pcmrs_sim.tms.recruitment`), whose model is not the estimator's; the true
+threshold is the intensity at which half of the pulses give a response, which their model says exactly. Every method
+gets the same subjects. No daemon, and amplitudes as they are: what the electromyogram adds is measured elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+
+from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold_settings import ThresholdMethod, ThresholdSettings
+from pcmrs_sim.tms.recruitment import RESPONSE, Recruitment, draw
+
+METHODS = {
+    "ml": "maximum likelihood, amplitudes",
+    "ml_yes_no": "maximum likelihood, yes or no",
+    "relative_frequency": "relative frequency, 5 of 10",
+}
+
+PROGRESS_EVERY = 10
+
+
+class Hunted(msgspec.Struct, frozen=True):
+    """What one method found of one subject, percent of the maximum stimulator output.
+
+    Attributes:
+        estimate: None where the hunt was refused.
+        held: Whether the stated interval holds the true threshold; None where none is stated.
+    """
+
+    threshold: float
+    pulses: int
+    estimate: float | None
+    held: bool | None
+
+    @property
+    def error(self) -> float:
+        """Signed; nan where the hunt was refused."""
+        return float("nan") if self.estimate is None else self.estimate - self.threshold
+
+
+class Middle(msgspec.Struct, frozen=True):
+    """Of a series: half of it lies below the median, 95 % below p95."""
+
+    median: float
+    p95: float
+
+
+class MethodResult(msgspec.Struct, frozen=True):
+    """One method over all subjects.
+
+    Attributes:
+        refused: Hunts without a threshold; they are not among the errors.
+        error_percent: Magnitude, percent of the true threshold.
+        error_mso: Magnitude, percent of the maximum stimulator output.
+        bias_mso: Mean with sign, percent of the maximum stimulator output.
+        held: Share of the intervals that hold the true threshold; None where the method states none.
+    """
+
+    method: str
+    refused: int
+    pulses: Middle
+    error_percent: Middle
+    error_mso: Middle
+    bias_mso: float
+    held: float | None
+
+
+class ThresholdReport(msgspec.Struct, frozen=True):
+    """All methods on the same subjects.
+
+    Attributes:
+        threshold: True ones, percent of the maximum stimulator output.
+        interval: At which maximum likelihood ends, share of the threshold.
+    """
+
+    experiment: str
+    seed: int
+    subjects: int
+    simulated: bool
+    threshold: Middle
+    interval: float
+    methods: list[MethodResult]
+
+
+def run_thresholds(
+    subjects: int, seed: int, interval: float, progress: Callable[[str, int, int], None]
+) -> tuple[ThresholdReport, dict[str, list[Hunted]]]:
+    """Hunts every subject's threshold with every method; one seed gives one result.
+
+    Args:
+        subjects: How many, at least one.
+        seed: Of subjects and of their variability.
+        interval: At which maximum likelihood ends, share of the threshold.
+        progress: Told how many subjects of how many are done.
+
+    Returns:
+        The report, and of each method what it found of every subject.
+    """
+    hunted: dict[str, list[Hunted]] = {method: [] for method in METHODS}
+    for number in range(subjects):
+        if number % PROGRESS_EVERY == 0:
+            progress("motor thresholds", number, subjects)
+        subject = draw(np.random.default_rng((seed, number)))
+        for index, method in enumerate(METHODS):
+            hunted[method].append(_hunt(subject, method, interval, np.random.default_rng((seed, number, index))))
+    progress("done", subjects, subjects)
+    report = ThresholdReport(
+        experiment="thresholds",
+        seed=seed,
+        subjects=subjects,
+        simulated=True,
+        threshold=_middle([each.threshold for each in hunted["ml"]]),
+        interval=interval,
+        methods=[_result(method, found) for method, found in hunted.items()],
+    )
+    return report, hunted
+
+
+def _hunt(subject: Recruitment, method: str, interval: float, rng: np.random.Generator) -> Hunted:
+    by: ThresholdMethod = "relative_frequency" if method == "relative_frequency" else "ml"
+    hunt = ThresholdHunt.begin(ThresholdSettings(method=by, interval=interval))
+    while not hunt.finished and hunt.refusal is None:
+        intensity = hunt.next_intensity()
+        amplitude = subject.sample(intensity, rng)
+        hunt = hunt.after(intensity, amplitude >= RESPONSE, amplitude if method == "ml" else None)
+    if not hunt.finished:
+        return Hunted(subject.threshold, len(hunt.pulses), None, None)
+    found = hunt.estimate
+    held = None if found.low is None or found.high is None else found.low <= subject.threshold <= found.high
+    return Hunted(subject.threshold, len(hunt.pulses), found.threshold, held)
+
+
+def _result(method: str, found: list[Hunted]) -> MethodResult:
+    ended = [each for each in found if each.estimate is not None]
+    held = [each.held for each in ended if each.held is not None]
+    return MethodResult(
+        method=method,
+        refused=len(found) - len(ended),
+        pulses=_middle([each.pulses for each in ended]),
+        error_percent=_middle([100.0 * abs(each.error) / each.threshold for each in ended]),
+        error_mso=_middle([abs(each.error) for each in ended]),
+        bias_mso=float(np.mean([each.error for each in ended])) if ended else float("nan"),
+        held=float(np.mean(held)) if held else None,
+    )
+
+
+def _middle(values: list[float]) -> Middle:
+    """Nan for no values."""
+    if not values:
+        return Middle(float("nan"), float("nan"))
+    median, p95 = np.percentile(values, (50.0, 95.0))
+    return Middle(float(median), float(p95))

@@ -1,0 +1,99 @@
+"""Arguments for every operation of a workflow, so that each can be asked for without a person."""
+
+from __future__ import annotations
+
+import tomllib
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from pcmrs.errors import ConfigurationError
+from pcmrs.fsm.behaviour import operations
+from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.spatial import Transform
+from pcmrs.testing.plan import Plan
+from pcmrs_lab.experiment.treatment import CONFIRMED
+
+Table = dict[str, Any]
+
+NUDGES: list[Table] = [{"translation": [0.0, 0.0, 0.001]}, {"translation": [0.0, 0.0, -0.001]}]
+"""Away from the body and back."""
+
+PRESSES: list[Table] = [{}, {"force": 1.0}]
+"""With the configured force, and with the least."""
+
+ENOUGH_POINTS = 30
+"""Of the skin, so that a registration can be refined by them."""
+
+DEPTH = 0.03
+"""Of a trajectory from the planned pose into the body, m."""
+
+
+class Arguments:
+    """What to ask with, in turn.
+
+    Args:
+        given: By ``branch.operation`` or by name of a payload: arguments, or a list of them to be used in turn.
+    """
+
+    def __init__(self, given: Mapping[str, Table | list[Table]]) -> None:
+        self._given = {name: [tables] if isinstance(tables, dict) else tables for name, tables in given.items()}
+        self._used: Counter[str] = Counter()
+
+    def missing(self, blueprint: Blueprint) -> dict[str, str]:
+        """Operations for which there are no arguments, and the payload they need."""
+        asked = {f"{branch}.{operation}": spec.payload for branch, operation, spec in operations(blueprint)}
+        return {name: payload for name, payload in asked.items() if not self._tables(name, payload)}
+
+    def choices(self, blueprint: Blueprint) -> dict[str, int]:
+        """How many different arguments there are for each operation."""
+        asked = {f"{branch}.{operation}": spec.payload for branch, operation, spec in operations(blueprint)}
+        return {name: len(self._tables(name, payload)) for name, payload in asked.items()}
+
+    def next(self, name: str, payload: str) -> Table:
+        """The arguments whose turn it is; none where there are none."""
+        tables = self._tables(name, payload)
+        self._used[name] += 1
+        return tables[self._used[name] % len(tables)] if tables else {}
+
+    def _tables(self, name: str, payload: str) -> list[Table]:
+        if name in self._given:
+            return self._given[name]
+        return [{}] if payload == "none" else self._given.get(payload, [])
+
+
+def plan_arguments(plan: Plan) -> dict[str, Table | list[Table]]:
+    """Arguments of the payloads that a plan has values for, and of what a person would have to confirm."""
+    pose = plan.poses[0]
+    inwards = Transform.from_quat_xyzw(pose.position, pose.quat_xyzw) @ np.array([0.0, 0.0, -DEPTH])
+    return {
+        "landmarks": {"landmarks": msgspec.to_builtins(plan.landmarks)},
+        "landmark_index": [{"index": index} for index in range(len(plan.landmarks))],
+        "surface_points": {"points": ENOUGH_POINTS},
+        "surface_name": {},
+        "tool_pose": msgspec.to_builtins(pose),
+        "trajectory": {"entry": list(pose.position), "target": inwards.tolist()},
+        "confirmation": dict(CONFIRMED),
+        "nudge": NUDGES,
+        "press": PRESSES,
+        "retreat": {"confirm": True},
+    }
+
+
+def read_arguments(path: Path) -> dict[str, Table | list[Table]]:
+    """Arguments from a TOML file, by ``"branch.operation"`` or by payload.
+
+    Raises:
+        ConfigurationError: It cannot be read, or something in it is neither a table nor a list of tables.
+    """
+    try:
+        given = tomllib.loads(path.read_text())
+        return msgspec.convert(given, dict[str, Table | list[Table]])
+    except OSError as error:
+        raise ConfigurationError(f"{path} cannot be read: {error.strerror}.") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+        raise ConfigurationError(f"{path} holds no arguments: {error}.") from None

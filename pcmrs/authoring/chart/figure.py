@@ -1,0 +1,138 @@
+"""Draws one branch that has been laid out, and those inside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from xml.etree.ElementTree import Element
+
+from pcmrs.authoring.chart.arrows import Arrow
+from pcmrs.authoring.chart.canvas import (
+    HEAD,
+    INK,
+    box,
+    bus,
+    diamond,
+    dot,
+    group,
+    head,
+    line,
+    loop,
+    point,
+    sans,
+    start,
+    text,
+)
+from pcmrs.authoring.chart.column import Lane
+from pcmrs.authoring.chart.panel import PAD, PITCH, START, STRAIGHT_X, TITLE, TITLE_LINE, Panel
+from pcmrs.authoring.chart.row import LABEL, LINE, MEANING, NAME, Port, Row
+from pcmrs.fsm.blueprint import Blueprint
+
+_SHADES = ("#ffffff", "#f3f3f3")
+_PLAIN = {"fill": "#ffffff", "stroke": INK, "stroke_width": "1.2"}
+_CURRENT = {"fill": "#ffe08a", "stroke": INK, "stroke_width": "3.2"}
+
+
+def draw_panel(parent: Element, blueprint: Blueprint, panel: Panel, current: Mapping[str, str]) -> None:
+    """Draws frame, heading, states and arrows of a branch, then the branches inside it."""
+    branch = blueprint.branches[panel.name]
+    into = group(parent, "branch", branch=panel.name, level=str(branch.level))
+    shade = _SHADES[branch.level % 2]
+    box(into, panel.x, panel.y, panel.width, panel.height, 8, fill=shade, stroke="#8a8a8a", stroke_width="1")
+    _heading(into, panel)
+    start(
+        into, panel.across.boxes + panel.across.box_width / 2, next(iter(panel.column.rows.values())).y - START, START
+    )
+    for lane in panel.column.lanes:
+        _beside(into, panel, lane)
+    for arrow, lines in panel.column.straight.values():
+        _straight(into, panel, arrow, lines)
+    for arrow, port in panel.column.entries:
+        _entry(into, panel, arrow, port)
+    for state, row in panel.column.rows.items():
+        meaning = branch.states[state]
+        _state(into, panel, state, row, meaning, highlighted=current.get(panel.name) == state)
+    for child in panel.children:
+        draw_panel(into, blueprint, child, current)
+
+
+def caption(parent: Element, port: Port, x: float, anchor: str) -> None:
+    """The caption of a line that ends at a port, above the line."""
+    for number, words in enumerate(reversed(port.caption)):
+        text(parent, x, port.y - 4 - LINE * number, words, LABEL, text_anchor=anchor)
+
+
+def _start(into: Element, panel: Panel) -> None:
+    first = next(iter(panel.column.rows.values()))
+    start(into, panel.across.boxes + panel.across.box_width / 2, first.y - START, START)
+
+
+def _heading(into: Element, panel: Panel) -> None:
+    x, y = panel.across.labels, panel.y + PAD
+    for number, words in enumerate(panel.title):
+        sans(into, x, y + TITLE_LINE * (number + 0.7), words, TITLE, font_weight="bold")
+    text(into, x, y + TITLE_LINE * len(panel.title) + LABEL, panel.subtitle, LABEL, fill="#444444")
+
+
+def _state(into: Element, panel: Panel, state: str, row: Row, meaning: str, *, highlighted: bool) -> None:
+    kind = "state current" if highlighted else "state"
+    drawn = group(into, kind, meaning, branch=panel.name, state=state)
+    drawn.set("id", f"state-{panel.name}-{state}")
+    looks = _CURRENT if highlighted else _PLAIN
+    box(drawn, panel.across.boxes, row.y, panel.across.box_width, row.height, 9, **looks)
+    middle = panel.across.boxes + panel.across.box_width / 2
+    y = row.y + (row.height - row.text_height) / 2 + NAME - 2
+    text(drawn, middle, y, row.state, NAME, text_anchor="middle", font_weight="bold")
+    for words in row.meaning:
+        y += LINE
+        sans(drawn, middle, y + 2, words, MEANING, text_anchor="middle")
+    if row.activity:
+        y += LINE
+        text(drawn, middle, y + 2, row.activity, LABEL, text_anchor="middle")
+    _loops(drawn, panel, row, y + 5)
+
+
+def _loops(drawn: Element, panel: Panel, row: Row, y: float) -> None:
+    if not row.loops:
+        return
+    x = panel.across.boxes + PAD
+    loop(drawn, x + 4, y + LINE - 4)
+    for number, words in enumerate(row.loops):
+        text(drawn, x + 14, y + LINE * (number + 1), words, LABEL)
+
+
+def _beside(into: Element, panel: Panel, lane: Lane) -> None:
+    drawn = _group(into, panel, lane.arrow)
+    x = panel.across.lanes + PITCH * lane.number
+    edge = panel.across.boxes + panel.across.box_width
+    ends = sorted([*((edge, tail.y) for tail in lane.tails), (edge + HEAD, lane.head.y)], key=lambda end: end[1])
+    line(drawn, lane.arrow.kind, bus(x, ends))
+    for inner_x, y in ends[1:-1]:
+        line(drawn, lane.arrow.kind, f"M{point(inner_x, y)}L{point(x, y)}")
+        dot(drawn, lane.arrow.kind, x, y)
+    head(drawn, lane.arrow.kind, edge, lane.head.y, (-1, 0))
+    caption(drawn, lane.head, edge + HEAD + 5, "start")
+
+
+def _straight(into: Element, panel: Panel, arrow: Arrow, lines: Sequence[str]) -> None:
+    drawn = _group(into, panel, arrow)
+    rows = panel.column.rows
+    x, top, bottom = panel.across.boxes + STRAIGHT_X, rows[arrow.sources[0]].bottom, rows[arrow.target].y
+    line(drawn, arrow.kind, f"M{point(x, top)}L{point(x, bottom - HEAD)}")
+    head(drawn, arrow.kind, x, bottom, (0, 1))
+    for number, words in enumerate(lines):
+        y = (top + bottom) / 2 + LINE * (number - len(lines) / 2) + LABEL - 1
+        text(drawn, x + 8, y, words, LABEL)
+
+
+def _entry(into: Element, panel: Panel, arrow: Arrow, port: Port) -> None:
+    drawn = _group(into, panel, arrow)
+    begin = panel.across.boxes - HEAD - 5 - port.width - 8
+    line(drawn, arrow.kind, f"M{point(begin, port.y)}L{point(panel.across.boxes - HEAD, port.y)}")
+    diamond(drawn, arrow.kind, begin, port.y)
+    head(drawn, arrow.kind, panel.across.boxes, port.y, (1, 0))
+    caption(drawn, port, panel.across.boxes - HEAD - 5, "end")
+
+
+def _group(into: Element, panel: Panel, arrow: Arrow) -> Element:
+    data = {"branch": panel.name, "sources": " ".join(arrow.sources) or "*", "target": arrow.target}
+    return group(into, f"arrow {arrow.kind}", " ".join(arrow.words), **data)

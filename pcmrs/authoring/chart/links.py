@@ -1,0 +1,56 @@
+"""What is drawn between branches: Rule 2, Rule 3 and revocations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from pcmrs.authoring.chart.arrows import Kind, Place
+from pcmrs.fsm.blueprint import Blueprint
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A line from branch to branch, with several beginnings and ends.
+
+    Attributes:
+        kind: `signal` (Rule 2), `call` (Rule 3) or `revocation`.
+        tails: Where it begins.
+        heads: Where it leads.
+        label: The operation that is called; empty for a revocation, which calls none.
+    """
+
+    kind: Kind
+    tails: tuple[Place, ...]
+    heads: tuple[Place, ...]
+    label: str
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """All that it joins."""
+        return (*self.tails, *self.heads)
+
+
+def links(blueprint: Blueprint) -> list[Link]:
+    """All links of a workflow: child states to the parent's operations, parent states to RIOs, revocations."""
+    return [link for name in blueprint.branches for link in (*_rules(blueprint, name), *_revocations(blueprint, name))]
+
+
+def _rules(blueprint: Blueprint, name: str) -> Iterator[Link]:
+    branch = blueprint.branches[name]
+    if branch.parent is None:
+        return
+    above = branch.parent.branch
+    for called in dict.fromkeys(branch.emits.values()):
+        tails = tuple(Place(name, state) for state in branch.states if branch.emits.get(state) == called)
+        reached = blueprint.branches[above].operations[called].targets()
+        heads = tuple(Place(above, state) for state in blueprint.branches[above].states if state in reached)
+        yield Link("signal", tails, heads, called)
+    yield Link("call", (Place(above, branch.parent.start),), (Place(name, branch.start),), branch.rio or "")
+
+
+def _revocations(blueprint: Blueprint, name: str) -> Iterator[Link]:
+    for by in dict.fromkeys(tuple(rule.by) for rule in blueprint.branches[name].revocations):
+        tails = tuple(Place(other, "") for other in by if other != name)
+        if tails:
+            yield Link("revocation", tails, (Place(name, ""),), "")

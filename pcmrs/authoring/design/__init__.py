@@ -1,0 +1,155 @@
+"""From an expert's table of steps to a verified blueprint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import msgspec
+
+from pcmrs.authoring.design.asking import Ask, answer
+from pcmrs.authoring.design.branches import Designed, root_branches
+from pcmrs.authoring.design.check import check_table, paths_of
+from pcmrs.authoring.design.count import Combinations, Impossible, count_combinations
+from pcmrs.authoring.design.excess import excess_of
+from pcmrs.authoring.design.grouping import Group, UndesignableError, root_groups
+from pcmrs.authoring.design.hazards import GuardedOrder, hazards_in
+from pcmrs.authoring.design.safety import ROBOT, SAFETY, robot_branch, safety_branch
+from pcmrs.authoring.design.table import StepTable
+from pcmrs.errors import BlueprintError
+from pcmrs.fsm.blueprint import Blueprint, Requirement
+from pcmrs.fsm.files.dump import blueprint_toml
+from pcmrs.fsm.files.load import examine
+from pcmrs.fsm.files.places import Places, placed
+from pcmrs.fsm.files.toml import convert, read_toml
+from pcmrs.fsm.finding import Finding, Path
+from pcmrs.fsm.verify import MAX_JOINT_STATES
+
+__all__ = ["Ask", "Combinations", "Design", "Impossible", "design"]
+
+HEAD = "Designed from a step table by `pcmrs fsm design`: change the table, not this file."
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """What came out of a step table.
+
+    Attributes:
+        text: The blueprint's file; empty where there are findings.
+        combinations: Of the level 1 steps; None where the table has faults.
+        findings: All that is wrong, with the place in the step table; empty for a sound blueprint.
+        readable: Whether the file is a step table at all.
+    """
+
+    text: str = ""
+    combinations: Combinations | None = None
+    findings: list[Finding] = field(default_factory=list)
+    readable: bool = True
+
+
+def design(
+    raw: bytes,
+    *,
+    origin: str = "steps",
+    progress: Callable[[int, int], None] | None = None,
+    ask: Ask | None = None,
+) -> Design:
+    """Designs the blueprint of a step table and verifies it.
+
+    Args:
+        raw: The file.
+        origin: How findings call it.
+        ask: Asked for what an operation does to the patient, where the table does not say it: gets the operation and
+            returns the keys that are true. Without it such a table is refused.
+        progress: See `pcmrs.fsm.verify.verify`.
+    """
+    try:
+        content, places = read_toml(raw, origin)
+        table = convert(content, StepTable, places)
+        if ask is not None:
+            answer(content, table, ask)
+            table = convert(content, StepTable, places)
+    except BlueprintError as error:
+        return Design(findings=error.fields["findings"], readable=False)
+    faults = list(check_table(table))
+    if faults:
+        return Design(findings=placed(faults, places))
+    try:
+        return _design(table, places, progress)
+    except UndesignableError as error:
+        return Design(findings=placed([error.finding], places))
+
+
+def _design(table: StepTable, places: Places, progress: Callable[[int, int], None] | None) -> Design:
+    paths = {step.name: path for path, step in paths_of(table.steps)}
+    groups = root_groups(table.steps, paths)
+    combinations = count_combinations([group.order for group in groups])
+    _check_count(combinations)
+    branches = [branch for group in groups for branch in root_branches(group, paths)]
+    branches += _added(table, groups)
+    _check_names(branches)
+    text = blueprint_toml(_blueprint(table, groups, branches), comment=HEAD)
+    examination = examine(text.encode(), origin="blueprint", progress=progress)
+    excess = excess_of(examination, len(text.encode()), branches)
+    findings = placed([excess] if excess else _traced(examination.findings, branches), places)
+    return Design("" if findings else text, combinations, findings)
+
+
+def _check_count(combinations: Combinations) -> None:
+    if combinations.possible > MAX_JOINT_STATES:
+        text = (
+            f"The steps allow {combinations.possible} combinations, the limit is {MAX_JOINT_STATES}: "
+            "say what depends on what, or refine some steps."
+        )
+        raise UndesignableError(Finding(code="step_count", text=text, path=("steps",)))
+
+
+def _check_names(branches: Iterable[Designed]) -> None:
+    seen: set[str] = set()
+    for branch in branches:
+        if branch.name in seen:
+            text = f"There would be two branches {branch.name!r}: give the steps that are not connected different ones."
+            raise UndesignableError(Finding(code="name_collision", text=text, path=branch.path))
+        seen.add(branch.name)
+
+
+def _blueprint(table: StepTable, groups: Sequence[Group], branches: Iterable[Designed]) -> Blueprint:
+    return Blueprint(
+        id=table.id,
+        version=table.version,
+        title=table.title,
+        goal={group.name: [group.order.state(group.order.all)] for group in groups},
+        branches={branch.name: branch.spec for branch in branches},
+    )
+
+
+def _added(table: StepTable, groups: Iterable[Group]) -> Iterator[Designed]:
+    """The connection of the robot where anything moves it, and the release of Stop where that bars anything."""
+    hazards = list(hazards_in(step for _, step in paths_of(table.steps)))
+    if any(hazard.moves for hazard in hazards):
+        orders = {group.name: group.order for group in groups}
+        safe: Requirement = {
+            name: [order.state(each) for each in order.combinations if not order.unsafe(each)]
+            for name, order in orders.items()
+            if isinstance(order, GuardedOrder) and order.moving
+        }
+        yield Designed(ROBOT, robot_branch(safe), ("steps",))
+    if any(hazard.counts or hazard.confirm for hazard in hazards):
+        yield Designed(SAFETY, safety_branch(), ("steps",))
+
+
+def _traced(findings: Iterable[Finding], branches: Iterable[Designed]) -> list[Finding]:
+    """The findings of the blueprint, each at the step that is the reason for it."""
+    origins: dict[Path, Path] = {}
+    for branch in branches:
+        path = ("branches", branch.name)
+        origins[path] = branch.path
+        origins |= {(*path, "operations", command.name): command.path for command in branch.commands}
+    return [msgspec.structs.replace(finding, path=_origin(finding.path, origins)) for finding in findings]
+
+
+def _origin(path: Path, origins: Mapping[Path, Path]) -> Path:
+    """Where the table has it; `id`, `version` and `title` are named alike in both."""
+    while len(path) > 1 and path not in origins:
+        path = path[:-1]
+    return origins.get(path, path)

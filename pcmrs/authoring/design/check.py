@@ -1,0 +1,158 @@
+"""What is wrong with a step table: names, dependencies, refinements."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from graphlib import CycleError, TopologicalSorter
+
+from pcmrs.authoring.design.hazards import hazard_of, ways_of
+from pcmrs.authoring.design.table import ActionSpec, StepSpec, StepTable
+from pcmrs.fsm.finding import Finding, Path
+
+MAX_STEPS = 256
+TOP = 2
+"""Keys to a step of the first level."""
+
+MAX_STEPS_OF_A_BRANCH = 32
+"""A state's name has one digit for each step and at most 32 characters."""
+
+
+def paths_of(steps: Sequence[StepSpec], above: Path = ()) -> Iterator[tuple[Path, StepSpec]]:
+    """All steps, those of refinements too, and where in the table they are."""
+    for i, step in enumerate(steps):
+        path = (*above, "steps", str(i))
+        yield path, step
+        if step.refined_by is not None:
+            yield from paths_of(step.refined_by.steps, (*path, "refined_by"))
+
+
+def check_table(table: StepTable) -> Iterator[Finding]:
+    """All that can be said before the steps are grouped into branches."""
+    found = list(paths_of(table.steps))
+    if not 1 <= len(found) <= MAX_STEPS:
+        text = f"The table has {len(found)} steps; it must have 1 to {MAX_STEPS}."
+        yield Finding(code="step_count", text=text, path=("steps",))
+        return
+    yield from _doubled(found)
+    yield from _dependencies(table.steps, ())
+    for path, step in found:
+        if step.refined_by is not None:
+            yield from _refinement(path, step)
+        yield from _hazards(path, step, refines=len(path) > TOP)
+    yield from _nested(table.steps)
+    yield from (_undeclared(path, name) for path, name, _ in undeclared(table))
+
+
+def undeclared(table: StepTable) -> Iterator[tuple[Path, str, ActionSpec]]:
+    """The actions that say nothing of what they do to the patient: place in the table, operation, action.
+
+    A step that other steps refine does nothing itself; an alternative is as its step; what takes a step back without
+    `steps` is a mere report.
+    """
+    for path, step in paths_of(table.steps):
+        if not (step.declared or (step.refined_by is not None and step.refined_by.points is None)):
+            yield path, step.operation, step
+        for j, reopener in enumerate(step.reopened_by):
+            if isinstance(reopener, ActionSpec) and reopener.steps and not reopener.declared:
+                yield (*path, "reopened_by", str(j)), reopener.operation, reopener
+
+
+def _doubled(found: Sequence[tuple[Path, StepSpec]]) -> Iterator[Finding]:
+    seen: set[str] = set()
+    for path, step in found:
+        if step.name in seen:
+            text = f"The step {step.name!r} is there twice: every step, refining ones too, needs its own name."
+            yield Finding(code="step_name", text=text, path=(*path, "name"))
+        seen.add(step.name)
+
+
+def _dependencies(steps: Sequence[StepSpec], above: Path) -> Iterator[Finding]:
+    """Checks the dependencies of the steps of one level, then of the levels below."""
+    needs = {step.name: set(step.depends_on) for step in steps}
+    for i, step in enumerate(steps):
+        for j, name in enumerate(step.depends_on):
+            if name not in needs:
+                text = f"{step.name} depends on {name!r}, which is no step beside it: {', '.join(needs)} are."
+                yield Finding(code="step_unknown", text=text, path=(*above, "steps", str(i), "depends_on", str(j)))
+    try:
+        TopologicalSorter(needs).prepare()
+    except CycleError as error:
+        cycle = error.args[1][::-1]
+        where = next(i for i, step in enumerate(steps) if step.name == cycle[0])
+        text = f"These steps wait for each other: {' needs '.join(cycle)}. Leave one dependency out."
+        yield Finding(code="step_cycle", text=text, path=(*above, "steps", str(where), "depends_on"))
+    for i, step in enumerate(steps):
+        if step.refined_by is not None:
+            yield from _dependencies(step.refined_by.steps, (*above, "steps", str(i), "refined_by"))
+
+
+def _refinement(path: Path, step: StepSpec) -> Iterator[Finding]:
+    refinement, where = step.refined_by, (*path, "refined_by")
+    if refinement is None:
+        return
+    if bool(refinement.steps) == (refinement.points is not None):
+        text = f"{step.name} is refined either by `steps` or by `points`."
+        yield Finding(code="step_refinement", text=text, path=where)
+    if step.alternatives:
+        text = f"{step.name} is achieved by its refinement alone: put the alternatives there."
+        yield Finding(code="step_refinement", text=text, path=(*path, "alternatives"))
+    if refinement.points is not None and not step.steps:
+        text = f"{step.name} does not say how a point is performed: name at least one of its `steps`."
+        yield Finding(code="step_refinement", text=text, path=where)
+    own = step.checks or step.steps or step.payload != "none"
+    if refinement.steps and own:
+        text = f"{step.name} is achieved by the steps that refine it: put payload, checks and steps there."
+        yield Finding(code="step_refinement", text=text, path=path)
+    for i, each in enumerate(refinement.steps):
+        if each.branch:
+            text = f"{each.name} belongs to {refinement.branch}, which refines {step.name}: leave `branch` out."
+            yield Finding(code="step_branch", text=text, path=(*where, "steps", str(i), "branch"))
+
+
+def _undeclared(path: Path, name: str) -> Finding:
+    text = f"{name} does not say what it does to the patient. Add which of these it is, as `moves = true`: `moves` "
+    text += "(the robot), `affects_patient`, `irreversible`, `confirm` (asks for a confirmation each time); "
+    text += "or `moves = false` if it is none."
+    return Finding(code="step_undeclared", text=text, path=path)
+
+
+def _hazards(path: Path, step: StepSpec, *, refines: bool) -> Iterator[Finding]:
+    """Declarations where they cannot be kept track of."""
+    own = hazard_of(step)
+    ways = [own, *(hazard_of(other, step) for other in step.alternatives)]
+    by_steps = step.refined_by is not None and step.refined_by.points is None
+    if by_steps and (own.counts or own.confirm):
+        text = f"{step.name} is achieved by the steps that refine it: it moves and affects nothing itself."
+        yield Finding(code="step_hazard", text=text, path=path)
+    if refines and any(each.counts for each in (*ways, *map(hazard_of, step.reopeners()))):
+        text = (
+            f"{step.name} refines another step, and reaches the patient or cannot be undone: put it on the first level."
+        )
+        yield Finding(code="step_hazard", text=text, path=path)
+    if step.refined_by is not None and own.irreversible:
+        text = f"{step.name} is irreversible and is done by points: make each of them a step."
+        yield Finding(code="step_hazard", text=text, path=path)
+    for j, other in enumerate(step.alternatives):
+        if other.partial and hazard_of(other, step).irreversible:
+            text = f"{other.operation} cannot be undone, and takes several goes: each of them would be done again."
+            yield Finding(code="step_hazard", text=text, path=(*path, "alternatives", str(j)))
+    for j, reopener in enumerate(step.reopeners()):
+        if hazard_of(reopener).irreversible:
+            text = (
+                f"{reopener.operation} takes {step.name} back, so that it is not irreversible itself: leave that out."
+            )
+            yield Finding(code="step_hazard", text=text, path=(*path, "reopened_by", str(j)))
+
+
+def _nested(steps: Sequence[StepSpec]) -> Iterator[Finding]:
+    """Refinements of several levels that would be left behind when what they depend on is made safe."""
+    reaching = {step.name for step in steps if any(hazard.counts for _, hazard in ways_of(step))}
+    for _ in steps:
+        reaching |= {step.name for step in steps if reaching & set(step.depends_on)}
+    for i, step in enumerate(steps):
+        below = step.refined_by.steps if step.refined_by is not None else []
+        if step.name in reaching and any(each.refined_by is not None for each in below):
+            text = (
+                f"{step.name} rests on a step that reaches the patient, and is refined by more than one level: use one."
+            )
+            yield Finding(code="step_hazard", text=text, path=("steps", str(i), "refined_by"))

@@ -1,0 +1,74 @@
+"""How many combinations of steps are possible in the single-level FSM, and why the others are not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import prod
+
+from pcmrs.authoring.design.order import Order
+
+
+@dataclass(frozen=True, slots=True)
+class Impossible:
+    """Combinations that have `step` without `missing`, on which it depends.
+
+    Attributes:
+        count: How many; each combination counts under the first dependency that it breaks.
+    """
+
+    step: str
+    missing: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Combinations:
+    """The states of the single-level FSM.
+
+    Attributes:
+        steps: N, of which there are 2^N combinations.
+        possible: How many of them respect all dependencies.
+        impossible: Why the others do not.
+    """
+
+    steps: int
+    possible: int
+    impossible: tuple[Impossible, ...]
+
+    def __str__(self) -> str:
+        lines = [f"{self.possible} of the {2**self.steps} combinations of {self.steps} steps are possible."]
+        lines += [f"  {each.count} have {each.step} without {each.missing}." for each in self.impossible]
+        return "\n".join(lines)
+
+
+def count_combinations(orders: Sequence[Order]) -> Combinations:
+    """Counts them without listing the impossible ones, of which there may be very many.
+
+    Args:
+        orders: Of the level 1 branches; no step of one depends on a step of another.
+    """
+    impossible: list[Impossible] = []
+    for i, order in enumerate(orders):
+        others = prod(len(each.ideals) for each in orders[:i]) * 2 ** sum(map(len, orders[i + 1 :]))
+        broken = [Impossible(step, missing, count * others) for step, missing, count in _broken(order)]
+        impossible += [each for each in broken if each.count]
+    possible = prod(len(order.ideals) for order in orders)
+    return Combinations(sum(map(len, orders)), possible, tuple(impossible))
+
+
+def _broken(order: Order) -> Iterator[tuple[str, str, int]]:
+    """For each dependency, in how many combinations it is the first that is broken.
+
+    All steps before have their dependencies kept, so their combinations are among the possible ones; the
+    steps after are free.
+    """
+    before = 0
+    for place, step in enumerate(order.sequence):
+        kept = [each for each in order.ideals if not each & ~before]
+        for name in dict.fromkeys(order.steps[step].depends_on):
+            bit = 1 << order.index[name]
+            lacking = sum(1 for each in kept if not each & bit)
+            kept = [each for each in kept if each & bit]
+            yield order.steps[step].name, name, lacking << (len(order) - place - 1)
+        before |= 1 << step

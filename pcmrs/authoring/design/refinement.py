@@ -1,0 +1,151 @@
+"""What refines a step, as the branch above sees it: where it starts, when it is complete, what lies between."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pcmrs.authoring.design.grouping import Group, UndesignableError, group
+from pcmrs.authoring.design.hazards import hazard_of
+from pcmrs.authoring.design.order import Order
+from pcmrs.authoring.design.safety import CONNECTED, ROBOT, UNCONNECTED
+from pcmrs.authoring.design.table import ActionSpec, RefinementSpec, StepSpec
+from pcmrs.fsm.blueprint import Blueprint, BranchSpec, ParentSpec, Requirement, SequenceSpec
+from pcmrs.fsm.files.sequence import DONE, SequenceError, expand
+from pcmrs.fsm.finding import Finding, Path
+
+
+@dataclass(frozen=True, slots=True)
+class Refinement:
+    """A branch of level N+1.
+
+    Attributes:
+        name: Of the branch.
+        title: What it is about.
+        step: Index of the step that it refines.
+        group: Its steps, or None for
+        sequence: points that are performed in order.
+        states: All its states, the start first.
+        complete: The one in which the refined step is achieved.
+        below: What refines its own steps.
+    """
+
+    name: str
+    title: str
+    step: int
+    group: Group | None
+    sequence: SequenceSpec | None
+    states: tuple[str, ...]
+    complete: str
+    below: tuple[Refinement, ...] = ()
+
+    @property
+    def start(self) -> str:
+        """Its starting state."""
+        return self.states[0]
+
+    @property
+    def partial(self) -> list[str]:
+        """States in which it has begun and is not complete."""
+        return [state for state in self.states[1:] if state != self.complete]
+
+    def subtree(self) -> Iterator[Refinement]:
+        """It and all that is below it."""
+        yield self
+        for each in self.below:
+            yield from each.subtree()
+
+    def calm(self) -> Requirement:
+        """That nothing has begun in it or below it without being complete."""
+        return {each.name: [each.start, each.complete] for each in self.subtree() if each.partial}
+
+
+def refinements_of(owner: Group, paths: Mapping[str, Path]) -> list[Refinement]:
+    """The refinements of a branch's steps. Raises `UndesignableError`."""
+    return [
+        _refinement(i, step, step.refined_by, paths)
+        for i, step in enumerate(owner.order.steps)
+        if step.refined_by is not None
+    ]
+
+
+def _refinement(index: int, step: StepSpec, spec: RefinementSpec, paths: Mapping[str, Path]) -> Refinement:
+    if spec.points is not None:
+        sequence = _sequence(step, spec)
+        states = _states_in_order(spec.branch, sequence, (*paths[step.name], "refined_by"))
+        return Refinement(spec.branch, spec.title, index, None, sequence, states, DONE)
+    inner = group(spec.branch, spec.title, spec.steps, paths)
+    order, below = inner.order, tuple(refinements_of(inner, paths))
+    states = tuple(order.state(each) for each in order.combinations)
+    return Refinement(spec.branch, spec.title, index, inner, None, states, order.state(order.all), below)
+
+
+def _sequence(step: StepSpec, spec: RefinementSpec) -> SequenceSpec:
+    roles: dict[str, Any] = {"roles": step.roles} if step.roles else {}
+    plain = ActionSpec(operation=step.operation)
+    keys = ("payload", "checks", "steps", "timeout_s")
+    given = {key: getattr(step, key) for key in keys if getattr(step, key) != getattr(plain, key)}
+    hazard = hazard_of(step)
+    given |= hazard.keys | ({"requires": {ROBOT: [CONNECTED]}, "refusal": UNCONNECTED} if hazard.moves else {})
+    return SequenceSpec(
+        count=spec.points if isinstance(spec.points, int) else None,
+        items=spec.points if isinstance(spec.points, list) else [],
+        item=spec.item,
+        perform=given | roles,
+        repeat=roles,
+        skip=roles,
+        abandon=roles,
+    )
+
+
+def _states_in_order(name: str, sequence: SequenceSpec, path: Path) -> tuple[str, ...]:
+    alone = Blueprint(id="points", version="1", branches={name: BranchSpec(sequence=sequence)})
+    try:
+        return tuple(expand(alone).branches[name].states)
+    except SequenceError as error:
+        key = "item" if error.path[-1] == "item" else "points"
+        index = error.path[-1:] if error.path[-1].isdigit() else ()
+        finding = Finding(code="bad_sequence", text=error.text, path=(*path, key, *index))
+        raise UndesignableError(finding) from None
+
+
+def parent_of(refinement: Refinement, owner: Group) -> ParentSpec:
+    """Complete fits where the step is achieved, begun where it is possible, the start wherever it is not achieved."""
+    order, step = owner.order, refinement.step
+    achieved = [each for each in order.combinations if each >> step & 1]
+    opened = [each for each in order.combinations if not each >> step & 1]
+    possible = [each for each in order.possible_at(step) if not each >> step & 1]
+    fits = {refinement.start: opened, refinement.complete: achieved} | ({"*": possible} if refinement.partial else {})
+    return ParentSpec(
+        branch=owner.name,
+        start=order.state(order.first_possible(step)),
+        compatible={state: [order.state(each) for each in fitting] for state, fitting in fits.items()},
+    )
+
+
+def emits_of(refinement: Refinement, step: StepSpec) -> dict[str, str]:
+    """Rule 2: complete achieves the step above, everything else takes it back."""
+    incomplete = "*" if refinement.partial else refinement.start
+    return {incomplete: f"un{step.operation}", refinement.complete: step.operation}
+
+
+def resting_on(step: int, refinements: Iterable[Refinement], owner: Order, *, signalled: bool = False) -> Requirement:
+    """That nothing has begun which would be left behind when the step is done again or taken back.
+
+    An operation can set the branches right below its own to their start. It cannot reach further down while
+    the branch between stays at its start, nor set anything where the step is done again further below and only
+    signalled: there it is refused until what has begun is begun again itself.
+
+    Args:
+        step: Index of the step.
+        refinements: Of the steps beside it.
+        owner: The steps beside it.
+        signalled: Whether the step is refined and done further below.
+    """
+    calm: Requirement = {}
+    for each in refinements:
+        needed = signalled and owner.needs[each.step] >> step & 1
+        if needed or (each.below and owner.dependents[step] >> each.step & 1):
+            calm |= each.calm()
+    return calm

@@ -1,0 +1,62 @@
+"""What the events of an exported chart are called.
+
+``branch.operation``; in a workflow that was imported as the chart that it comes from calls them, which is what the
+titles of its operations say.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections import defaultdict
+from collections.abc import Iterable
+
+from pcmrs.authoring.exchange import descriptors, plain
+from pcmrs.fsm.blueprint import Blueprint, OperationSpec
+
+Key = tuple[str, str]
+"""A branch and its operation."""
+
+EVENT = re.compile(r"(?!(?:done|error)\.)[\w-]+(?:\.[\w-]+)*")
+
+
+def event_names(blueprint: Blueprint) -> dict[Key, str]:
+    """The event of each operation that somebody may ask for, without its outcome.
+
+    Titles are the events where all of them are what an import would have made the operations' names of, and no event
+    could be taken for another; only a re-initiation needs no title.
+    """
+    operations = {
+        (branch, name): operation
+        for branch, spec in blueprint.branches.items()
+        for name, operation in spec.operations.items()
+        if not operation.iio
+    }
+    own = {key: ".".join(key) for key in operations}
+    titled = {key: each for key, each in operations.items() if each.title or not each.rio}
+    names = own | {key: each.title for key, each in titled.items()}
+    imported = all(_is_imported(name, each) for (_, name), each in titled.items())
+    return names if imported and _are_apart(names.values()) and _exclude_each_other(operations, names) else own
+
+
+def _is_imported(name: str, operation: OperationSpec) -> bool:
+    simple = not (operation.outcomes or operation.on_failure or operation.on_unknown)
+    called, bare = f"_{plain(operation.title)}", re.sub(r"_\d+$", "", name)
+    return simple and bool(EVENT.fullmatch(operation.title)) and called.endswith((f"_{name}", f"_{bare}"))
+
+
+def _are_apart(names: Iterable[str]) -> bool:
+    """Whether no event is the beginning of another, whose transitions it would trigger."""
+    events = set(names)
+    return not any(beginning in events for event in events for beginning in descriptors(event)[1:])
+
+
+def _exclude_each_other(operations: dict[Key, OperationSpec], names: dict[Key, str]) -> bool:
+    """Whether of operations with the same event one at most is accepted in any joint state."""
+    where: dict[str, list[dict[str, set[str]]]] = defaultdict(list)
+    for (branch, name), operation in operations.items():
+        required = {each: set(states) for each, states in operation.requires.items()}
+        own = {} if operation.from_ == ["*"] else {branch: set(operation.from_)}
+        where[names[branch, name]].append(required | own)
+    pairs = (pair for cubes in where.values() for pair in itertools.combinations(cubes, 2))
+    return all(any(one[b].isdisjoint(other[b]) for b in one.keys() & other.keys()) for one, other in pairs)

@@ -1,0 +1,191 @@
+"""The joint states of a workflow as a Promela model, to be searched by SPIN: a second opinion on `verify`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice
+
+from pcmrs.authoring.exchange.cubes import Cube, merge
+from pcmrs.errors import BlueprintError
+from pcmrs.fsm.behaviour import endings, operations
+from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, Condition, PropertySpec, Requirement
+from pcmrs.fsm.closure import Closure
+from pcmrs.fsm.verify.observed import Decision, decide
+
+MAX_DECISIONS = 5_000
+"""Combinations of states that the operations depend on; a model of more could neither be read nor compiled."""
+
+STOP = "stop"
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """One ending of a command: where it is accepted, and what it changes."""
+
+    command: str
+    guard: str
+    targets: Mapping[str, str]
+    asked: bool  # by a user, not by a device
+
+
+def promela(blueprint: Blueprint) -> str:
+    """A model with one guarded, indivisible transition for each ending of each operation.
+
+    It has the claims ``deadlock`` (at every moment a user may ask for something, or the goal is reached),
+    ``children_fit``, and ``property_<n>`` for every property that speaks of states only and is always, never or
+    reachable; a reachable one is claimed never to hold, so that SPIN shows the way there.
+
+    Args:
+        blueprint: A sound or unsound workflow that obeys the static rules.
+
+    Raises:
+        BlueprintError: The operations depend on more than `MAX_DECISIONS` combinations of states.
+    """
+    ways = list(_ways(blueprint))
+    lines = [*_head(blueprint), "", *_variables(blueprint), "", *_process(ways), "", *_claims(blueprint, ways)]
+    return "\n".join(lines) + "\n"
+
+
+def _head(blueprint: Blueprint) -> list[str]:
+    return [
+        f"/* Workflow {blueprint.id} {blueprint.version}: its joint states, for SPIN.",
+        "   spin -a FILE && cc -o pan pan.c && ./pan -noclaim -E    counts them;",
+        "   ./pan -E -N CLAIM                                       checks one of the claims below. */",
+    ]
+
+
+def _variables(blueprint: Blueprint) -> Iterator[str]:
+    for name, branch in blueprint.branches.items():
+        yield from (f"#define {_constant(name, state)} {number}" for number, state in enumerate(branch.states))
+        kind = "byte" if len(branch.states) <= 256 else "short"
+        yield f"{kind} {_variable(name)} = {_constant(name, branch.start)};"
+
+
+def _process(ways: list[_Way]) -> Iterator[str]:
+    yield "active proctype workflow() {"
+    yield "do"
+    for way in ways:
+        moves = [f"{_variable(name)} = {_constant(name, state)}" for name, state in way.targets.items()]
+        yield f":: d_step {{ {way.guard} -> {'; '.join(moves) or 'skip'} }} /* {way.command} */"
+    yield ":: false -> skip"
+    yield "od"
+    yield "}"
+
+
+def _claims(blueprint: Blueprint, ways: list[_Way]) -> Iterator[str]:
+    goal = [_states(blueprint.goal)] if blueprint.goal else []
+    yield from _claim("deadlock", [*dict.fromkeys(way.guard for way in ways if way.asked), *goal])
+    yield from _claim("children_fit", [_children_fit(blueprint)])
+    for index, spec in enumerate(blueprint.properties):
+        holds = _holds(spec, ways)
+        said = f"/* property {index}, {_harmless(spec.id)}"
+        yield f"{said} */" if holds else f"{said}: speaks of what runs or leads to something, which is not modelled */"
+        if holds:
+            yield from _claim(f"property_{index}", holds)
+
+
+def _claim(name: str, holds: Iterable[str]) -> Iterator[str]:
+    """A claim that at every moment one of some conditions holds."""
+    yield f"never {name} {{"
+    yield "do"
+    yield from (f":: {condition}" for condition in holds)
+    yield ":: atomic { else -> assert(false) }"
+    yield "od"
+    yield "}"
+
+
+def _holds(spec: PropertySpec, ways: list[_Way]) -> list[str]:
+    """Conditions of which one must hold at every moment; none where the model cannot say it."""
+    conditions = [spec.when, *filter(None, (spec.always, spec.never, spec.reachable))]
+    if spec.leads_to is not None or any(each.running or STOP in each.accepted for each in conditions):
+        return []
+    when, other = (_condition(each, ways) for each in conditions)
+    return [f"!({when})", other if spec.always is not None else f"!({other})"]
+
+
+def _condition(condition: Condition, ways: list[_Way]) -> str:
+    accepted = (_any(w.guard for w in ways if w.command.partition(":")[0] == name) for name in condition.accepted)
+    return _all([_states(condition.states), *accepted])
+
+
+def _children_fit(blueprint: Blueprint) -> str:
+    return _all(
+        _any(
+            _states({name: [state], branch.parent.branch: fitting})
+            for state, fitting in branch.parent.compatible.items()
+        )
+        for name, branch in blueprint.branches.items()
+        if branch.parent is not None
+    )
+
+
+def _ways(blueprint: Blueprint) -> Iterator[_Way]:
+    """Every ending of every operation, its guards as few and short as they can be made."""
+    states = {name: list(branch.states) for name, branch in blueprint.branches.items()}
+    left = MAX_DECISIONS
+    for branch, operation, spec in operations(blueprint):
+        found: dict[tuple[str, frozenset[tuple[str, str]]], list[Cube]] = {}
+        decisions = [] if spec.iio else list(islice(_decisions(blueprint, branch, operation), left + 1))
+        left -= len(decisions)
+        if left < 0:
+            text = f"The operations depend on over {MAX_DECISIONS} combinations of states: too many for a model."
+            raise BlueprintError(text, limit=MAX_DECISIONS)
+        for decision in decisions:
+            cube = {name: frozenset({state}) for name, state in decision.seen.items()}
+            for name, change in endings(spec, decision.answer).items() if isinstance(decision.answer, Closure) else ():
+                command = f"{branch}.{operation}" + (f":{name}" if name != START_OUTCOME else "")
+                targets = frozenset(change.targets.items() if change else ())
+                found.setdefault((command, targets), []).append(cube)
+        for (command, targets), cubes in found.items():
+            for cube in merge(cubes, states):
+                guard = _states({name: sorted(allowed) for name, allowed in cube.items()})
+                yield _Way(command, guard, dict(sorted(targets)), asked=not spec.event)
+
+
+def _decisions(blueprint: Blueprint, branch: str, operation: str) -> Iterator[Decision]:
+    """Everything the operation may do, in whatever states: no search has to have found them."""
+    waiting: list[dict[str, str]] = [{}]
+    while waiting:
+        fixed = waiting.pop()
+        decision = decide([blueprint], {**blueprint.initial(), **fixed}, branch, operation)
+        yield decision
+        before: dict[str, str] = {}
+        for name, state in decision.seen.items():
+            if name not in fixed:
+                others = (other for other in blueprint.branches[name].states if other != state)
+                waiting += [{**before, name: other} for other in others]
+            before[name] = state
+
+
+def _states(states: Requirement) -> str:
+    return _all(
+        _any(f"{_variable(name)} == {_constant(name, each)}" for each in named) for name, named in states.items()
+    )
+
+
+def _all(terms: Iterable[str]) -> str:
+    return _joined(terms, "&&", "true")
+
+
+def _any(terms: Iterable[str]) -> str:
+    return _joined(terms, "||", "false")
+
+
+def _joined(terms: Iterable[str], sign: str, empty: str) -> str:
+    found = [term for term in terms if term != empty]
+    return f"({f' {sign} '.join(found)})" if len(found) > 1 else (found or [empty])[0]
+
+
+def _variable(branch: str) -> str:
+    """No keyword of Promela: names in a blueprint have no capitals."""
+    return f"AT_{branch}"
+
+
+def _constant(branch: str, state: str) -> str:
+    return f"{branch}_IS_{state}"
+
+
+def _harmless(text: str) -> str:
+    """Text that cannot end a comment."""
+    return "".join(sign if sign.isalnum() or sign in " _-." else "_" for sign in text)

@@ -1,0 +1,75 @@
+"""What each command of a workflow does to each of its branches, as transitions with conditions on the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from pcmrs.authoring.exchange.cubes import Cube, cover
+from pcmrs.authoring.exchange.exporting.commands import Command, change_of, commands
+from pcmrs.authoring.exchange.exporting.coupling import Joint, combinations, coupled
+from pcmrs.authoring.exchange.exporting.nesting import Nesting
+from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.closure import Change
+
+Entered = tuple[tuple[str, str], ...]
+"""Branches and the states they go to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reaction:
+    """A transition of one branch.
+
+    Attributes:
+        event: ``branch.operation``, with ``.outcome`` where the operation can end in several ways.
+        branch: The branch that reacts.
+        source: The state it reacts in.
+        entered: The states it goes to: of the branch, and of branches nested in it that do not enter their start
+            there; empty where the command is accepted and leaves the branch as it is.
+        guard: The states of other branches in which it reacts so.
+    """
+
+    event: str
+    branch: str
+    source: str
+    entered: Entered
+    guard: Cube
+
+
+def reactions(blueprint: Blueprint, nesting: Nesting) -> Iterator[Reaction]:
+    """All transitions, for every joint state in which children fit their parents.
+
+    Raises:
+        BlueprintError: Too many branches depend on each other.
+    """
+    for command in commands(blueprint):
+        branches = coupled(blueprint, command.branch, command.operation)
+        before = [joint for joint in combinations(blueprint, branches) if nesting.holds(joint)]
+        changes = [(joint, change_of(blueprint, joint, command)) for joint in before]
+        for branch in branches:
+            yield from _of_branch(command, branch, nesting, changes, [name for name in branches if name != branch])
+
+
+def _of_branch(
+    command: Command, branch: str, nesting: Nesting, changes: list[tuple[Joint, Change | None]], others: list[str]
+) -> Iterator[Reaction]:
+    reached: dict[str, dict[Entered | None, list[Joint]]] = {}
+    for joint, change in changes:
+        if nesting.active(branch, joint):
+            entered = None if change is None else _entered(command, branch, nesting, joint, change)
+            reached.setdefault(joint[branch], {}).setdefault(entered, []).append(joint)
+    for source, leading in reached.items():
+        for entered, wanted in leading.items():
+            unwanted = [joint for other, joints in leading.items() if other != entered for joint in joints]
+            for guard in cover(wanted, unwanted, others) if entered is not None else ():
+                yield Reaction(command.event, branch, source, entered or (), guard)
+
+
+def _entered(command: Command, branch: str, nesting: Nesting, before: Joint, change: Change) -> Entered | None:
+    """Where the branch itself goes; empty where it is the one asked and stays; None where it has no part in it."""
+    after = dict(change.states)
+    if any(before[above] != after[above] for above in nesting.around(branch)):
+        return None
+    if before[branch] != after[branch]:
+        return tuple(nesting.entered(branch, after))
+    return () if branch == command.branch else None

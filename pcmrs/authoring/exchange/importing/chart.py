@@ -1,0 +1,104 @@
+"""A state chart as other tools know it: nested and parallel states and what events do. All readers make one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from pcmrs.authoring.exchange import descriptors
+from pcmrs.fsm.finding import Place
+
+Condition = tuple[tuple[str, ...], ...]
+"""Ids of states in groups, of each of which at least one must be active."""
+
+
+@dataclass(slots=True, eq=False)
+class Edge:
+    """A transition; without targets it uses up the event and keeps the state.
+
+    Attributes:
+        source: The state it leaves.
+        events: Any of them triggers it.
+        targets: Ids of the states it goes to.
+        place: Where the file says so.
+        internal: It does not leave its source when its targets are inside.
+        condition: Where it can be taken: of each group of states one must be active.
+    """
+
+    source: Node
+    events: list[str]
+    targets: list[str]
+    place: Place
+    internal: bool = False
+    condition: Condition = ()
+
+
+@dataclass(slots=True, eq=False)
+class Node:
+    """A state.
+
+    Attributes:
+        id: Unique in the chart.
+        place: Where the file says so.
+        name: What it is called where that is not its id; need not be unique.
+        title: What it means, where the file says more than the name.
+        parallel: All of its children are active together.
+        final: Nothing leaves it.
+        initial: Id of the child it starts in; empty for the first.
+        above: The state it is in; None for the root.
+        children: States in it.
+        edges: Transitions out of it, first match first.
+    """
+
+    id: str
+    place: Place
+    name: str = ""
+    title: str = ""
+    parallel: bool = False
+    final: bool = False
+    initial: str = ""
+    above: Node | None = None
+    children: list[Node] = field(default_factory=list)
+    edges: list[Edge] = field(default_factory=list)
+
+    @property
+    def called(self) -> str:
+        """Its name."""
+        return self.name or self.id
+
+    @property
+    def compound(self) -> bool:
+        """Whether exactly one of its children is active with it."""
+        return bool(self.children) and not self.parallel
+
+    def walk(self) -> Iterator[Node]:
+        """It and all states in it, in the order of the file."""
+        yield self
+        for child in self.children:
+            yield from child.walk()
+
+    def inside(self) -> Iterator[Node]:
+        """All states in it, in the order of the file."""
+        return (node for node in self.walk() if node is not self)
+
+    def by_id(self) -> dict[str, Node]:
+        """All states in it; of two with one id the last."""
+        return {node.id: node for node in self.inside()}
+
+    def outward(self) -> Iterator[Node]:
+        """The states it is in, from within, the root last."""
+        node = self.above
+        while node is not None:
+            yield node
+            node = node.above
+
+    def add(self, child: Node) -> Node:
+        """Puts a state into it; returns the state."""
+        child.above = self
+        self.children.append(child)
+        return child
+
+    def edges_on(self, event: str) -> list[Edge]:
+        """Its transitions, not of the states around it, that the event triggers where their conditions hold."""
+        matching = set(descriptors(event))
+        return [edge for edge in self.edges if matching.intersection(edge.events)]

@@ -1,0 +1,85 @@
+"""Conditions on active states, as an export writes them: ``In('a') && (In('b') || In('c'))``."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+
+from pcmrs.authoring.exchange.importing.chart import Condition, Edge, Node
+from pcmrs.authoring.exchange.importing.choices import MAX_SITUATIONS, Choice, Situation, TooManyError, choices
+from pcmrs.authoring.exchange.importing.regions import Region
+
+MAX_WORK = 1_000_000
+"""Situations of all events together times the states and conditions looked at in each."""
+
+IN = re.compile(r"\s*In\(\s*(?:'([^'\\]+)'|\"([^\"\\]+)\")\s*\)\s*")
+
+
+def read_condition(text: str) -> Condition | None:
+    """The groups of states of a condition; None where it says anything else."""
+    parts = text.split("&&")
+    groups = [_group(part.strip(), alone=len(parts) == 1) for part in parts]
+    return None if None in groups else tuple(group for group in groups if group)
+
+
+def _group(text: str, *, alone: bool) -> tuple[str, ...] | None:
+    enclosed = text.startswith("(") and text.endswith(")")
+    found = [IN.fullmatch(part) for part in (text[1:-1] if enclosed else text).split("||")]
+    if None in found or (len(found) > 1 and not (alone or enclosed)):
+        return None
+    return tuple(match[1] or match[2] for match in found if match)
+
+
+class Conditions:
+    """What events do where transitions depend on the states of regions elsewhere.
+
+    Args:
+        regions: All of them.
+        nodes: All states by id.
+    """
+
+    def __init__(self, regions: Sequence[Region], nodes: Mapping[str, Node]) -> None:
+        self._regions = {state: region for region in regions for state in region.states}
+        self._nodes = nodes
+        self._work = 0
+
+    def choices(self, region: Region, event: str, edges: Sequence[Edge]) -> list[Choice]:
+        """As `choices` of a region, with the situations of other regions that the conditions of `edges` name.
+
+        Raises:
+            TooManyError: There are too many.
+        """
+        found: list[Choice] = []
+        for elsewhere in self._situations(edges):
+            for choice in choices(region, lambda node, now=elsewhere: self._first(node, event, now)):  # type: ignore[misc]
+                if all(elsewhere.get(each, state) is state for each, state in choice.where.items()):
+                    found.append(Choice(elsewhere | choice.where, choice.edges))
+            if len(found) > MAX_SITUATIONS:
+                raise TooManyError
+        return found
+
+    def _situations(self, edges: Sequence[Edge]) -> Iterator[Situation]:
+        named = {name for edge in edges for group in edge.condition for name in group}
+        regions = list(dict.fromkeys(region for name in sorted(named) for region in self._needed(name)))
+        number = math.prod(len(region.states) for region in regions)
+        self._work += number * (len(self._nodes) + sum(len(group) for edge in edges for group in edge.condition))
+        if number > MAX_SITUATIONS or (regions and self._work > MAX_WORK):
+            raise TooManyError
+        for states in itertools.product(*(region.states for region in regions)):
+            yield dict(zip(regions, states, strict=True))
+
+    def _first(self, node: Node, event: str, now: Situation) -> Edge | None:
+        return next((edge for edge in node.edges_on(event) if self._holds(edge.condition, now)), None)
+
+    def _holds(self, condition: Condition, now: Situation) -> bool:
+        return all(any(self._active(name, now) for name in group) for group in condition)
+
+    def _active(self, name: str, now: Situation) -> bool:
+        return all(now[region] is state for region, state in self._needed(name).items())
+
+    def _needed(self, name: str) -> Situation:
+        """The regions in which a certain state must be active for the named one to be; none where it always is."""
+        node = self._nodes[name]
+        return {self._regions[each]: each for each in (node, *node.outward()) if each in self._regions}

@@ -1,0 +1,114 @@
+"""Reads draw.io diagrams: shapes are states, shapes inside shapes nested states, arrows with labels transitions.
+
+Containers that stand side by side without arrows between them are active together. Every other container, and the
+page, needs a small circle without text with an arrow to the state it starts in. An arrow without text to an end
+marker says that the procedure may end there. Notes and texts are ignored.
+"""
+
+from __future__ import annotations
+
+from pcmrs.authoring.exchange.importing.chart import Edge, Node
+from pcmrs.authoring.exchange.importing.drawio_cells import Cell, read_cells
+from pcmrs.authoring.exchange.importing.imported import imported
+from pcmrs.authoring.exchange.importing.labels import NO_EVENTS, events_of
+from pcmrs.authoring.exchange.importing.reading import MAX_DEPTH, Findings
+from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.finding import Finding, Place, refuse
+
+
+def from_drawio(raw: bytes, origin: str = "drawio") -> tuple[Blueprint | None, list[Finding]]:
+    """A blueprint with the behaviour that a draw.io diagram shows.
+
+    Args:
+        raw: The file, its diagram compressed or not.
+        origin: How findings call it.
+
+    Returns:
+        The blueprint, or None and what is not supported, each with its line and column. What is in a compressed
+        diagram has the place of the diagram.
+    """
+    return imported(raw, origin, _read)
+
+
+def _read(raw: bytes, findings: Findings) -> Node:
+    name, cells = read_cells(raw, findings.origin)
+    return _Maker(cells, findings).chart(name)
+
+
+class _Maker:
+    def __init__(self, cells: list[Cell], findings: Findings) -> None:
+        self._findings = findings
+        self._cells: dict[str, Cell] = {}
+        self._inside: dict[str, list[Cell]] = {}
+        for cell in cells:
+            self._inside.setdefault(cell.parent, []).append(cell)
+            if self._cells.setdefault(cell.id, cell) is not cell:
+                findings.say("name_collision", f"Two cells have the id {cell.id[:70]!r}.", cell.place)
+        self._nodes: dict[str, Node] = {}
+
+    def chart(self, name: str) -> Node:
+        root = Node("", (1, 1), name=name)
+        if self._findings:
+            return root
+        for layer in [cell for cell in self._cells.values() if cell.layer]:
+            self._add_states(layer, root, 0)
+        for arrow in [cell for cell in self._cells.values() if cell.arrow]:
+            self._add_arrow(arrow)
+        for node in root.walk():
+            self._settle(node)
+        return _framed(root) if root.parallel else root
+
+    def _add_states(self, cell: Cell, node: Node, depth: int) -> None:
+        if depth > MAX_DEPTH:
+            refuse(self._findings.origin, "too_deep", f"Shapes are nested over {MAX_DEPTH} deep.", cell.place)
+        for inner in self._inside.get(cell.id, []):
+            if inner.unsupported:
+                self._refuse(f"A {inner.unsupported} is not supported", inner.place)
+            elif inner.state and not inner.text and not self._inside.get(inner.id):
+                self._findings.say("bad_name", "This shape has no text: a state needs a name.", inner.place)
+            elif inner.state:
+                made = node.add(Node(inner.id, inner.place, name=inner.text or "region"))
+                self._nodes[inner.id] = made
+                self._add_states(inner, made, depth + 1)
+
+    def _add_arrow(self, arrow: Cell) -> None:
+        source, target = self._cells.get(arrow.source), self._cells.get(arrow.target)
+        text = " ".join([arrow.text, *(cell.text for cell in self._inside.get(arrow.id, []))]).strip()
+        if source is None or target is None:
+            self._refuse("This arrow begins or ends at no shape: attach it to one", arrow.place)
+        elif source.start_marker and target.id in self._nodes and not text:
+            node = self._nodes[target.id]
+            if node.above is not None and node.above.initial not in ("", node.id):
+                self._refuse("There are two arrows from start markers", arrow.place)
+            elif node.above is not None:
+                node.above.initial = node.id
+        elif target.end_marker and source.id in self._nodes and not text:
+            self._nodes[source.id].final = True
+        elif source.id not in self._nodes or target.id not in self._nodes:
+            self._refuse("This arrow does not lead from state to state", arrow.place)
+        elif not (events := events_of(text)):
+            self._refuse(NO_EVENTS, arrow.place)
+        else:
+            node = self._nodes[source.id]
+            node.edges.append(Edge(node, events, [target.id], arrow.place))
+
+    def _settle(self, node: Node) -> None:
+        """Says whether the states inside a state are active together; where not, one must be the first."""
+        inside = {child.id for child in node.children}
+        joined = any(target in inside for child in node.children for edge in child.edges for target in edge.targets)
+        node.parallel = len(inside) > 1 and all(child.children for child in node.children) and not joined
+        node.parallel = node.parallel and not node.initial
+        if len(inside) > 1 and not node.parallel and not node.initial:
+            text = f"Nothing says where {node.called or 'the diagram'} starts: draw an arrow from a small circle."
+            self._findings.say("no_start", text, node.place)
+
+    def _refuse(self, text: str, place: Place) -> None:
+        self._findings.say("not_supported", f"{text}.", place)
+
+
+def _framed(root: Node) -> Node:
+    """A chart whose only state is parallel, in place of a root that is."""
+    framed = Node(root.id, root.place, name=root.name)
+    root.id, root.name = "(page)", "page"
+    framed.add(root)
+    return framed

@@ -1,0 +1,71 @@
+"""From a file to a blueprint. Every chart is checked before it is converted: ids differ, targets exist."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pcmrs.authoring.exchange.importing.chart import Node
+from pcmrs.authoring.exchange.importing.convert import blueprint_of
+from pcmrs.authoring.exchange.importing.reading import Findings
+from pcmrs.errors import BlueprintError
+from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.finding import Finding
+
+
+def imported(
+    raw: bytes, origin: str, read: Callable[[bytes, Findings], Node]
+) -> tuple[Blueprint | None, list[Finding]]:
+    """Reads, checks and converts a chart.
+
+    Args:
+        raw: The file.
+        origin: How findings call it.
+        read: Makes a chart of it; adds findings or raises `BlueprintError` with them.
+
+    Returns:
+        The blueprint, or None and what is wrong.
+    """
+    findings = Findings(origin)
+    try:
+        root = read(raw, findings)
+    except BlueprintError as error:
+        return None, list(error.fields["findings"])
+    if not findings:
+        _check(root, findings)
+    return None if findings else blueprint_of(root, findings), list(findings)
+
+
+def _check(root: Node, findings: Findings) -> None:
+    nodes = root.by_id()
+    for node in root.inside():
+        if nodes[node.id] is not node:
+            findings.say("name_collision", f"There are two states {node.id!r}: rename one.", node.place)
+    if not root.children:
+        findings.say("no_states", "There is no state in the chart.", root.place)
+    for node in root.walk():
+        if node.initial and node.initial not in {child.id for child in node.children}:
+            text = f"The initial state {node.initial[:70]!r} is not directly inside {node.called or 'the chart'}"
+            findings.say("not_supported", f"{text}: not supported.", node.place)
+        for edge in node.edges:
+            if missing := [target for target in edge.targets if target not in nodes]:
+                findings.say("unknown_state", f"There is no state {missing[0][:70]!r} to go to.", edge.place)
+            elif missing := [name for group in edge.condition for name in group if name not in nodes]:
+                findings.say("unknown_state", f"There is no state {missing[0][:70]!r} to be in.", edge.place)
+            elif len(edge.targets) > 1 and not _together(edge.targets, nodes):
+                text = f"The targets {' and '.join(edge.targets)} can never be active together."
+                findings.say("not_supported", text, edge.place)
+
+
+def _together(targets: list[str], nodes: dict[str, Node]) -> bool:
+    """Whether any two of the targets lie in different regions of a parallel state."""
+    for one in targets:
+        for other in targets:
+            if one != other and not _apart(nodes[one], nodes[other]):
+                return False
+    return len(set(targets)) == len(targets)
+
+
+def _apart(one: Node, other: Node) -> bool:
+    around = (other, *other.outward())
+    common = next(node for node in (one, *one.outward()) if node in around)
+    return common.parallel and common not in (one, other)

@@ -1,0 +1,101 @@
+"""Reads SCXML: flat, nested and parallel states, finals, initials and transitions on events.
+
+Conditions may name active states. What else SCXML has, executable content above all, is named in a finding: a
+blueprint holds no code.
+"""
+
+from __future__ import annotations
+
+from pcmrs.authoring.exchange import SCXML_NAMESPACE
+from pcmrs.authoring.exchange.importing.chart import Edge, Node
+from pcmrs.authoring.exchange.importing.conditions import read_condition
+from pcmrs.authoring.exchange.importing.imported import imported
+from pcmrs.authoring.exchange.importing.markup import Element, read_xml
+from pcmrs.authoring.exchange.importing.reading import Findings
+from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.finding import Finding, Place, refuse
+
+STATES = frozenset({"state", "parallel", "final"})
+
+
+def from_scxml(raw: bytes, origin: str = "scxml") -> tuple[Blueprint | None, list[Finding]]:
+    """A blueprint with the behaviour of an SCXML document.
+
+    Args:
+        raw: The file.
+        origin: How findings call it.
+
+    Returns:
+        The blueprint, or None and what is not supported, each with its line and column.
+    """
+    return imported(raw, origin, _read)
+
+
+def _read(raw: bytes, findings: Findings) -> Node:
+    document = read_xml(raw, findings.origin)
+    if document.name != "scxml":
+        text = f"The root element is {document.name}; an SCXML document begins with scxml."
+        refuse(findings.origin, "not_scxml", text, document.place)
+    return _Reader(findings).read(document)
+
+
+class _Reader:
+    def __init__(self, findings: Findings) -> None:
+        self._findings = findings
+
+    def read(self, document: Element) -> Node:
+        root = Node(document.attributes.get("name", ""), document.place)
+        self._read_inside(document, root)
+        if any(node.final for node in root.walk()):
+            for edge in (edge for node in root.walk() for edge in node.edges if "done" in edge.events):
+                self._refuse("The event done would also be raised by final states: rename it", edge.place)
+        return root
+
+    def _read_inside(self, element: Element, node: Node) -> None:
+        node.initial = element.attributes.get("initial", "")
+        for child in element.children:
+            if child.namespace not in ("", SCXML_NAMESPACE):
+                continue
+            if child.name in STATES:
+                self._read_state(child, node)
+            elif child.name == "transition":
+                self._read_transition(child, node)
+            elif child.name == "initial":
+                inner = child.every("transition")
+                node.initial = inner[0].attributes.get("target", "") if inner else ""
+                self._refuse_contents(inner[0] if inner else child)
+            else:
+                self._refuse(f"<{child.name}> is not supported", child.place)
+
+    def _read_state(self, element: Element, above: Node) -> None:
+        name = element.attributes.get("id", "")
+        if not name:
+            self._findings.say("bad_name", f"This {element.name} has no id: give it one.", element.place)
+        node = above.add(Node(name, element.place, parallel=element.name == "parallel", final=element.name == "final"))
+        self._read_inside(element, node)
+        if node.final and (node.edges or node.children):
+            self._refuse("Nothing may be in a final state, and nothing leaves it", element.place)
+        node.parallel = node.parallel and bool(node.children)
+
+    def _read_transition(self, element: Element, node: Node) -> None:
+        given = element.attributes
+        condition = read_condition(given["cond"]) if "cond" in given else ()
+        if condition is None:
+            self._refuse("This cond is not supported: only In('state'), with && and ||, says `requires`", element.place)
+        events = [event.removesuffix("*").rstrip(".") for event in given.get("event", "").split()]
+        if not events:
+            self._refuse("A transition without event is not supported", element.place)
+        for event in events:
+            if not event or event.startswith(("done.", "error.")):
+                self._refuse(f"The event {event or '*'} is not supported: name what somebody does", element.place)
+        self._refuse_contents(element)
+        targets = given.get("target", "").split()
+        internal = given.get("type") == "internal"
+        node.edges.append(Edge(node, events, targets, element.place, internal, condition or ()))
+
+    def _refuse_contents(self, element: Element) -> None:
+        for child in element.children:
+            self._refuse(f"<{child.name}> is not supported", child.place)
+
+    def _refuse(self, text: str, place: Place) -> None:
+        self._findings.say("not_supported", f"{text}.", place)

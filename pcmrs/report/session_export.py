@@ -1,0 +1,198 @@
+"""One folder with all that a cell has kept of a session, checked as it is copied."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from pcmrs.config import as_table
+from pcmrs.errors import ConfigurationError, JournalError
+from pcmrs.journal import JournalReader, JournalRow, copy_journal, journal_files, verify
+from pcmrs.journal.head import head_path
+from pcmrs.messages import Message
+from pcmrs.recording.series import all_files
+from pcmrs.recording.settings import FOLDER
+from pcmrs.report.session_folder import JOURNAL, make_folder, write_configuration, write_sums
+from pcmrs.settings import Settings
+
+Progress = Callable[[str, int, int], None]
+
+VERIFICATION, VERSIONS, README = "verification.json", "versions.json", "README.txt"
+CALIBRATION = "calibration"
+
+
+class Exported(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """What was exported.
+
+    Attributes:
+        session: Id of the session.
+        begun: Unix seconds of its first row.
+        rows: Of the copied journal that are whole and follow from each other; it holds all sessions of its cell.
+        problems: Of the copied journal; empty when it is sound.
+        recordings: Names of the copied recording files.
+        calibrations: Names of the copied calibration files.
+        missing: What should have been there and was not, one line for each.
+    """
+
+    folder: str
+    session: str
+    begun: float
+    rows: int
+    problems: tuple[str, ...]
+    recordings: tuple[str, ...]
+    calibrations: tuple[str, ...]
+    missing: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Session:
+    """A session as the journal names it.
+
+    Attributes:
+        row: That of its start, or its first one in a journal that has no such rows.
+        settings: Under which it ran, as plain data; None where the journal does not say.
+        versions: The same of programs.
+        calibration: Identity of the calibrations in use; empty where the journal does not say.
+    """
+
+    row: JournalRow
+    settings: Mapping[str, Any] | None
+    versions: Mapping[str, Any]
+    calibration: str
+
+
+def export_session(
+    settings: Settings, journal: Path, session: str | None, folder: Path, progress: Progress
+) -> Exported:
+    """Copies journal, recordings, calibrations and configuration of a session, and verifies the journal's copy.
+
+    Args:
+        settings: Of the cell, as it is configured now.
+        journal: The cell's journal, also while a daemon writes it.
+        session: Id, or how it begins; the last one when None.
+        folder: New or empty.
+        progress: Told what is done now, how much is done, and of how much.
+
+    Raises:
+        JournalError: The journal cannot be read, or has no such session.
+        ConfigurationError: The folder is in use, or the disk has not enough room.
+        OSError: Something cannot be copied.
+    """
+    found = _find(journal, session)
+    configuration = found.settings if found.settings is not None else as_table(settings)
+    recordings = _recordings(settings.cell.path() / FOLDER, found.row.session_id)
+    calibrations, missing = _calibrations(configuration)
+    if not recordings:
+        missing.append(f"recordings of the session in {settings.cell.path() / FOLDER}")
+    if found.settings is None:
+        missing.append("the configuration of the session in the journal: the present one is here in its place")
+    _check_room(folder, [*journal_files(journal), *recordings, *calibrations.values()])
+    make_folder(folder)
+    copy_journal(journal, folder / JOURNAL)
+    verification = verify(folder / JOURNAL, progress=progress)
+    _write_json(folder / VERIFICATION, verification)
+    write_configuration(configuration, folder)
+    _write_json(folder / VERSIONS, {"session": found.versions, "export": _versions()})
+    _copy_all({path.name: path for path in recordings}, folder / FOLDER, progress)
+    _copy_all(calibrations, folder / CALIBRATION, progress)
+    exported = Exported(
+        folder=str(folder),
+        session=found.row.session_id,
+        begun=found.row.wall,
+        rows=verification.rows,
+        problems=verification.problems,
+        recordings=tuple(path.name for path in recordings),
+        calibrations=tuple(calibrations),
+        missing=tuple(missing),
+    )
+    (folder / README).write_text(_readme(exported, found.calibration), encoding="utf-8")
+    write_sums(folder)
+    return exported
+
+
+def _find(journal: Path, session: str | None) -> _Session:
+    """Raises `JournalError`."""
+    with JournalReader(journal) as reader:
+        starts = {stored.row.session_id: stored.row for stored in reader.read(kind="config")}
+        if not starts:  # an older program has written it
+            for stored in reader.read():
+                starts.setdefault(stored.row.session_id, stored.row)
+    wanted = [identity for identity in starts if session is None or identity.startswith(session)]
+    if not wanted or (session is not None and len(wanted) > 1):
+        known = ", ".join(list(starts)[-5:]) or "none"
+        text = (
+            f"{journal} has {len(wanted) or 'no'} sessions that begin with {session or 'anything'}; the last: {known}."
+        )
+        raise JournalError(text, path=str(journal), session=session)
+    row = starts[wanted[-1]]
+    result = (row.result or {}) if row.kind == "config" else {}
+    return _Session(row, result.get("settings"), result.get("versions", {}), result.get("calibration", ""))
+
+
+def _recordings(folder: Path, session: str) -> list[Path]:
+    return [path for path in all_files(folder) if path.name.partition(".")[0].endswith(f"-{session[:8]}")]
+
+
+def _calibrations(configuration: Mapping[str, Any]) -> tuple[dict[str, Path], list[str]]:
+    """Name in the export to the calibration file of each kind, and those that are not there any more."""
+    paths, missing = {}, []
+    given = configuration.get("procedure", {}).get("calibration", {})
+    for kind in ("tool", "pointer"):
+        if file := given.get(f"{kind}_file"):
+            if Path(file).is_file():
+                paths[f"{kind}.toml"] = Path(file)
+            else:
+                missing.append(f"the calibration file {file}")
+    return paths, missing
+
+
+def _check_room(folder: Path, sources: list[Path]) -> None:
+    existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+    needed, free = sum(path.stat().st_size for path in sources), shutil.disk_usage(existing).free
+    if needed > free:
+        text = f"{folder} needs {needed / 1e6:.0f} MB, and {free / 1e6:.0f} MB are free: give a folder on another disk."
+        raise ConfigurationError(text, needed=needed, free=free)
+
+
+def _copy_all(sources: Mapping[str, Path], folder: Path, progress: Progress) -> None:
+    if sources:
+        folder.mkdir()
+    for done, (name, path) in enumerate(sources.items()):
+        progress(name, done, len(sources))
+        shutil.copyfile(path, folder / name)
+
+
+def _write_json(path: Path, content: Any) -> None:
+    path.write_bytes(msgspec.json.format(msgspec.json.encode(content)) + b"\n")
+
+
+def _versions() -> dict[str, str]:
+    return {"pcmrs": version("pcmrs"), "python": platform.python_version()}
+
+
+def _readme(exported: Exported, calibration: str) -> str:
+    lost = "\n".join(f"- {line}" for line in exported.missing) or "- nothing"
+    sound = "sound" if not exported.problems else f"NOT SOUND: {'; '.join(exported.problems)}"
+    return f"""Session {exported.session} of a cell of PCMRS: research software, not a medical device.
+
+{JOURNAL}: the cell's journal with all its sessions, {exported.rows} rows, {sound};
+  {head_path(Path(JOURNAL))}: its signed head; journal.pub: the key that proves it.
+  pcmrs journal verify {JOURNAL}; pcmrs journal show {JOURNAL}
+{VERIFICATION}: what that verification said when this folder was made.
+configuration.toml: the whole configuration of the session; pcmrs-serve --config reads it.
+{VERSIONS}: of the programs, at the session and at this export.
+{FOLDER}: what was said on the bus (MCAP, for Foxglove, Rerun and pcmrs play). One that was copied while it was
+  written has no end: pcmrs repair.
+{CALIBRATION}: the calibration files as they are now; the journal calls the calibration in use {calibration or "-"}.
+SHA256SUMS: sha256sum --check SHA256SUMS
+
+Not here, though it was looked for:
+{lost}
+"""

@@ -1,0 +1,1 @@
+"""Tools for testing your own workflow, driver or planner."""

@@ -1,0 +1,254 @@
+"""Driving a cell over the bus: to a registered head, into a motion, and out of it; all of it must be accepted."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import aclosing, asynccontextmanager, suppress
+from functools import cache
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from pcmrs.client import Client
+from pcmrs.errors import PcmrsError
+from pcmrs.messages import JointState, Snapshot, Verdict
+from pcmrs.testing.errors import Unmet
+from pcmrs.testing.plan import Plan, example_plan, read_plan
+
+PATIENCE = 20.0
+"""Anything that must come about has done so within this, s of the machine."""
+RETRY = 0.5
+SEEN = 0.5
+"""After the arm came to rest the tracker has seen it within this, s of the machine."""
+MOVES = 5e-3
+"""Joint velocity above which the simulated arm counts as moving, rad/s."""
+
+
+@cache
+def plan() -> Plan:
+    """Landmarks and poses of the example."""
+    return read_plan(example_plan("ratms"))
+
+
+def landmarks() -> dict[str, Any]:
+    """Arguments of ``registration.plan_landmarks``."""
+    return {"landmarks": msgspec.to_builtins(plan().landmarks)}
+
+
+def tool_pose(number: int = 0) -> dict[str, Any]:
+    """Arguments of ``toolplan.plan``."""
+    pose: dict[str, Any] = msgspec.to_builtins(plan().poses[number])
+    return pose
+
+
+ACKNOWLEDGE = "robot.acknowledge"
+
+
+async def accept(client: Client, name: str, **arguments: object) -> Verdict:
+    """Calls an operation that must be accepted.
+
+    Raises:
+        Unmet: It was not.
+    """
+    verdict = await (client.acknowledge() if name == ACKNOWLEDGE else client.call(name, arguments))
+    if verdict.decision != "accepted":
+        raise Unmet(f"{name} was {verdict.decision}: {said(verdict)}")
+    return verdict
+
+
+def said(verdict: Verdict) -> str:
+    """Why a command was not accepted."""
+    return f"{verdict.reason.code}: {verdict.reason.text}" if verdict.reason is not None else "no reason"
+
+
+async def state(client: Client, branch: str) -> str:
+    """The present state of a branch."""
+    return (await client.state()).branches[branch]
+
+
+async def start_anew(client: Client) -> None:
+    """Takes the cell to where a daemon begins, whatever an earlier fault has left.
+
+    Raises:
+        Unmet: That was not accepted.
+    """
+    before = await client.state()
+    if before.branches.get("stimulation", "disarmed") != "disarmed":
+        await accept(client, "stimulation.disarm")
+    if before.branches["robot"] == "0" and before.latched:
+        await accept(client, "robot.connect")
+        before = await client.state()
+    if before.branches["robot"] == "1":
+        await _put_away(client)
+    await accept(client, "registration.reinit")
+    await accept(client, "toolplan.reinit")
+
+
+async def _put_away(client: Client) -> None:
+    if (await client.state()).latched:
+        await accept(client, "robot.acknowledge")
+    if await state(client, "placement") == "held":
+        await accept(client, "placement.back_off")
+    if await state(client, "placement") not in ("unknown", "retracted"):
+        await accept(client, "placement.home")
+    await accept(client, "robot.disconnect")
+
+
+async def calmed(client: Client) -> None:
+    """Takes the cell out of whatever an earlier fault has left, with the registration as it is.
+
+    Raises:
+        Unmet: That was not accepted.
+    """
+    shown = await client.state()
+    if shown.latched:
+        if shown.branches["robot"] == "0":
+            await connect(client)
+        await accept(client, "robot.acknowledge")
+    if await state(client, "placement") == "held":
+        await accept(client, "placement.back_off")
+
+
+async def connect(client: Client) -> None:
+    """Connects the robot; a virtual cabinet may listen only a moment after the daemon is ready.
+
+    Raises:
+        Unmet: It was not accepted within `PATIENCE`.
+    """
+    with suppress(TimeoutError):
+        async with asyncio.timeout(PATIENCE):
+            while (await client.call("robot.connect")).decision != "accepted":  # noqa: ASYNC110
+                await asyncio.sleep(RETRY)
+            return
+    raise Unmet(f"The robot was not connected within {PATIENCE:g} s.")
+
+
+async def digitized(client: Client) -> None:
+    """Plans the landmarks and digitizes them."""
+    await accept(client, "registration.plan_landmarks", **landmarks())
+    await accept(client, "digitization.digitize_all")
+
+
+async def register(client: Client) -> None:
+    """Connects the robot, registers the head and plans a pose, as far as that is not done."""
+    before = (await client.state()).branches
+    if before["robot"] == "0":
+        await connect(client)
+    if before["registration"] != "111":
+        await digitized(client)
+        await accept(client, "registration.register")
+    if before["toolplan"] == "0":
+        await accept(client, "toolplan.plan", **tool_pose())
+    await until(client, lambda snapshot: not snapshot.running)
+    if await state(client, "placement") == "unknown":  # the tracker was late when the robot connected
+        await accept(client, "placement.locate")
+
+
+async def to_retracted(client: Client) -> None:
+    """The head is registered, the tool away from it."""
+    await register(client)
+    if await state(client, "placement") == "held":
+        await accept(client, "placement.back_off")
+    if await state(client, "placement") != "retracted":
+        await accept(client, "placement.home")
+
+
+async def to_standoff(client: Client) -> None:
+    """The tool is at the standoff."""
+    await register(client)
+    if await state(client, "placement") in ("placed", "following", "guided", "held"):
+        await accept(client, "placement.back_off")
+    if await state(client, "placement") != "standoff":
+        await accept(client, "placement.approach")
+
+
+async def to_placed(client: Client) -> None:
+    """The tool is at its planned pose."""
+    await register(client)
+    if await state(client, "placement") != "placed":
+        await to_standoff(client)
+        await accept(client, "placement.confirm")
+
+
+def showing(**branches: str) -> Callable[[Snapshot], bool]:
+    """Whether a snapshot shows branches in these states, as `until` takes it."""
+    return lambda snapshot: branches.items() <= snapshot.branches.items()
+
+
+async def until(client: Client, condition: Callable[[Snapshot], bool], within: float = PATIENCE) -> Snapshot:
+    """Waits for a snapshot of which the condition holds, and returns it.
+
+    Raises:
+        Unmet: None came within `within`, s of the machine; the text has the last one.
+    """
+    last: Snapshot | None = None
+    with suppress(TimeoutError):
+        async with asyncio.timeout(within), aclosing(client.watch()) as events:
+            async for event in events:
+                last = event if isinstance(event, Snapshot) else last
+                if last is not None and condition(last):
+                    return last
+    shown = "nothing" if last is None else f"{last.branches}, latched {last.latched}"
+    raise Unmet(f"What was waited for did not come within {within:g} s; shown last: {shown}.")
+
+
+@asynccontextmanager
+async def moving(
+    client: Client,
+    name: str = "placement.approach",
+    id: str | None = None,
+    arguments: dict[str, Any] | None = None,
+) -> AsyncIterator[asyncio.Task[Verdict]]:
+    """A motion in the middle of which the arm moves; its verdict has come when the context ends.
+
+    Args:
+        client: Of the cell.
+        name: ``branch.operation`` that moves it.
+        id: Of the command; one of its own by default.
+        arguments: Of the operation.
+
+    Raises:
+        Unmet: The arm did not move, or no verdict came within `PATIENCE`.
+    """
+    await asyncio.sleep(SEEN)
+    moves, end = await _motion(client)
+    verdict = asyncio.create_task(client.call(name, arguments, id=id, timeout=PATIENCE))
+    try:
+        await asyncio.wait((verdict, moves), timeout=PATIENCE, return_when=asyncio.FIRST_COMPLETED)
+        if not moves.done() or verdict.done():
+            raise Unmet(f"The arm does not move: {verdict.result() if verdict.done() else 'no verdict'}.")
+        yield verdict
+        await asyncio.wait([verdict], timeout=PATIENCE)
+        if not verdict.done():
+            raise Unmet(f"{name} had no verdict within {PATIENCE:g} s.")
+    finally:
+        await end()
+        verdict.cancel()
+        with suppress(asyncio.CancelledError, PcmrsError):
+            await verdict
+
+
+async def approach_alone(client: Client) -> Verdict:
+    """Registers and approaches while nothing else is asked for: a control.
+
+    Raises:
+        Unmet: The approach was not accepted.
+    """
+    await register(client)
+    async with moving(client) as approach:
+        verdict = await approach
+    if verdict.decision != "accepted":
+        raise Unmet(f"An approach that nothing disturbs was {verdict.decision}: {said(verdict)}")
+    return verdict
+
+
+async def _motion(client: Client) -> tuple[asyncio.Future[None], Callable[[], Awaitable[None]]]:
+    moves: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    def look(joints: JointState) -> None:
+        if not moves.done() and np.abs(joints.velocities).max() > MOVES:
+            moves.set_result(None)
+
+    return moves, client.listen("state/joints", JointState, look)

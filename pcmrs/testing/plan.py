@@ -1,0 +1,45 @@
+"""The plan that the experiments use: a phantom's landmarks and coil poses, in image coordinates."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from pcmrs.errors import ConfigurationError
+from pcmrs.workflows.data import Landmark
+from pcmrs.workflows.toolplan import ToolPose
+from pcmrs_lab.experiment.published import published
+
+
+class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a planner picked: landmarks in order, and tool poses; m and quaternions x y z w."""
+
+    landmarks: tuple[Landmark, ...]
+    poses: tuple[ToolPose, ...]
+
+
+def example_plan(workflow: str) -> Path:
+    """The example's plan for a workflow: in the installed package, or in the folder of examples beside it.
+
+    Raises:
+        ConfigurationError: There is no experiment with the workflow.
+    """
+    published(workflow)
+    package = Path(__file__).parents[1]
+    name = f"examples/{workflow}_plan.json"
+    return next((folder / name for folder in (package, package.parent) if (folder / name).exists()), Path(name))
+
+
+def read_plan(path: Path) -> Plan:
+    """Reads a plan file.
+
+    Raises:
+        ConfigurationError: It cannot be read or is no plan.
+    """
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Plan)
+    except OSError as error:
+        raise ConfigurationError(f"{path} cannot be read: {error.strerror}.", file=str(path)) from None
+    except (msgspec.MsgspecError, RecursionError) as error:
+        raise ConfigurationError(f"{path} is no plan: {error}.", file=str(path)) from None

@@ -1,0 +1,79 @@
+"""One world, its virtual devices, and what is typed meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import AbstractAsyncContextManager, AsyncExitStack
+from pathlib import Path
+from typing import Any
+
+import click
+import msgspec
+
+from pcmrs.cli.log import log_to_stderr
+from pcmrs.clock import SystemClock
+from pcmrs.errors import DeviceError
+from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.cli.lines import follow_input, follow_schedule, read_schedule
+
+Address = tuple[str, int] | str
+"""Host and port, or the path of a pseudo-terminal."""
+Servers = Mapping[str, Callable[[Cell], AbstractAsyncContextManager[Address]]]
+"""Name of each virtual device to what serves it."""
+
+
+async def serve(
+    servers: Servers, settings: Mapping[str, Any], schedule: Path | None, duration: float | None, *, as_json: bool
+) -> None:
+    """Serves until SIGTERM, SIGINT or the end of the time given.
+
+    Raises:
+        ConfigurationError: A setting or a line of the schedule is wrong.
+        DeviceError: A port is taken.
+    """
+    log_to_stderr()
+    planned = read_schedule(schedule) if schedule else []
+    ended = _ended()
+    async with AsyncExitStack() as stack:
+        cell = await stack.enter_async_context(running_cell(settings, SystemClock()))
+        addresses = {}
+        for name, server in servers.items():
+            addresses[name] = await _enter(stack, name, server(cell))
+        click.echo(msgspec.json.encode(addresses).decode() if as_json else _text(addresses))
+        sys.stdout.flush()
+        async with asyncio.TaskGroup() as tasks:
+            lines = [tasks.create_task(follow_schedule(cell, planned)), tasks.create_task(follow_input(cell))]
+            await _wait(ended, duration)
+            for task in lines:
+                task.cancel()
+
+
+async def _enter(stack: AsyncExitStack, name: str, server: AbstractAsyncContextManager[Address]) -> Address:
+    try:
+        return await stack.enter_async_context(server)
+    except OSError as error:
+        text = f"The virtual {name} cannot listen: {error.strerror or error}. Choose another port."
+        raise DeviceError(text, device=name) from None
+
+
+async def _wait(ended: asyncio.Event, duration: float | None) -> None:
+    try:
+        async with asyncio.timeout(duration):
+            await ended.wait()
+    except TimeoutError:
+        pass  # its time is over
+
+
+def _ended() -> asyncio.Event:
+    ended = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, ended.set)
+    return ended
+
+
+def _text(addresses: Mapping[str, Address]) -> str:
+    places = (f"{name} on {at if isinstance(at, str) else f'{at[0]}:{at[1]}'}" for name, at in addresses.items())
+    return f"serving {', '.join(places)}"

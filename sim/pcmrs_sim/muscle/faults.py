@@ -1,0 +1,37 @@
+"""Faults of the muscle: row S14 of the fault catalogue, and what makes a response unusable."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from pcmrs_sim.fault import Fault
+from pcmrs_sim.fault_arguments import number, switch
+
+if TYPE_CHECKING:
+    from pcmrs_sim.cell import Cell
+
+STRONGEST_UV = 1000.0
+"""Electromyogram of a strong contraction, uV."""
+
+
+def _no_mep(cell: Cell, arguments: Mapping[str, Any]) -> None:
+    cell.world.muscle.silent = switch(arguments, "on")
+
+
+def _preactivation(cell: Cell, arguments: Mapping[str, Any]) -> None:
+    rms = number(arguments, "microvolts", 0.0, STRONGEST_UV) * 1e-6
+    cell.world.muscle.preactivate(rms, cell.world.time)
+
+
+FAULTS = (
+    Fault("no_mep", "S14", "Pulses have no effect on the muscle.", ("on",), _no_mep),
+    Fault(
+        "preactivation",
+        "S14",
+        "The muscle is tense, with an EMG of so many uV; 0 relaxes it.",
+        ("microvolts",),
+        _preactivation,
+    ),
+)
+"""For the registry."""

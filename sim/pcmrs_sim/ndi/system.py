@@ -1,0 +1,240 @@
+"""The virtual tracker as a program sees it: its port handles, its modes, and an answer to every command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
+
+from pcmrs.messages import BodyPose
+from pcmrs_sim.ndi.protocol import INVALID, PARAMETERS, CommandError, Request, parse, reply
+from pcmrs_sim.ndi.replies import ENABLED, INITIALIZED, OCCUPIED, Sight, float_reply, text_reply
+from pcmrs_sim.tracker import BODIES
+
+INVALID_PORT, BAD_MODE, NO_TOOL, NOT_INITIALIZED_PORT = 0x08, 0x0C, 0x0D, 0x0E
+NOT_INITIALIZED, CANNOT_INITIALIZE_PORT, CANNOT_INITIALIZE = 0x10, 0x13, 0x15
+OUT_OF_RANGE, NO_HANDLE, HANDLES_FULL = 0x23, 0x2B, 0x2D
+
+MOST_HANDLES = 6
+"""As many tools as a Vicra has."""
+SROM_SIZE = 1024
+
+VERSION = """Polaris Vega Control Firmware
+Freeze Tag: Polaris Vega Rev 007.000.012 (virtual)
+Freeze Date:01/01/25
+(C) PCMRS: a simulated tracker
+"""
+
+
+@dataclass
+class Handle:
+    """A port handle with the tool that was written to it; `body` is what it shows, once that is known."""
+
+    srom: bytearray = field(default_factory=lambda: bytearray(SROM_SIZE))
+    written: bool = False
+    initialized: bool = False
+    enabled: bool = False
+    body: str | None = None
+
+    @property
+    def status(self) -> int:
+        """Bits that do not depend on a frame."""
+        return OCCUPIED | INITIALIZED * self.initialized | ENABLED * self.enabled
+
+
+class NdiSystem:
+    """Answers commands; knows nothing of links.
+
+    A tool definition shows the body that it names (`placeholder` of the driver does), any other one the next body that
+    no tool shows yet.
+
+    Args:
+        newest: The newest published frame of the simulated tracker; empty before the first.
+        plugged: Whether the position sensor is plugged in.
+        wrong_tools: Bodies with another tool than the one that is defined for them.
+    """
+
+    def __init__(
+        self,
+        newest: Callable[[], Sequence[BodyPose]],
+        plugged: Callable[[], bool],
+        wrong_tools: Callable[[], Collection[str]] = tuple,
+    ) -> None:
+        self._newest = newest
+        self._plugged = plugged
+        self._wrong_tools = wrong_tools
+        self._handles: dict[int, Handle] = {}
+        self._initialized = self._tracking = False
+        self._anytime = {"RESET": self._reset, "VER": self._version, "COMM": self._okay, "BEEP": self._beep}
+        self._setting_up = {
+            "INIT": self._init,
+            "PHRQ": self._request,
+            "PHSR": self._search,
+            "PHINF": self._information,
+            "PHF": self._free,
+            "PVWR": self._write,
+            "PINIT": self._initialize,
+            "PENA": self._enable,
+            "PDIS": self._disable,
+            "TSTART": self._start,
+        }
+        self._while_tracking = {"TSTOP": self._stop, "TX": self._text, "BX": self._floats}
+
+    def answer(self, line: bytes) -> bytes:
+        """The reply to one command, given without its carriage return; always one."""
+        try:
+            return self._perform(parse(line))
+        except CommandError as error:
+            return reply(str(error))
+
+    def _perform(self, request: Request) -> bytes:
+        if request.name in self._anytime:
+            return self._anytime[request.name](request.parameters)
+        if request.name in self._setting_up:
+            self._check_mode(request.name == "INIT", tracking=False)
+            return self._setting_up[request.name](request.parameters)
+        if request.name in self._while_tracking:
+            self._check_mode(False, tracking=True)
+            return self._while_tracking[request.name](request.parameters)
+        raise CommandError(INVALID)
+
+    def _check_mode(self, is_init: bool, tracking: bool) -> None:
+        if not self._initialized and not is_init:
+            raise CommandError(NOT_INITIALIZED)
+        if self._tracking != tracking:
+            raise CommandError(BAD_MODE)
+
+    def _okay(self, _: str) -> bytes:
+        return reply("OKAY")
+
+    def _reset(self, _: str) -> bytes:
+        self._handles.clear()
+        self._initialized = self._tracking = False
+        return reply("RESET")
+
+    def _version(self, _: str) -> bytes:
+        return reply(VERSION)
+
+    def _beep(self, _: str) -> bytes:
+        return reply("1")
+
+    def _init(self, _: str) -> bytes:
+        if not self._plugged():
+            raise CommandError(CANNOT_INITIALIZE)
+        self._initialized = True
+        return reply("OKAY")
+
+    def _request(self, _: str) -> bytes:
+        free = [number for number in range(1, MOST_HANDLES + 1) if number not in self._handles]
+        if not free:
+            raise CommandError(HANDLES_FULL)
+        self._handles[free[0]] = Handle()
+        return reply(f"{free[0]:02X}")
+
+    def _search(self, parameters: str) -> bytes:
+        wanted: dict[str, Callable[[Handle], bool]] = {
+            "": lambda _: True,
+            "00": lambda _: True,
+            "01": lambda _: False,  # to be freed: the tools of a wireless system stay
+            "02": lambda handle: not handle.initialized,
+            "03": lambda handle: handle.initialized and not handle.enabled,
+            "04": lambda handle: handle.enabled,
+        }
+        if parameters not in wanted:
+            raise CommandError(OUT_OF_RANGE)
+        found = {number: each for number, each in self._handles.items() if wanted[parameters](each)}
+        return reply(f"{len(found):02X}" + "".join(f"{number:02X}{each.status:03X}" for number, each in found.items()))
+
+    def _information(self, parameters: str) -> bytes:
+        number, handle = self._handle(parameters[:2])
+        if parameters[2:] not in ("", "0001"):
+            raise CommandError(OUT_OF_RANGE)
+        return reply(f"02000000{'PCMRS':12}001{number:08X}{handle.status:02X}")
+
+    def _free(self, parameters: str) -> bytes:
+        number, _ = self._handle(parameters)
+        del self._handles[number]
+        return reply("OKAY")
+
+    def _write(self, parameters: str) -> bytes:
+        _, handle = self._handle(parameters[:2])
+        start, data = _hexadecimal(parameters[2:6], 4), parameters[6:]
+        if len(data) != 128:
+            raise CommandError(PARAMETERS)
+        if start > SROM_SIZE - 64:
+            raise CommandError(OUT_OF_RANGE)
+        try:
+            handle.srom[start : start + 64] = bytes.fromhex(data)
+        except ValueError:
+            raise CommandError(PARAMETERS) from None
+        handle.written = True
+        return reply("OKAY")
+
+    def _initialize(self, parameters: str) -> bytes:
+        _, handle = self._handle(parameters)
+        if not handle.written:
+            raise CommandError(NO_TOOL)
+        shown = {each.body for each in self._handles.values()}
+        named = [body for body in BODIES if f"PCMRS:{body}\0".encode() in handle.srom]
+        body = next(iter(named or [body for body in BODIES if body not in shown]), None)
+        if body in self._wrong_tools():
+            raise CommandError(CANNOT_INITIALIZE_PORT)
+        handle.initialized, handle.body = True, body
+        return reply("OKAY")
+
+    def _enable(self, parameters: str) -> bytes:
+        _, handle = self._handle(parameters[:2])
+        if parameters[2:] not in ("S", "D", "B"):
+            raise CommandError(PARAMETERS)
+        if not handle.initialized:
+            raise CommandError(NOT_INITIALIZED_PORT)
+        handle.enabled = True
+        return reply("OKAY")
+
+    def _disable(self, parameters: str) -> bytes:
+        _, handle = self._handle(parameters)
+        handle.enabled = False
+        return reply("OKAY")
+
+    def _start(self, _: str) -> bytes:
+        self._check_plugged()
+        self._tracking = True
+        return reply("OKAY")
+
+    def _stop(self, _: str) -> bytes:
+        self._tracking = False
+        return reply("OKAY")
+
+    def _text(self, parameters: str) -> bytes:
+        return text_reply(self._sights(parameters))
+
+    def _floats(self, parameters: str) -> bytes:
+        return float_reply(self._sights(parameters))
+
+    def _sights(self, options: str) -> list[Sight]:
+        if options not in ("", "0001", "0801"):
+            raise CommandError(OUT_OF_RANGE)
+        self._check_plugged()
+        poses = {pose.body: pose for pose in self._newest()}
+        number = max((pose.frame_number for pose in poses.values()), default=0)
+        unseen = BodyPose(body="", frame_number=number, captured=0.0, sent=0.0, valid=False)
+        return [
+            Sight(number, each.status, poses.get(each.body or "", unseen) if each.enabled else None)
+            for number, each in self._handles.items()
+        ]
+
+    def _check_plugged(self) -> None:
+        if not self._plugged():
+            self._initialized = self._tracking = False
+            raise CommandError(NOT_INITIALIZED)
+
+    def _handle(self, text: str) -> tuple[int, Handle]:
+        number = _hexadecimal(text, 2)
+        if number not in self._handles:
+            raise CommandError(NO_HANDLE)
+        return number, self._handles[number]
+
+
+def _hexadecimal(text: str, digits: int) -> int:
+    if len(text) != digits or not all(each in "0123456789abcdefABCDEF" for each in text):
+        raise CommandError(PARAMETERS)
+    return int(text, 16)

@@ -1,0 +1,46 @@
+"""Opening the simulated cell in this process: its devices, and the virtual ones that drivers look for."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Collection, Mapping
+from contextlib import asynccontextmanager
+from typing import Any
+
+from pcmrs.clock import Clock
+from pcmrs.errors import ConfigurationError
+from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.serving import serve_virtual
+
+
+@asynccontextmanager
+async def open_devices(
+    devices: Collection[str], settings: Mapping[str, Any], clock: Clock
+) -> AsyncIterator[Mapping[str, Any]]:
+    """Opens the asked devices of one simulated cell in this process; see `pcmrs.devices.protocols.OpenDriver`.
+
+    Args:
+        devices: Among ``robot``, ``tracker``, ``pointer``, ``scene``, ``stimulator`` and ``emg``.
+        settings: The whole configuration; ``sim`` and ``robot`` are read.
+        clock: The cell's clock.
+
+    Raises:
+        ConfigurationError: A device or the arm is unknown, or the table ``sim`` is wrong.
+    """
+    async with open_cell(devices, settings, clock) as cell:
+        yield {name: cell.devices[name] for name in devices}
+
+
+@asynccontextmanager
+async def open_cell(devices: Collection[str], settings: Mapping[str, Any], clock: Clock) -> AsyncIterator[Cell]:
+    """A running cell that has these devices, and serves the virtual ones that the settings ask for; see `open_devices`.
+
+    Raises:
+        ConfigurationError: A device or the arm is unknown, or the table ``sim`` is wrong.
+    """
+    async with running_cell(settings, clock) as cell, serve_virtual(cell, settings):
+        unknown = sorted(set(devices) - set(cell.devices))
+        if unknown:
+            raise ConfigurationError(
+                f"The simulated cell has no {', '.join(unknown)}; it has {', '.join(cell.devices)}.", unknown=unknown
+            )
+        yield cell

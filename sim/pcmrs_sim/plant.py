@@ -1,0 +1,72 @@
+"""The arm with its tool as MuJoCo models: the plant as it is, and the controller's idea of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+import structlog
+
+from pcmrs.kinematics.arms import ArmFacts
+from pcmrs.kinematics.mjcf import mjcf
+from pcmrs.spatial import Transform
+from pcmrs_sim.phantom import Phantom
+from pcmrs_sim.settings import ArmSettings
+from pcmrs_sim.shape import Shape
+
+STEP = 0.001
+"""Time of one physics and one control step, s."""
+
+log = structlog.get_logger(__name__)
+
+# By itself MuJoCo writes its warnings to a file in whatever folder it was started in.
+mujoco.set_mju_user_warning(lambda text: log.warning("mujoco", text=text))
+
+
+def plant_model(facts: ArmFacts, settings: ArmSettings, flange_from_tool: Transform, phantom: Phantom) -> Any:
+    """The arm as it is, with friction in its joints, before its phantom, as an ``mujoco.MjModel``."""
+    text = mjcf(facts, damping=settings.damping, armature=settings.armature, frictionloss=settings.friction)
+    spec = _with_tool(text, flange_from_tool, phantom.tool)
+    _add_shapes(spec.worldbody, phantom.body, phantom.world_from_image)
+    return spec.compile()
+
+
+def nominal_model(
+    facts: ArmFacts, settings: ArmSettings, flange_from_tool: Transform, phantom: Phantom, rng: np.random.Generator
+) -> Any:
+    """The controller's model: it knows no friction, and every link's mass and inertia is a little wrong."""
+    text = mjcf(facts, damping=0.0, armature=settings.armature, frictionloss=0.0)
+    model = _with_tool(text, flange_from_tool, phantom.tool).compile()
+    factors = 1.0 + settings.inertia_error * rng.choice((-1.0, 1.0), model.nbody)
+    model.body_mass *= factors
+    model.body_inertia *= factors[:, None]
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
+
+
+def _with_tool(text: str, flange_from_tool: Transform, shapes: Sequence[Shape]) -> Any:
+    """An ``mujoco.MjSpec`` of an arm and the tool on its flange."""
+    spec = mujoco.MjSpec.from_string(text)
+    spec.option.timestep = STEP
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # Tool and body meet in `sim.contact`; all other contact would only cost time.
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    flange = spec.site("flange")
+    link_from_tool = Transform.from_quat_wxyz(flange.pos, flange.quat) @ flange_from_tool
+    tool = flange.parent.add_body(name="tool", pos=link_from_tool.translation, quat=link_from_tool.quat_wxyz)
+    _add_shapes(tool, shapes, Transform.identity())
+    return spec
+
+
+def _add_shapes(body: Any, shapes: Sequence[Shape], body_from_shapes: Transform) -> None:
+    for shape in shapes:
+        pose = body_from_shapes @ shape.pose
+        body.add_geom(
+            type=getattr(mujoco.mjtGeom, f"mjGEOM_{shape.kind.upper()}"),
+            pos=pose.translation,
+            quat=pose.quat_wxyz,
+            size=[*shape.size, 0.0, 0.0][:3],
+            mass=shape.mass,
+        )

@@ -1,0 +1,87 @@
+"""The scene's ground truth and faults, for experiments and tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Any
+
+import numpy as np
+
+from pcmrs.errors import DeviceError
+from pcmrs.messages import HeadMotion, SceneTruth
+from pcmrs.spatial import Transform
+from pcmrs_sim.arm import Arm
+from pcmrs_sim.kinematic_arm import KinematicArm
+from pcmrs_sim.motion import check_motion
+from pcmrs_sim.pointer import SimPointer
+from pcmrs_sim.settings import Triple
+from pcmrs_sim.tracker import BODIES
+from pcmrs_sim.world import World
+
+
+class SimScene:
+    """What only a simulation can tell or do.
+
+    Args:
+        world: Holds the truth.
+        pointer: Its touches can be displaced.
+        inject: Brings about a fault of `pcmrs_sim.faults` by name with its arguments, or ends it.
+        watched: Calls a watcher whenever time has passed, as long as its context lasts.
+
+    Attributes:
+        watched: See above.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        pointer: SimPointer,
+        inject: Callable[[str, dict[str, Any]], None],
+        watched: Callable[[Callable[[], None]], AbstractContextManager[None]],
+    ) -> None:
+        self.watched = watched
+        self._world = world
+        self._pointer = pointer
+        self._inject = inject
+
+    @property
+    def arm(self) -> Arm | KinematicArm:
+        """The simulated arm as it truly is."""
+        return self._world.arm
+
+    async def truth(self) -> SceneTruth:
+        return self._world.truth()
+
+    async def reseed(self, seed: int) -> None:
+        self._world.reseed(seed)
+
+    async def displace_touch(self, index: int, offset_in_image: tuple[float, float, float]) -> None:
+        self._pointer.displace(index, np.array(offset_in_image))
+
+    async def occlude(self, body: str, hidden: bool) -> None:
+        if body not in BODIES:
+            raise DeviceError(f"The tracker knows no body {body!r}; it tracks {', '.join(BODIES)}.", body=body)
+        if hidden:
+            self._world.hidden.add(body)
+        else:
+            self._world.hidden.discard(body)
+
+    async def move_body(self, offset_in_tracker: tuple[float, float, float]) -> None:
+        self._world.shift_body(np.array(offset_in_tracker))
+
+    async def set_motion(self, motion: HeadMotion) -> None:
+        check_motion(motion)
+        self._world.set_motion(motion)
+
+    async def bump_reference(self, offset_in_body_ref: Triple, rotvec: Triple) -> None:
+        self._world.bump_reference(Transform.from_rotvec(offset_in_body_ref, rotvec))
+
+    async def pivot_pointer(self, duration: float) -> None:
+        self._pointer.pivot(duration)
+
+    async def cut_robot(self, cut: bool) -> None:
+        self._inject("cut_robot", {"on": cut})
+
+    async def inject(self, fault: str, arguments: dict[str, Any]) -> None:
+        self._inject(fault, arguments)

@@ -1,0 +1,131 @@
+"""The simulated stimulator: charges, fires at the world's muscle, warms up, and disarms by itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncIterator
+
+from pcmrs.clock import Clock
+from pcmrs.devices.arming import Arming, check_intensity
+from pcmrs.devices.stream import Stream
+from pcmrs.errors import DeviceError
+from pcmrs.messages import DeviceEvent, FiredPulse, StimulatorState
+from pcmrs_sim.world import World
+
+
+class SimStimulator:
+    """Implements `pcmrs.devices.protocols.StimulatorDriver`.
+
+    Args:
+        world: Where its coil is.
+        clock: The cell's clock.
+    """
+
+    def __init__(self, world: World, clock: Clock) -> None:
+        self._world = world
+        self._clock = clock
+        self._settings = settings = world.settings.stimulator
+        self._arming = Arming(settings.armed_time)
+        self._events: Stream[DeviceEvent] = Stream()
+        self._intensity = 0.0
+        self._charging = 0
+        self._charged = -math.inf
+        self._warmth = 0.0
+        self._warmed = clock.monotonic()
+
+    async def state(self) -> StimulatorState:
+        return self._state()
+
+    async def set_intensity(self, percent: float) -> StimulatorState:
+        self._intensity = check_intensity(percent)
+        return self._state()
+
+    async def arm(self) -> StimulatorState:
+        self._check_coil()
+        self._charging = charging = self._charging + 1
+        await self._clock.sleep(self._settings.charge_time)
+        if charging != self._charging:
+            raise DeviceError("The stimulator was disarmed, or armed again, while it charged.")
+        self._arming.arm(self._clock.monotonic())
+        return self._state()
+
+    async def disarm(self) -> StimulatorState:
+        self._charging += 1
+        self._arming.disarm()
+        return self._state()
+
+    async def fire(self, number: int) -> FiredPulse:
+        self._arming.check(number)
+        now = self._clock.monotonic()
+        if now < self._charged:
+            raise DeviceError(
+                f"Pulse {number} is refused: the stimulator is ready in {self._charged - now:.2f} s.", number=number
+            )
+        self._arming.take(number, now)
+        self._charged = now + self._settings.recharge_time
+        self._warmth = self._warmth_at(now) + self._settings.heat * (self._intensity / 100.0) ** 2
+        self._warmed = now
+        self._world.stimulate(number, self._intensity, now)
+        if self._too_hot(now):
+            self._events.publish(self._arming.disarmed(f"The coil is at {self._temperature(now):.1f} degrees Celsius"))
+        return FiredPulse(number=number, intensity=self._intensity, fired=now)
+
+    def events(self) -> AsyncIterator[DeviceEvent]:
+        return self._events.read()
+
+    def update(self, time: float) -> None:
+        """Disarms what has been armed for too long at `time`, s of the clock."""
+        if self._arming.expired(time):
+            self._events.publish(self._arming.expiry())
+
+    @property
+    def acts(self) -> bool:
+        """Whether it can fire."""
+        return self._arming.armed
+
+    def lose_node(self, why: str) -> None:
+        """Disarms by itself, and says so, since its node is silent or gone.
+
+        Args:
+            why: Why it is taken for that, as half a sentence.
+        """
+        self._charging += 1
+        if self._arming.armed:
+            self._events.publish(self._arming.disarmed(why.capitalize()))
+
+    def close(self) -> None:
+        """Makes it unable to fire and ends all readers."""
+        self._charging += 1
+        self._arming.disarm()
+        self._events.close()
+
+    def _state(self) -> StimulatorState:
+        now = self._clock.monotonic()
+        return StimulatorState(
+            armed=self._arming.armed,
+            ready=self._arming.armed and now >= self._charged,
+            intensity=self._intensity,
+            coil_temperature=self._temperature(now),
+            pulse=self._arming.pulse,
+        )
+
+    def _check_coil(self) -> None:
+        now = self._clock.monotonic()
+        if self._too_hot(now):
+            raise DeviceError(
+                f"The coil is at {self._temperature(now):.1f} degrees Celsius, at most {self._settings.hottest:g} is "
+                "allowed; let it cool.",
+                coil_temperature=self._temperature(now),
+                limit=self._settings.hottest,
+            )
+
+    def _too_hot(self, now: float) -> bool:
+        return self._temperature(now) >= self._settings.hottest
+
+    def _temperature(self, now: float) -> float:
+        """Of the coil, degrees Celsius."""
+        return self._settings.ambient + self._warmth_at(now)
+
+    def _warmth_at(self, now: float) -> float:
+        """Above the room: it cools exponentially (Newton's law)."""
+        return self._warmth * math.exp(-(now - self._warmed) / self._settings.cooling_time)

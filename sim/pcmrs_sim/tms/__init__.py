@@ -1,0 +1,1 @@
+"""Simulated subjects of stimulation: response of a muscle to a coil."""

@@ -1,0 +1,113 @@
+"""The optical tracker: what it saw, a latency later."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import AsyncIterator, Sequence
+
+import msgspec
+
+from pcmrs.clock import Clock
+from pcmrs.devices.stream import Stream
+from pcmrs.messages import BodyPose
+from pcmrs.spatial import Transform
+from pcmrs_sim.errors import TrackerErrors
+from pcmrs_sim.tracker_faults import BODIES, TrackerFaults
+from pcmrs_sim.world import World
+
+__all__ = ["BODIES", "SimTracker"]
+
+
+class SimTracker:
+    """Measures all bodies at its own rate and publishes each frame when it is `latency` old.
+
+    Args:
+        world: What it looks at.
+        clock: Stamps what is sent.
+        start: Time of the first exposure, s of `clock`.
+
+    Attributes:
+        newest: The last published frame; empty before the first.
+        faults: What is wrong with it.
+    """
+
+    def __init__(self, world: World, clock: Clock, start: float) -> None:
+        self._world = world
+        self._clock = clock
+        self._settings = world.settings.tracker
+        self._next_exposure = start
+        self._frame_number = 0
+        self._pending: deque[list[BodyPose]] = deque()
+        self._stream: Stream[Sequence[BodyPose]] = Stream()
+        self._steady: dict[str, tuple[Transform, TrackerErrors, BodyPose]] = {}
+        self.newest: Sequence[BodyPose] = ()
+        self.faults = TrackerFaults()
+
+    @property
+    def hidden(self) -> set[str]:
+        """Bodies that something hides; may be changed."""
+        return self._world.hidden
+
+    @property
+    def trouble(self) -> str:
+        return "" if self.faults.sending else "The simulated tracker is switched off by a fault."
+
+    def frames(self) -> AsyncIterator[Sequence[BodyPose]]:
+        return self._stream.read()
+
+    @property
+    def due(self) -> float:
+        """When `update` is needed next, s of the clock."""
+        return min([self._next_exposure, *(self._publication(frame) for frame in self._pending)])
+
+    def update(self, time: float) -> None:
+        """Exposes and publishes what is due at `time`."""
+        if time >= self._next_exposure:
+            self._frame_number += 1
+            self._pending.append([self._expose(body, time) for body in BODIES])
+        while time >= self._next_exposure:  # a cell that lags loses frames
+            self._next_exposure += 1 / (self.faults.rate_hz or self._settings.rate_hz)
+        while self._pending and time >= self._publication(self._pending[0]):
+            self._publish(self._pending.popleft())
+
+    def close(self) -> None:
+        """Ends all readers."""
+        self._stream.close()
+
+    def _publish(self, exposed: Sequence[BodyPose]) -> None:
+        if not self.faults.sending:
+            return
+        sent = self._clock.monotonic()
+        frame = [msgspec.structs.replace(pose, sent=sent) for pose in exposed]
+        self.newest = self.faults.distort(frame, self.newest)
+        self._stream.publish(self.newest)
+
+    def _publication(self, frame: Sequence[BodyPose]) -> float:
+        return frame[0].captured + self._settings.latency
+
+    def _expose(self, body: str, time: float) -> BodyPose:
+        tracker_from_body = self._world.tracker_from(body)
+        if tracker_from_body is None or body in self._world.hidden:
+            reason = "occluded" if body in self._world.hidden else "not_visible"
+            return BodyPose(
+                body=body, frame_number=self._frame_number, captured=time, sent=time, valid=False, reason=reason
+            )
+        errors, known = self._world.tracker_errors, self._steady.get(body)
+        if known is not None and known[:2] == (tracker_from_body, errors):
+            return msgspec.structs.replace(known[2], frame_number=self._frame_number, captured=time, sent=time)
+        measured = errors.measure(tracker_from_body)
+        x, y, z = measured.translation.tolist()
+        w, i, j, k = measured.quat_wxyz.tolist()
+        pose = BodyPose(
+            body=body,
+            frame_number=self._frame_number,
+            captured=time,
+            sent=time,
+            valid=True,
+            position=(x, y, z),
+            quat_wxyz=(w, i, j, k),
+            error=errors.fit_error(),
+        )
+        if errors.steady:
+            self._steady[body] = (tracker_from_body, errors, pose)
+        return pose
