@@ -17,7 +17,6 @@ from pcmrs.journal import JournalReader, JournalRow
 from pcmrs.planner import Planner
 from pcmrs.service import Ready
 from pcmrs.testing.daemon import device_key, last_words, own_settings, running_daemon
-from pcmrs_lab.campaign.delays import Delays
 
 QUICK = (
     "cell.rate=5",
@@ -41,7 +40,7 @@ REAL_TIME = (
     "procedure.motion.linear_velocity=0.3",
     "robot.deadman=1.0",
 )
-"""For faults of what happens in real time: in the middle of a motion, while the tool follows, deadlines of devices."""
+"""Settings for what happens in real time: in the middle of a motion, while the tool follows, deadlines of devices."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +54,6 @@ class RunningCell:
         planner: Over UDP.
         bus: As a device node or a console has it.
         scene: Truth and faults of the simulation.
-        delays: Of the transport of daemon and nodes.
     """
 
     process: asyncio.subprocess.Process
@@ -67,7 +65,6 @@ class RunningCell:
     planner: Planner
     bus: Bus
     scene: RemoteScene
-    delays: Delays
 
     @property
     def name(self) -> str:
@@ -97,17 +94,19 @@ async def open_cell(
     *,
     prefix: Sequence[str] = (),
     environment: Mapping[str, str] | None = None,
-    delayed: bool = False,
 ) -> AsyncIterator[RunningCell]:
-    """A daemon in a folder, with a client, a planner and a bus.
+    """Start a daemon in a folder, and open a client, a planner and a bus; all of them end with the context.
+
+    Args:
+        folder: Folder of the cell, which is made if it is missing; its name is the name of the cell.
+        overrides: Settings besides `QUICK`, ``key=value`` each.
+        prefix: Words before the daemon's command line, such as ``strace`` and its options.
+        environment: Variables that the daemon has besides those of this process.
 
     Raises:
         DeviceError: It did not start; the text has its last words.
     """
-    settings, log = (*own_settings(_made(folder), folder.name), *QUICK, *overrides), folder / "log"
-    delays = Delays(folder / "delays")
-    if delayed:
-        environment = {**(environment or {}), **delays.environment}
+    settings, log = (*own_settings(folder, folder.name), *QUICK, *overrides), folder / "log"
     async with (
         running_daemon(settings, log, prefix=prefix, environment=environment) as daemon,
         AsyncExitStack() as stack,
@@ -126,15 +125,9 @@ async def open_cell(
             planner=await stack.enter_async_context(await Planner.open(*ready.links["planner"])),
             bus=bus,
             scene=RemoteScene(bus, SystemClock()),
-            delays=delays,
         )
         try:
             yield cell
         except Exception as error:
             error.add_note(f"The daemon's last words: {last_words(log, 12)}")
             raise
-
-
-def _made(folder: Path) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder

@@ -1,4 +1,4 @@
-"""The plan that the experiments use: a phantom's landmarks and coil poses, in image coordinates."""
+"""Plan files: landmarks and tool poses of a phantom, in image coordinates."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import msgspec
 from pcmrs.errors import ConfigurationError
 from pcmrs.workflows.data import Landmark
 from pcmrs.workflows.toolplan import ToolPose
-from pcmrs_lab.experiment.published import published
 
 
 class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -20,12 +19,7 @@ class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def example_plan(workflow: str) -> Path:
-    """The example's plan for a workflow: in the installed package, or in the folder of examples beside it.
-
-    Raises:
-        ConfigurationError: There is no experiment with the workflow.
-    """
-    published(workflow)
+    """Return the path of the example plan for a workflow: in the installed package, or in ``examples/`` beside it."""
     package = Path(__file__).parents[1]
     name = f"examples/{workflow}_plan.json"
     return next((folder / name for folder in (package, package.parent) if (folder / name).exists()), Path(name))

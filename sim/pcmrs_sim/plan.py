@@ -1,7 +1,7 @@
 """The plans that a planner would have made for the phantoms: their landmarks, and twelve poses of the tool each.
 
-``python -m pcmrs_sim.plan [FOLDER]`` writes ``ratms_plan.json`` and ``femoroplasty_plan.json``, and the phantoms' surfaces
-``head_phantom.ply`` and ``femur_phantom.ply`` in m, by default to ``examples``; the same numbers every time.
+``python -m pcmrs_sim.plan [FOLDER]`` writes ``ratms_plan.json`` and ``femoroplasty_plan.json``, and the phantoms'
+surfaces ``head_phantom.ply`` and ``femur_phantom.ply`` in m, by default to ``examples``; the same numbers every time.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,9 @@ class Daemons:
         self.seeds: list[int] = []
 
     @asynccontextmanager
-    async def open_cell(self, folder: Path, overrides: Sequence[str], *, delayed: bool) -> AsyncIterator[Any]:
+    async def open_cell(
+        self, folder: Path, overrides: Sequence[str], *, environment: Mapping[str, str]
+    ) -> AsyncIterator[Any]:
         cell = Stand(self)
         self.begun.append(cell)
         yield cell

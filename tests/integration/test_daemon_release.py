@@ -186,7 +186,7 @@ async def test_a_daemon_is_ready_only_when_all_that_acts_can_be_released(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     delays = Delays(tmp_path / "delays")
-    for name, value in delays.environment.items():
+    for name, value in delays.install().items():
         monkeypatch.setenv(name, value)
     first_beats = Rule("publish", "dev/stimulator/beat", seconds=2.0, times=40)
     async with delays.delaying(first_beats, ended=False):

@@ -38,7 +38,8 @@ def test_a_session_holds_and_its_seed_fixes_every_byte_of_its_journal() -> None:
     """Also in another process, where sets and dictionaries of text are walked through in another order."""
     found = run_seeds("ratms", "kinematic", [3])[0]
     assert (found.invariant, found.text) == ("", "")
-    code = "from pcmrs_lab.campaign.explore.exploring import run_seeds; print(run_seeds('ratms', 'kinematic', [3])[0].digest)"
+    code = "from pcmrs_lab.campaign.explore.exploring import run_seeds; "
+    code += "print(run_seeds('ratms', 'kinematic', [3])[0].digest)"
     environment = {**os.environ, "PYTHONHASHSEED": "4711"}
     other = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert other.stdout.strip() == found.digest

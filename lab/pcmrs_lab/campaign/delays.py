@@ -16,12 +16,15 @@ from typing import Literal
 import msgspec
 
 from pcmrs.clock import SystemClock
+from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.sham import is_sham
 
 VARIABLE = "PCMRS_DELAYS"
 PATIENCE = 20.0
 PERIOD = 0.02
+FOLDER = "delays"
+"""Below the folder of a cell."""
 
 Place = Literal["send", "receive", "answer", "publish", "pass"]
 """Where a frame is delayed: in the thread that sends a request, on the request's way, in the thread that replies to it,
@@ -73,14 +76,13 @@ class Delays:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._rules: list[Rule] = []
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "sitecustomize.py").write_text("import pcmrs_lab.campaign.delayed_process as p\n\np.install()\n")
-        self._write([])
 
-    @property
-    def environment(self) -> Mapping[str, str]:
-        """Variables of a process that is delayed; its children have them, too."""
+    def install(self) -> Mapping[str, str]:
+        """Begin without rules; return the variables of a process that is delayed, which its children have, too."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        program = "import pcmrs_lab.campaign.delayed_process as p\n\np.install()\n"
+        (self._folder / "sitecustomize.py").write_text(program)
+        self._write([])
         path = os.pathsep.join(filter(None, (str(self._folder), os.environ.get("PYTHONPATH"))))
         return {VARIABLE: str(self._folder), "PYTHONPATH": path}
 
@@ -95,13 +97,13 @@ class Delays:
         Raises:
             Unmet: One of them has delayed nothing by the end of the context and `PATIENCE`.
         """
-        self._write([*self._rules, *rules])
+        self._write([*self._rules(), *rules])
         try:
             yield
             for rule in rules:
                 await (self.took_place(rule) if ended else self.begins(rule))
         finally:
-            self._write([rule for rule in self._rules if rule not in rules])
+            self._write([rule for rule in self._rules() if rule not in rules])
 
     async def took_place(self, rule: Rule, count: int = 1) -> list[Delayed]:
         """Waits until a rule has delayed so many frames to their end, and returns them.
@@ -130,8 +132,10 @@ class Delays:
                 raise Unmet(f"The fault did not take place: {rule} delays nothing.")
             await clock.sleep(PERIOD / 4)
 
+    def _rules(self) -> list[Rule]:
+        return msgspec.json.decode((self._folder / "rules").read_bytes(), type=list[Rule])
+
     def _write(self, rules: list[Rule]) -> None:
-        self._rules = rules
         scratch = self._folder / "rules.new"
         scratch.write_bytes(msgspec.json.encode([] if is_sham() else rules))
         scratch.replace(self._folder / "rules")  # whole for every process that looks
@@ -145,3 +149,8 @@ class Delays:
     def _lines(self, name: str) -> list[bytes]:
         file = self._folder / name
         return file.read_bytes().splitlines() if file.exists() else []
+
+
+def delays_of(cell: RunningCell) -> Delays:
+    """Return the rules of a cell that was started as ``delayed``."""
+    return Delays(cell.folder / FOLDER)

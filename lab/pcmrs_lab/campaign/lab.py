@@ -10,10 +10,11 @@ from pathlib import Path
 
 from pcmrs.errors import PcmrsError
 from pcmrs.killing import killed
-from pcmrs.testing.cell import QUICK, RunningCell, _made, open_cell
+from pcmrs.testing.cell import QUICK, RunningCell, open_cell
 from pcmrs.testing.daemon import last_words, own_settings, serve_command
 from pcmrs.testing.driving import calmed, start_anew
 from pcmrs.testing.errors import Unmet
+from pcmrs_lab.campaign.delays import FOLDER, Delays
 from pcmrs_lab.campaign.sham import is_sham
 
 END_TIME = 60.0
@@ -57,7 +58,7 @@ class Lab:
             folder: The cell's folder: that of an earlier daemon for its successor; a new one by default.
             prefix: Words before the daemon's command line, such as ``strace`` and its options.
             environment: Variables that it has besides those of this process.
-            delayed: The rules of its `RunningCell.delays` are obeyed.
+            delayed: The rules of `delays_of` the cell are obeyed.
 
         Raises:
             DeviceError: It did not start; the text has its last words.
@@ -65,7 +66,8 @@ class Lab:
         self._daemons += 1
         place = folder or self.folder / f"cell{self._daemons}"
         settings = (f"sim.seed={self.seed}", *overrides)
-        async with open_cell(place, settings, prefix=prefix, environment=environment, delayed=delayed) as cell:
+        environment = {**(environment or {}), **_variables(place, delayed)}
+        async with open_cell(place, settings, prefix=prefix, environment=environment) as cell:
             yield cell
 
     @asynccontextmanager
@@ -77,7 +79,7 @@ class Lab:
         Args:
             overrides: Settings besides `QUICK`, ``key=value`` each.
             anew: Every branch is in its initial state; otherwise the head may be registered, and the tool at it.
-            delayed: The rules of its `RunningCell.delays` are obeyed.
+            delayed: The rules of `delays_of` the cell are obeyed.
         """
         async with self._pool.borrow(overrides, self.seed, anew=anew, delayed=delayed) as cell:
             yield cell
@@ -90,7 +92,7 @@ class Lab:
         """
         self._daemons += 1
         place = folder or self.folder / f"cell{self._daemons}"
-        command = serve_command([*own_settings(_made(place), place.name), *QUICK, *overrides])
+        command = serve_command([*own_settings(place, place.name), *QUICK, *overrides])
         pipe = asyncio.subprocess.PIPE
         process = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.DEVNULL, stderr=pipe)
         try:
@@ -147,7 +149,8 @@ class Pool:
         await self.close()
         self._daemons += 1
         place = self._folder / f"shared{self._daemons}"
-        cell = await self._stack.enter_async_context(open_cell(place, overrides, delayed=delayed))
+        opening = open_cell(place, overrides, environment=_variables(place, delayed))
+        cell = await self._stack.enter_async_context(opening)
         self._kept = (overrides, delayed), cell
         await _prepare(cell, seed, anew=anew)
         return cell
@@ -160,6 +163,10 @@ class Pool:
     def logs(self) -> list[Path]:
         """Of all its daemons."""
         return list(self._folder.glob("shared*/log"))
+
+
+def _variables(folder: Path, delayed: bool) -> Mapping[str, str]:
+    return Delays(folder / FOLDER).install() if delayed else {}
 
 
 async def _prepare(cell: RunningCell, seed: int, *, anew: bool) -> None:

@@ -38,8 +38,11 @@ class Wanted:
     def setup(self, workflow: str, progress: ShowProgress) -> Setup:
         """The experiment's setup for a workflow. Raises `ConfigurationError` when its plan cannot be read."""
         from pcmrs.testing.plan import example_plan, read_plan
+        from pcmrs_lab.experiment.published import published
         from pcmrs_lab.experiment.setup import Setup
 
+        if self.plan_file is None:
+            published(workflow)  # an unknown workflow is refused by name, not for its missing plan
         plan = read_plan(self.plan_file or example_plan(workflow))
         return Setup(plan, workflow, self.seed, self.rate, self.drivers, self.overrides, progress)
 

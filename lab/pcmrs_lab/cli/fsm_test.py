@@ -17,7 +17,7 @@ from pcmrs.cli.options import Address, address_options, json_option, refuse_give
 from pcmrs.cli.printing import Terminal, say, say_json
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import readable_errors, run
-from pcmrs.errors import ConfigurationError, PcmrsError
+from pcmrs.errors import PcmrsError
 
 if TYPE_CHECKING:
     from pcmrs.authoring.trial.tour import Move
@@ -127,12 +127,10 @@ async def _live(
 def _arguments(blueprint: Blueprint, file: Path | None) -> Arguments:
     """Those of the workflow's example plan, or of RATMS' where it has none, and over them those of the file."""
     from pcmrs.testing.plan import example_plan, read_plan
+    from pcmrs_lab.experiment.published import PUBLISHED
     from pcmrs_lab.experiment.tours.arguments import Arguments, plan_arguments, read_arguments
 
-    try:
-        plan = example_plan(blueprint.id)
-    except ConfigurationError:
-        plan = example_plan("ratms")
+    plan = example_plan(blueprint.id if blueprint.id in PUBLISHED else "ratms")
     planned = plan_arguments(read_plan(plan))
     return Arguments(planned | (read_arguments(file) if file is not None else {}))
 

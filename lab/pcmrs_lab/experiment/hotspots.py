@@ -1,7 +1,7 @@
 """Hot-spots of simulated subjects: after how many pulses each method is near the true one, and stays there.
 
-The subjects are those of `pcmrs_sim.tms.subject` on the head phantom. Every method gets the same subjects and begins at the
-same usual place, which is not theirs. No daemon: the coil is where it should be, and amplitudes are as they are.
+The subjects are those of `pcmrs_sim.tms.subject` on the head phantom. Every method gets the same subjects and begins at
+the same usual place, which is not theirs. No daemon: the coil is where it should be, and amplitudes are as they are.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Motor thresholds of simulated subjects: how many pulses each method takes, and how far off it is.
 
-The subjects are those of a published population (`pcmrs_sim.tms.recruitment`), whose model is not the estimator's; the true
-threshold is the intensity at which half of the pulses give a response, which their model says exactly. Every method
-gets the same subjects. No daemon, and amplitudes as they are: what the electromyogram adds is measured elsewhere.
+The subjects are those of a published population (`pcmrs_sim.tms.recruitment`), whose model is not the estimator's; the
+true threshold is the intensity at which half of the pulses give a response, which their model says exactly. Every
+method gets the same subjects. No daemon, and amplitudes as they are: what the electromyogram adds is measured
+elsewhere.
 """
 
 from __future__ import annotations

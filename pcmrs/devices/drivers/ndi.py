@@ -1,7 +1,7 @@
 """Driver of an NDI Polaris or Vega, on a network or serial link, through `ndicapi`.
 
 Written from NDI's commands as `ndicapi` 3.7 sends them (``PHRQ``, ``PVWR``, ``PINIT``, ``PENA``, ``TSTART``, ``BX``, or
-``TX`` where the tracker knows no ``BX``) and tested against the virtual tracker of `pcmrs_sim.ndi`; not tested on hardware.
+``TX`` where the tracker knows no ``BX``) and tested against the virtual tracker of `pcmrs_sim.ndi`, not on hardware.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from pcmrs.testing.driving import (
     until,
 )
 from pcmrs_lab.campaign.checks import BRAKING, confirmed, expect, held, standing
-from pcmrs_lab.campaign.delays import Delayed, Place, Rule
+from pcmrs_lab.campaign.delays import Delayed, Place, Rule, delays_of
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 
@@ -79,12 +79,12 @@ async def late_motion(
     async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
         await bring(cell.client)
         await asyncio.sleep(BRAKING)
-        async with cell.delays.delaying(rule):
+        async with delays_of(cell).delaying(rule):
             motion = asyncio.create_task(cell.client.call(name, arguments, timeout=PATIENCE))
-            await cell.delays.begins(rule)
-            async with standing(cell) as moved, cell.delays.delaying(*blocking):
+            await delays_of(cell).begins(rule)
+            async with standing(cell) as moved, delays_of(cell).delaying(*blocking):
                 await cell.client.stop()
-                late = await cell.delays.took_place(rule)
+                late = await delays_of(cell).took_place(rule)
                 verdict = await motion
             await held(cell)
         await confirmed(cell)
@@ -149,13 +149,13 @@ async def servo_late(lab: Lab) -> Evidence:
     async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
         await to_placed(cell.client)
         await asyncio.sleep(BRAKING)
-        async with cell.delays.delaying(rule):
+        async with delays_of(cell).delaying(rule):
             follow = asyncio.create_task(cell.client.call("placement.follow", timeout=PATIENCE))
-            await cell.delays.begins(rule)
+            await delays_of(cell).begins(rule)
             await cell.client.stop()
             await until(cell.client, lambda shown: shown.latched and shown.branches["placement"] != "following")
             async with standing(cell) as moved:
-                late = await cell.delays.took_place(rule)
+                late = await delays_of(cell).took_place(rule)
             await follow
             await held(cell)
         await confirmed(cell)
@@ -175,16 +175,16 @@ async def overtaken_by_the_next(lab: Lab) -> Evidence:
     async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
         await to_standoff(cell.client)
         await asyncio.sleep(BRAKING)
-        async with cell.delays.delaying(rule):
+        async with delays_of(cell).delaying(rule):
             stopped = asyncio.create_task(cell.client.call("placement.confirm", timeout=PATIENCE))
-            await cell.delays.begins(rule)
+            await delays_of(cell).begins(rule)
             await cell.client.stop()
             await stopped
             shown = await until(cell.client, lambda shown: shown.latched and not shown.stop.pending)
             await accept(cell.client, "robot.acknowledge", stop=shown.stop.number)
             verdict = await cell.client.call("placement.back_off", timeout=PATIENCE)
             async with standing(cell) as moved:
-                late = await cell.delays.took_place(rule)
+                late = await delays_of(cell).took_place(rule)
         expect(verdict.decision == "accepted", f"back_off was {verdict.decision}: {said(verdict)}.")
         where = await state(cell.client, "placement")
         expect(where in ("standoff", "retracted"), f"The placement is {where} after back_off.")
@@ -207,11 +207,11 @@ async def late_stimulation(lab: Lab, method: str, name: str, arguments: dict[str
     async with lab.cell(*THRESHOLD, delayed=True) as cell:
         await ready_to_stimulate(cell.client)
         before = await cell.client.request_device("stimulator", "state")
-        async with cell.delays.delaying(rule):
+        async with delays_of(cell).delaying(rule):
             asked = asyncio.create_task(cell.client.call(name, arguments, timeout=PATIENCE))
-            await cell.delays.begins(rule)
+            await delays_of(cell).begins(rule)
             await cell.client.stop()
-            late = await cell.delays.took_place(rule)
+            late = await delays_of(cell).took_place(rule)
             verdict = await asked
             await asyncio.sleep(BRAKING)
             after = await cell.client.request_device("stimulator", "state")
@@ -247,12 +247,12 @@ async def touch_late(lab: Lab) -> Evidence:
     async with lab.cell(*QUICK, delayed=True) as cell:
         await accept(cell.client, "registration.plan_landmarks", **landmarks())
         before = (await cell.scene.truth()).tip_in_tracker
-        async with cell.delays.delaying(rule):
+        async with delays_of(cell).delaying(rule):
             asked = asyncio.create_task(cell.client.call("digitization.digitize_one", {"index": 0}, timeout=PATIENCE))
-            await cell.delays.begins(rule)
+            await delays_of(cell).begins(rule)
             await cell.client.stop()
             verdict = await asked
-            late = await cell.delays.took_place(rule)
+            late = await delays_of(cell).took_place(rule)
             seen = await _tips(cell)
         expect(verdict.decision == "failed", f"digitize_one ended {verdict.decision}: {said(verdict)}.")
         expect(set(seen) == {before}, f"The hand was at {before}, and after Stop at {set(seen)}.")

@@ -35,7 +35,7 @@ from pcmrs.testing.driving import (
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.checks import BRAKING, confirmed, expect, held, refused, standing, stands, tool_position
 from pcmrs_lab.campaign.datagrams import Raw, raw_socket
-from pcmrs_lab.campaign.delays import Rule
+from pcmrs_lab.campaign.delays import Rule, delays_of
 from pcmrs_lab.campaign.driving import injected
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.faults.order_requests import ROBOT, delayed
@@ -65,9 +65,9 @@ async def writing(cell: RunningCell, what: str, *, ended: bool = True) -> AsyncI
         The rule of the slow disk.
     """
     here, slow = Rule("pass", f"dispatcher.before_{what}"), Rule("pass", COMMIT, seconds=SLOW, times=OFTEN)
-    async with cell.delays.delaying(here, slow, ended=ended):
-        await cell.delays.begins(here)
-        await cell.delays.begins(slow)
+    async with delays_of(cell).delaying(here, slow, ended=ended):
+        await delays_of(cell).begins(here)
+        await delays_of(cell).begins(slow)
         yield slow
 
 
@@ -130,11 +130,11 @@ async def old_acknowledgement(lab: Lab) -> Evidence:
         await asyncio.sleep(BRAKING)
         await cell.client.stop()
         first = (await until(cell.client, lambda shown: shown.latched and not shown.stop.pending)).stop.number
-        async with cell.delays.delaying(rule):
+        async with delays_of(cell).delaying(rule):
             await cell.client.stop()
             newest = (await until(cell.client, _stopped(first))).stop.number
             verdict = await cell.client.call("robot.acknowledge", {"stop": first})
-            late = await cell.delays.took_place(rule)
+            late = await delays_of(cell).took_place(rule)
         await until(cell.client, lambda shown: not shown.stop.pending)
         again = await refused(cell, "robot.acknowledge", {"stop": first}, codes=("stop_outdated",))
         expect(verdict.decision == "rejected", f"The acknowledgement of Stop {first} was {verdict.decision}.")
@@ -151,14 +151,14 @@ async def event_while_the_hold_is_slow(lab: Lab) -> Evidence:
     async with lab.cell(*REAL_TIME, delayed=True) as cell:
         await to_standoff(cell.client)
         await asyncio.sleep(BRAKING)
-        async with cell.delays.delaying(rule), standing(cell) as moved:
+        async with delays_of(cell).delaying(rule), standing(cell) as moved:
             await slipped(cell)
-            await cell.delays.begins(rule)
+            await delays_of(cell).begins(rule)
             acknowledged, confirm = await asyncio.gather(
                 cell.client.call("robot.acknowledge"), cell.client.call("placement.confirm", timeout=PATIENCE)
             )
             shown = await until(cell.client, lambda shown: shown.branches["registration"] != "111")
-            late = await cell.delays.took_place(rule)
+            late = await delays_of(cell).took_place(rule)
         expect(confirm.decision == "rejected", f"confirm was {confirm.decision}.")
         expect(acknowledged.decision == "rejected", f"The acknowledgement was {acknowledged.decision}.")
         expect(shown.latched, "Nothing is latched.")
@@ -185,7 +185,7 @@ async def beside_a_retreat(lab: Lab, name: str, arguments: dict[str, Any], *, pl
         async with moving(cell.client, "placement.back_off") as retreat, writing(cell, "outcome") as slow:
             verdict = await cell.client.call(name, arguments, timeout=PATIENCE)
             ended = await retreat
-            late = await cell.delays.took_place(slow)
+            late = await delays_of(cell).took_place(slow)
         shown = await until(cell.client, lambda shown: not shown.running)
         where = shown.branches["placement"]
         ready = shown.branches["registration"] == "111" and shown.branches["toolplan"] == "1"
@@ -263,10 +263,10 @@ async def late_second_datagram(lab: Lab) -> Evidence:
         usual = [await _answer(raw), await _answer(raw)]
         expect(usual[0] == b"ack" and _is_number(usual[1]), f"Without the fault the answers are {usual}.")
         await accept(cell.client, "registration.clear_registration")
-        async with cell.delays.delaying(rule := Rule("pass", COMMIT, seconds=SLOW, times=OFTEN)):
+        async with delays_of(cell).delaying(rule := Rule("pass", COMMIT, seconds=SLOW, times=OFTEN)):
             raw.send(b"start_registrati;")
             first = await _answer(raw)
-            late = await cell.delays.took_place(rule)
+            late = await delays_of(cell).took_place(rule)
             await until(cell.client, lambda shown: shown.branches["registration"] == "111")
             came = []
             with suppress(TimeoutError):
@@ -366,12 +366,12 @@ async def slow_hold(lab: Lab, rule: Rule) -> Evidence:
     async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
         await to_retracted(cell.client)
         number = (await cell.client.state()).stop.number
-        async with moving(cell.client) as approach, cell.delays.delaying(rule):
+        async with moving(cell.client) as approach, delays_of(cell).delaying(rule):
             await cell.client.stop()
-            await cell.delays.begins(rule)
+            await delays_of(cell).begins(rule)
             shown = await until(cell.client, _stopped(number))
             verdict = await cell.client.call("robot.acknowledge", {"stop": shown.stop.number})
-            late = await cell.delays.took_place(rule)
+            late = await delays_of(cell).took_place(rule)
             await approach
         expect("standstill" in shown.stop.pending, f"Stop waits for {shown.stop.pending}, not for standstill.")
         expect(verdict.decision == "rejected", f"The acknowledgement was {verdict.decision}.")
@@ -418,7 +418,7 @@ async def _while_the_intent_is_written(lab: Lab, what: str) -> Evidence:
                 await slipped(cell)
             verdict = await approach
             await until(cell.client, lambda shown: shown.latched)
-            late = await cell.delays.took_place(rule)
+            late = await delays_of(cell).took_place(rule)
         expect(verdict.decision == "failed", f"The approach ended {verdict.decision}: {said(verdict)}.")
         if what == "event":
             await until(cell.client, lambda shown: shown.branches["registration"] != "111")
@@ -439,7 +439,7 @@ async def stopped_before_the_outcome(lab: Lab) -> Evidence:
         async with moving(cell.client, "placement.home") as retreat, writing(cell, "outcome") as rule:
             await cell.client.stop()
             verdict = await retreat
-            late = await cell.delays.took_place(rule)
+            late = await delays_of(cell).took_place(rule)
         async with standing(cell) as moved:
             pass
         shown = await until(cell.client, lambda shown: shown.latched and not shown.running)
@@ -492,7 +492,7 @@ async def repeated_while_it_is_written(lab: Lab) -> Evidence:
         name = f"repeated-{lab.seed}-{row}"
         async with moving(cell.client, "placement.home", name) as home, writing(cell, "outcome") as rule:
             second = await cell.client.call("placement.home", id=name, timeout=PATIENCE)
-            late = await cell.delays.took_place(rule)
+            late = await delays_of(cell).took_place(rule)
         first = await home
         begun = [stored for stored in cell.rows(row) if (stored.kind, stored.operation) == ("intent", "home")]
         expect(first == second, f"The first got {first}, the repeat {second}.")
@@ -509,13 +509,13 @@ async def loop_stands_still(lab: Lab) -> Evidence:
     rule = Rule("pass", "service.before_publish", seconds=SLOW)
     async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
         await to_retracted(cell.client)
-        async with moving(cell.client) as approach, cell.delays.delaying(rule):
+        async with moving(cell.client) as approach, delays_of(cell).delaying(rule):
             plan = asyncio.create_task(cell.client.call("toolplan.clear"))
-            await cell.delays.begins(rule)
+            await delays_of(cell).begins(rule)
             stop = asyncio.create_task(cell.client.stop())
             await asyncio.sleep(SLOW / 2)
             async with standing(cell) as moved:
-                late = await cell.delays.took_place(rule)
+                late = await delays_of(cell).took_place(rule)
             await asyncio.gather(stop, plan)
             verdict = await approach
         expect(verdict.decision == "failed", f"The approach ended {verdict.decision}: {said(verdict)}.")
@@ -531,8 +531,8 @@ async def beats_out_of_order(lab: Lab) -> Evidence:
     rule = Rule("publish", "daemon/beat", seconds=SLOW)
     async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
         await to_retracted(cell.client)
-        async with moving(cell.client) as approach, cell.delays.delaying(rule):
-            late = await cell.delays.took_place(rule)
+        async with moving(cell.client) as approach, delays_of(cell).delaying(rule):
+            late = await delays_of(cell).took_place(rule)
             verdict = await approach
         expect(late[0].overtaken > 0, "No beat has overtaken the late one.")
         expect(verdict.decision == "accepted", f"The approach ended {verdict.decision}: {said(verdict)}.")
@@ -547,10 +547,10 @@ async def beats_late(lab: Lab) -> Evidence:
     async with lab.daemon(*REAL_TIME, "robot.deadman=0.5", delayed=True) as cell:
         await to_retracted(cell.client)
         async with moving(cell.client) as approach:
-            async with cell.delays.delaying(rule):
-                await cell.delays.begins(rule)
+            async with delays_of(cell).delaying(rule):
+                await delays_of(cell).begins(rule)
                 await until_said(cell, "held_by_node")
-                late = await cell.delays.took_place(rule)
+                late = await delays_of(cell).took_place(rule)
             verdict = await approach
         expect(verdict.decision != "accepted", "The approach was accepted.")
         await held(cell, ("held", "unknown"))
@@ -571,13 +571,13 @@ async def event_late(lab: Lab) -> Evidence:
     rule = Rule("publish", "dev/robot/event", seconds=8 * SLOW)
     async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
         await to_retracted(cell.client)
-        async with cell.delays.delaying(rule):
+        async with delays_of(cell).delaying(rule):
             async with moving(cell.client) as approach, injected(cell, "e_stop"):
-                await cell.delays.begins(rule)
+                await delays_of(cell).begins(rule)
                 verdict = await approach
             await held(cell)
             number = (await cell.client.state()).stop.number
-            late = await cell.delays.took_place(rule)
+            late = await delays_of(cell).took_place(rule)
             shown = await until(cell.client, _stopped(number))
         expect(verdict.decision == "failed", f"The approach ended {verdict.decision}: {said(verdict)}.")
         await confirmed(cell)

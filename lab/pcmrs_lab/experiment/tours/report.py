@@ -25,7 +25,8 @@ class TourReport(msgspec.Struct, frozen=True, kw_only=True):
         stops: How often Stop was pressed.
         events: How often a device reported something by itself.
         seconds: How long it took, s of the machine.
-        coverage: What of the workflow was seen to be as it must, by the keys of `pcmrs.authoring.trial.coverage.MEANINGS`.
+        coverage: What of the workflow was seen to be as it must, by the keys of
+            `pcmrs.authoring.trial.coverage.MEANINGS`.
         deviations: What was not, by subject.
         left: What could not be seen.
         passed: Nothing deviates, and every operation was seen in every joint state.
