@@ -6,14 +6,12 @@ import math
 from collections.abc import AsyncIterator, Mapping
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from ipaddress import ip_address
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import structlog
 
+from pcmrs_sim.cell import Cell
 from pcmrs_sim.lsl.serving import serve_muscle
-
-if TYPE_CHECKING:
-    from pcmrs_sim.cell import Cell
 
 LOOPBACK = "127.0.0.1"
 PORTS = {"kst": 30001, "ndi": 8765}

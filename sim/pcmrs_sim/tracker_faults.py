@@ -1,22 +1,16 @@
-"""Faults of the optical tracker: rows S of the fault catalogue."""
+"""What is wrong with the optical tracker now, and the frames that it sends then."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from pcmrs.messages import BodyPose
-from pcmrs_sim.fault import Fault
-from pcmrs_sim.fault_arguments import choice, number, switch
-
-if TYPE_CHECKING:
-    from pcmrs_sim.cell import Cell
-    from pcmrs_sim.tracker import SimTracker
 
 BODIES = ("coil", "body_ref", "pointer", "witness")
 """What the tracker knows."""
@@ -29,12 +23,6 @@ PHANTOM_OFFSET = (0.0, 0.06, 0.0)
 """How far a reflection beside a marker body moves its pose, m."""
 STAMP_OFFSET = 10.0
 """By how much a wrong stamp is wrong, s."""
-
-MOST_JUMP_MM = 1000.0
-MOST_RATE_HZ = 400.0
-
-REASONS = ("out_of_volume", "partially_out", "temperature", "interference")
-"""What a tracker says of a body that it does not measure well."""
 
 
 @dataclass
@@ -120,76 +108,3 @@ class TrackerFaults:
 def _moved(pose: BodyPose, offset: tuple[float, float, float]) -> tuple[float, float, float]:
     x, y, z = (np.array(pose.position) + offset).tolist()
     return x, y, z
-
-
-def _tracker(cell: Cell) -> SimTracker:
-    tracker: SimTracker = cell.devices["tracker"]  # type: ignore[assignment]
-    return tracker
-
-
-def _flag(attribute: str, value: bool = True) -> Callable[[Cell, Mapping[str, Any]], None]:
-    def apply(cell: Cell, arguments: Mapping[str, Any]) -> None:
-        setattr(_tracker(cell).faults, attribute, value if switch(arguments, "on") else not value)
-
-    return apply
-
-
-def _of_body(attribute: str) -> Callable[[Cell, Mapping[str, Any]], None]:
-    def apply(cell: Cell, arguments: Mapping[str, Any]) -> None:
-        _switch_body(getattr(_tracker(cell).faults, attribute), arguments)
-
-    return apply
-
-
-def _occlude(cell: Cell, arguments: Mapping[str, Any]) -> None:
-    _switch_body(_tracker(cell).hidden, arguments)
-
-
-def _switch_body(bodies: set[str], arguments: Mapping[str, Any]) -> None:
-    body = choice(arguments, "body", BODIES)
-    if switch(arguments, "on"):
-        bodies.add(body)
-    else:
-        bodies.discard(body)
-
-
-def _reason(cell: Cell, arguments: Mapping[str, Any]) -> None:
-    body, reason = choice(arguments, "body", BODIES), choice(arguments, "reason", REASONS)
-    if switch(arguments, "on"):
-        _tracker(cell).faults.reasons[body] = reason
-    else:
-        _tracker(cell).faults.reasons.pop(body, None)
-
-
-def _jump(cell: Cell, arguments: Mapping[str, Any]) -> None:
-    body = choice(arguments, "body", BODIES)
-    by_mm = number(arguments, "millimetres", -MOST_JUMP_MM, MOST_JUMP_MM)
-    _tracker(cell).faults.jumps[body] = (by_mm * 1e-3, 0.0, 0.0)
-
-
-def _swap(cell: Cell, arguments: Mapping[str, Any]) -> None:
-    pair = choice(arguments, "first", BODIES), choice(arguments, "second", BODIES)
-    _tracker(cell).faults.swapped = pair if switch(arguments, "on") else None
-
-
-def _rate(cell: Cell, arguments: Mapping[str, Any]) -> None:
-    _tracker(cell).faults.rate_hz = number(arguments, "hertz", 0.0, MOST_RATE_HZ) or None
-
-
-FAULTS: tuple[Fault, ...] = (
-    Fault("occlude", "S1", "Something hides a body from the tracker.", ("body", "on"), _occlude),
-    Fault("frame_frozen", "S2", "Frames repeat one number.", ("on",), _flag("frozen")),
-    Fault("pose_nan", "S3", "A body's position is not a number.", ("body", "on"), _of_body("not_finite")),
-    Fault("pose_not_unit", "S4", "A body's quaternion is not of length 1.", ("body", "on"), _of_body("not_unit")),
-    Fault("pose_jump", "S5", "A body is seen so much aside; 0 puts it back.", ("body", "millimetres"), _jump),
-    Fault("not_measured", "S7", f"For one of {', '.join(REASONS)}.", ("body", "reason", "on"), _reason),
-    Fault("bad_fit", "S7", "A body fits its markers badly.", ("body", "on"), _of_body("bad_fit")),
-    Fault("phantom_marker", "S8", "A reflection moves every other pose.", ("body", "on"), _of_body("phantoms")),
-    Fault("tool_swap", "S8", "Two bodies are taken for each other.", ("first", "second", "on"), _swap),
-    Fault("wrong_tool", "S9", "Another tool than the defined one is mounted.", ("body", "on"), _of_body("wrong_tools")),
-    Fault("tracker_rate", "S10", "The rate falls; 0 is the tracker's own.", ("hertz",), _rate),
-    Fault("stamp_reversed", "S11", "Numbers and stamps run backwards.", ("on",), _flag("reversed")),
-    Fault("stamp_future", "S11", "Stamps lie in the future.", ("on",), _flag("future")),
-    Fault("tracker_unplugged", "S2", "The position sensor is unplugged.", ("on",), _flag("plugged", False)),
-    Fault("tracker_absent", "S2", "The tracker answers nothing.", ("on",), _flag("silent")),
-)

@@ -12,7 +12,7 @@ from pcmrs.clock import Clock
 from pcmrs.devices.jumps import PoseLimits
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.errors import DeviceError, RefusalError
-from pcmrs_sim.tracker_faults import FAULTS
+from pcmrs_sim.faults.tracker import FAULTS
 
 LIMITS = PoseLimits(error=1e-3, speed=2.0, turn=20.0, steady=10)
 MAX_AGE = 0.25

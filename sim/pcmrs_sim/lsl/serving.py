@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import structlog
 
 from pcmrs.background import meanwhile
 from pcmrs.devices.lsl.library import EMG
 from pcmrs.devices.lsl.markers import PULSES, MarkerOutlet, PulseMarker
+from pcmrs_sim.cell import Cell
 from pcmrs_sim.lsl.streams import EmgOutlet, PulseInlet, lsl_minus
-
-if TYPE_CHECKING:
-    from pcmrs_sim.cell import Cell
 
 log = structlog.get_logger(__name__)
 

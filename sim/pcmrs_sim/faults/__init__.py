@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pcmrs.errors import DeviceError
-from pcmrs_sim import robot_faults, scene_faults, tracker_faults
-from pcmrs_sim.fault import Fault
-from pcmrs_sim.muscle import faults as muscle_faults
-
-if TYPE_CHECKING:
-    from pcmrs_sim.cell import Cell
+from pcmrs_sim.faults import muscle, robot, scene, tracker
+from pcmrs_sim.faults.fault import Fault, Faulty
 
 FAULTS: Mapping[str, Fault] = {
-    fault.name: fault
-    for fault in (*robot_faults.FAULTS, *tracker_faults.FAULTS, *scene_faults.FAULTS, *muscle_faults.FAULTS)
+    fault.name: fault for fault in (*robot.FAULTS, *tracker.FAULTS, *scene.FAULTS, *muscle.FAULTS)
 }
 """By name."""
 
@@ -34,7 +29,7 @@ def find_fault(name: str) -> Fault:
     return FAULTS[name]
 
 
-def inject(cell: Cell, name: str, arguments: Mapping[str, Any]) -> None:
+def inject(cell: Faulty, name: str, arguments: Mapping[str, Any]) -> None:
     """Brings about a fault in a cell, or ends it.
 
     Raises:

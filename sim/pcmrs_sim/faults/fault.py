@@ -1,13 +1,36 @@
-"""What an injectable fault is."""
+"""Injectable faults, and the cells in which they can be brought about."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
-if TYPE_CHECKING:
-    from pcmrs_sim.cell import Cell
+from pcmrs.kinematics.arms import ArmFacts
+from pcmrs_sim.robot_faults import RobotFaults
+from pcmrs_sim.tracker import SimTracker
+from pcmrs_sim.world import World
+
+
+class Faulty(Protocol):
+    """A cell, as faults change it.
+
+    Attributes:
+        facts: The arm.
+        world: The truth.
+        tracker: Has faults of its own.
+    """
+
+    facts: ArmFacts
+    world: World
+    tracker: SimTracker
+
+    @property
+    def robot_faults(self) -> RobotFaults:
+        """What is wrong with the robot."""
+
+    def cut_robot(self, cut: bool) -> None:
+        """Cut the robot's link, or restore it."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +50,7 @@ class Fault:
     row: str
     help: str
     arguments: tuple[str, ...]
-    apply: Callable[[Cell, Mapping[str, Any]], None]
+    apply: Callable[[Faulty, Mapping[str, Any]], None]
     also: tuple[str, ...] = ()
 
     @property

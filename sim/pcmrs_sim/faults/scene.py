@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pcmrs.messages import HeadBurst, HeadMotion
 from pcmrs.spatial import Transform
-from pcmrs_sim.fault import Fault
-from pcmrs_sim.fault_arguments import number
-
-if TYPE_CHECKING:
-    from pcmrs_sim.cell import Cell
+from pcmrs_sim.faults.arguments import number
+from pcmrs_sim.faults.fault import Fault, Faulty
 
 FARTHEST_MM = 100.0
 FARTHEST_SHIFT_MM = 2000.0
@@ -23,17 +20,17 @@ BURST = 0.5
 """So long the head moves, s."""
 
 
-def _bump(cell: Cell, arguments: Mapping[str, Any]) -> None:
+def _bump(cell: Faulty, arguments: Mapping[str, Any]) -> None:
     offset = number(arguments, "millimetres", -FARTHEST_MM, FARTHEST_MM) * 1e-3
     cell.world.bump_reference(Transform.from_rotvec((offset, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
-def _shift(cell: Cell, arguments: Mapping[str, Any]) -> None:
+def _shift(cell: Faulty, arguments: Mapping[str, Any]) -> None:
     offset = number(arguments, "millimetres", -FARTHEST_SHIFT_MM, FARTHEST_SHIFT_MM) * 1e-3
     cell.world.shift_body(np.array((offset, 0.0, 0.0)))
 
 
-def _dash(cell: Cell, arguments: Mapping[str, Any]) -> None:
+def _dash(cell: Faulty, arguments: Mapping[str, Any]) -> None:
     speed = number(arguments, "millimetres_per_second", 0.0, FASTEST_MM) * 1e-3
     burst = HeadBurst(time=0.0, duration=BURST, speed=speed, direction=(1.0, 0.0, 0.0))
     cell.world.set_motion(HeadMotion(bursts=[burst]))

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from pcmrs_sim.fault import Fault
-from pcmrs_sim.fault_arguments import number, switch
-
-if TYPE_CHECKING:
-    from pcmrs_sim.cell import Cell
+from pcmrs_sim.faults.arguments import number, switch
+from pcmrs_sim.faults.fault import Fault, Faulty
 
 STRONGEST_UV = 1000.0
 """Electromyogram of a strong contraction, uV."""
 
 
-def _no_mep(cell: Cell, arguments: Mapping[str, Any]) -> None:
+def _no_mep(cell: Faulty, arguments: Mapping[str, Any]) -> None:
     cell.world.muscle.silent = switch(arguments, "on")
 
 
-def _preactivation(cell: Cell, arguments: Mapping[str, Any]) -> None:
+def _preactivation(cell: Faulty, arguments: Mapping[str, Any]) -> None:
     rms = number(arguments, "microvolts", 0.0, STRONGEST_UV) * 1e-6
     cell.world.muscle.preactivate(rms, cell.world.time)
 
