@@ -11,9 +11,9 @@ from typing import Any
 import nibabel
 import numpy as np
 
+from pcmrs.formats.grid import Volume, check_grid, check_size
 from pcmrs.formats.reading import refuse
 from pcmrs.formats.units import METRES
-from pcmrs.formats.volume import Volume, check_grid, check_size
 
 LARGEST_HEADER = 16 * 1024 * 1024
 """Header and extensions before the data, bytes."""

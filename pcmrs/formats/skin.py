@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.errors import ConfigurationError, GeometryError
+from pcmrs.formats.grid import Volume
 from pcmrs.formats.mesh import Mesh
-from pcmrs.formats.volume import Volume
 
 FINEST = 0.0015
 """Finer voxels than this are averaged before the surface is looked for, m."""

@@ -1,40 +1,14 @@
-"""Volumes of images: NIfTI files, and folders of one DICOM series. What is too large is refused by its header alone."""
+"""Volumes of images: NIfTI files, and folders of one DICOM series."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
-import numpy.typing as npt
 
 from pcmrs.errors import ConfigurationError
+from pcmrs.formats.grid import Volume
 from pcmrs.formats.reading import refuse
-from pcmrs.spatial import Floats
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 NIFTI = (".nii", ".nii.gz")
-MAX_VOXELS = 200_000_000
-"""512 x 512 x 760; as numbers of 32 bits 0.8 GB."""
-LEAST_EDGE, MOST_EDGE = 1e-5, 0.02
-"""Of a voxel, m: outside of these the unit is another one than the file says."""
-
-
-@dataclass(frozen=True, eq=False)
-class Volume:
-    """Grey values on a grid.
-
-    Attributes:
-        values: float32, (I, J, K), finite.
-        image_from_voxel: From indices (i, j, k, 1) of voxel centres to RAS, m, (4, 4); it need not be orthogonal.
-    """
-
-    values: npt.NDArray[np.float32]
-    image_from_voxel: Floats
 
 
 def read_volume(path: Path) -> Volume:
@@ -58,26 +32,3 @@ def read_volume(path: Path) -> Volume:
         text += "install the extra imaging (docs/supply.md)."
         raise ConfigurationError(text, package=error.name) from None
     refuse(path, f"is no volume that can be read: give {' or '.join(NIFTI)}, or a folder with one DICOM series.")
-
-
-def check_size(path: Path, shape: Sequence[int]) -> None:
-    """Refuses a volume by what its header says. Raises `FileFormatError`."""
-    if len(shape) != 3 or min(shape) < 2:
-        refuse(path, f"has {' x '.join(map(str, shape))} voxels: give one volume of at least two slices.")
-    voxels = math.prod(shape)
-    if voxels > MAX_VOXELS:
-        text = (
-            f"has {' x '.join(map(str, shape))} voxels, {voxels / 1e6:.0f} million; the limit is {MAX_VOXELS / 1e6:.0f}"
-        )
-        refuse(path, f"{text} million. Crop it to the body, or resample it.", value=voxels, limit=MAX_VOXELS)
-
-
-def check_grid(path: Path, image_from_voxel: Floats) -> None:
-    """Refuses voxels without extent or of an impossible one. Raises `FileFormatError`."""
-    axes = image_from_voxel[:3, :3]
-    edges = np.linalg.norm(axes, axis=0)
-    if not np.isfinite(image_from_voxel).all() or not (edges >= LEAST_EDGE).all() or not (edges <= MOST_EDGE).all():
-        limits = f"{LEAST_EDGE * 1e3:g} to {MOST_EDGE * 1e3:g} mm"
-        refuse(path, f"has voxels of {' x '.join(f'{edge * 1e3:.3g}' for edge in edges)} mm; {limits} are taken.")
-    if not abs(np.linalg.det(axes / edges)) > 1e-3:
-        refuse(path, "has voxels whose edges lie in one plane; export it again.")

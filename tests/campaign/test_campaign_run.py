@@ -32,10 +32,9 @@ NASTY = "<script>alert('B4')</script> & \"more\""
 @pytest.fixture(autouse=True)
 def _scripted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Injections of which the outcome is known, in place of the real ones."""
-    monkeypatch.setattr(registry, "_injections", {})
-    monkeypatch.setattr(registry, "injections", lambda: registry._injections)
-    monkeypatch.setattr("pcmrs_lab.campaign.run.injections", lambda: registry._injections)
-    monkeypatch.setattr("answered.injections", lambda: registry._injections)
+    monkeypatch.setattr(registry, "REGISTERED", {})
+    monkeypatch.setattr("pcmrs_lab.campaign.run.injections", lambda: registry.REGISTERED)
+    monkeypatch.setattr("answered.injections", lambda: registry.REGISTERED)
 
     @fault("S1", how="well")
     async def well(lab: Lab) -> Evidence:

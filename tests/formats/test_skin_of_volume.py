@@ -11,9 +11,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pcmrs.errors import FileFormatError, GeometryError
+from pcmrs.formats.grid import Volume
 from pcmrs.formats.mesh import Mesh
 from pcmrs.formats.skin import MOST_FACES, skin_of
-from pcmrs.formats.volume import Volume, read_volume
+from pcmrs.formats.volume import read_volume
 from pcmrs.spatial import Floats
 
 nibabel = pytest.importorskip("nibabel")

@@ -92,7 +92,8 @@ class Injection:
     run: Injector
 
 
-_injections: dict[str, list[Injection]] = {}
+REGISTERED: dict[str, list[Injection]] = {}
+"""Id to the ways in which that fault is injected, as far as their modules are loaded; see `injections`."""
 
 
 def fault(
@@ -114,7 +115,7 @@ def fault(
 
     def register(run: Injector) -> Injector:
         name = getattr(run, "__name__", fault_id)
-        _injections.setdefault(fault_id, []).append(Injection(fault_id, name, how, tuple(needs), deadline, run))
+        REGISTERED.setdefault(fault_id, []).append(Injection(fault_id, name, how, tuple(needs), deadline, run))
         return run
 
     return register

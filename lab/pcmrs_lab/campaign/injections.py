@@ -6,11 +6,11 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from pcmrs_lab.campaign import faults
-from pcmrs_lab.campaign.fault import Injection, _injections
+from pcmrs_lab.campaign.fault import REGISTERED, Injection
 
 
 def injections() -> dict[str, list[Injection]]:
     """Id to all ways in which that fault is injected."""
     for module in iter_modules(faults.__path__):
         import_module(f"{faults.__name__}.{module.name}")
-    return _injections
+    return REGISTERED

@@ -1,0 +1,55 @@
+"""Grids of voxels: a volume, and what is refused by its header alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from pcmrs.formats.reading import refuse
+from pcmrs.spatial import Floats
+
+MAX_VOXELS = 200_000_000
+"""512 x 512 x 760; as numbers of 32 bits 0.8 GB."""
+LEAST_EDGE, MOST_EDGE = 1e-5, 0.02
+"""Of a voxel, m: outside of these the unit is another one than the file says."""
+
+
+@dataclass(frozen=True, eq=False)
+class Volume:
+    """Grey values on a grid.
+
+    Attributes:
+        values: float32, (I, J, K), finite.
+        image_from_voxel: From indices (i, j, k, 1) of voxel centres to RAS, m, (4, 4); it need not be orthogonal.
+    """
+
+    values: npt.NDArray[np.float32]
+    image_from_voxel: Floats
+
+
+def check_size(path: Path, shape: Sequence[int]) -> None:
+    """Refuses a volume by what its header says. Raises `FileFormatError`."""
+    if len(shape) != 3 or min(shape) < 2:
+        refuse(path, f"has {' x '.join(map(str, shape))} voxels: give one volume of at least two slices.")
+    voxels = math.prod(shape)
+    if voxels > MAX_VOXELS:
+        text = (
+            f"has {' x '.join(map(str, shape))} voxels, {voxels / 1e6:.0f} million; the limit is {MAX_VOXELS / 1e6:.0f}"
+        )
+        refuse(path, f"{text} million. Crop it to the body, or resample it.", value=voxels, limit=MAX_VOXELS)
+
+
+def check_grid(path: Path, image_from_voxel: Floats) -> None:
+    """Refuses voxels without extent or of an impossible one. Raises `FileFormatError`."""
+    axes = image_from_voxel[:3, :3]
+    edges = np.linalg.norm(axes, axis=0)
+    if not np.isfinite(image_from_voxel).all() or not (edges >= LEAST_EDGE).all() or not (edges <= MOST_EDGE).all():
+        limits = f"{LEAST_EDGE * 1e3:g} to {MOST_EDGE * 1e3:g} mm"
+        refuse(path, f"has voxels of {' x '.join(f'{edge * 1e3:.3g}' for edge in edges)} mm; {limits} are taken.")
+    if not abs(np.linalg.det(axes / edges)) > 1e-3:
+        refuse(path, "has voxels whose edges lie in one plane; export it again.")
