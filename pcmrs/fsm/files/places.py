@@ -1,15 +1,15 @@
-"""Where in TOML files a key is: what the parser of the standard library does not tell."""
+"""Places of keys in one TOML file, or in several that are laid over each other."""
 
 from __future__ import annotations
 
-import tomllib
+import re
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping
 from copy import copy
-from typing import Any
 
 import msgspec
-from tree_sitter import Node, Tree
 
+from pcmrs.fsm.files.keys import Key
 from pcmrs.fsm.finding import Finding, Path
 
 Spot = tuple[str, int, int]
@@ -20,18 +20,20 @@ class Places:
     """File, line and column of every key.
 
     Args:
-        tree: The syntax of a file that `tomllib` can read.
-        raw: The file.
+        text: Text of a file that `tomllib` can read.
+        keys: Its keys.
         origin: How findings call it.
     """
 
-    def __init__(self, tree: Tree, raw: bytes, origin: str) -> None:
-        self._lines = raw.split(b"\n")
+    def __init__(self, text: str, keys: Iterable[Key], origin: str) -> None:
         self._origin = origin
         self._places: dict[Path, Spot] = {}
-        self._lengths: dict[Path, int] = {}  # of arrays of tables
-        for node in tree.root_node.named_children:
-            self._take(node, ())
+        lines = [0, *(match.end() for match in re.finditer("\n", text))]
+        for key in keys:
+            row = bisect_right(lines, key.at)
+            spot = (origin, row, key.at - lines[row - 1] + 1)
+            for length in range(len(key.above) + 1, len(key.path) + 1):  # with the tables on the way to it
+                self._places.setdefault(key.path[:length], spot)
 
     def of(self, path: Path) -> Spot:
         """Where the key at `path` is, or the nearest above it that is in the file."""
@@ -54,48 +56,6 @@ class Places:
             both._places[moved.get(element, ()) + path[len(element) :]] = spot
         return both
 
-    def _take(self, node: Node, above: Path) -> None:
-        if node.type == "pair":
-            key, value = node.named_children[:2]
-            path = (*above, *_keys(key))
-            self._note(key, path, above)
-            self._take_value(value, path)
-        elif node.type in ("table", "table_array_element"):
-            key = node.named_children[0]
-            path = self._resolved(_keys(key), new=node.type == "table_array_element")
-            self._note(key, path, ())
-            for child in node.named_children[1:]:
-                self._take(child, path)
-
-    def _take_value(self, node: Node, path: Path) -> None:
-        if node.type == "inline_table":
-            for child in node.named_children:
-                self._take(child, path)
-        elif node.type == "array":
-            for index, child in enumerate(item for item in node.named_children if item.type != "comment"):
-                self._note(child, (*path, str(index)), path)
-                self._take_value(child, (*path, str(index)))
-
-    def _note(self, node: Node, path: Path, above: Path) -> None:
-        """Remembers where `path` is, and the tables on the way to it from `above`."""
-        row, byte = node.start_point
-        column = len(self._lines[row][:byte].decode(errors="replace"))
-        for length in range(len(above) + 1, len(path) + 1):
-            self._places.setdefault(path[:length], (self._origin, row + 1, column + 1))
-
-    def _resolved(self, keys: Path, *, new: bool) -> Path:
-        """The path of a header, with the number of the newest element after each array of tables."""
-        path: Path = ()
-        for key in keys[:-1]:
-            path = (*path, key)
-            if path in self._lengths:
-                path = (*path, str(self._lengths[path] - 1))
-        path = (*path, keys[-1])
-        if not new:
-            return path
-        self._lengths[path] = self._lengths.get(path, 0) + 1
-        return (*path, str(self._lengths[path] - 1))
-
 
 def placed(findings: Iterable[Finding], places: Places) -> list[Finding]:
     """The findings with file, line and column."""
@@ -106,15 +66,3 @@ def placed(findings: Iterable[Finding], places: Places) -> list[Finding]:
 def _up(path: Path) -> Iterator[Path]:
     """The path and all above it."""
     return (path[:length] for length in range(len(path), 0, -1))
-
-
-def _keys(node: Node) -> Path:
-    text = (node.text or b"").decode()
-    return tuple(_flat(tomllib.loads(f"{text} = 0")))
-
-
-def _flat(table: dict[str, Any]) -> Iterator[str]:
-    for key, inner in table.items():
-        yield key
-        if isinstance(inner, dict):
-            yield from _flat(inner)

@@ -9,15 +9,11 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import msgspec
-import tree_sitter_toml
-from tree_sitter import Language, Parser, Tree
 
 from pcmrs.fsm.files.bounded import text_of
+from pcmrs.fsm.files.keys import MAX_DEPTH, DepthError, keys_in
 from pcmrs.fsm.files.places import Places
 from pcmrs.fsm.finding import Path, Place, refuse
-
-MAX_DEPTH = 64
-"""Of nested arrays, inline tables and dotted keys, counted in nodes of the grammar."""
 
 T = TypeVar("T")
 
@@ -33,11 +29,14 @@ def read_toml(raw: bytes, origin: str) -> tuple[dict[str, Any], Places]:
         BlueprintError: It is too large or too deep, or not TOML; `findings` has where.
     """
     text = text_of(raw, origin)
-    tree = Parser(Language(tree_sitter_toml.language())).parse(raw)
-    _check_depth(tree, origin)
     try:
-        return tomllib.loads(text), Places(tree, raw, origin)
-    except RecursionError:  # brackets that nobody closes are no nodes
+        keys = keys_in(text)
+        return tomllib.loads(text), Places(text, keys, origin)
+    except DepthError as error:
+        refuse(
+            origin, "too_deep", f"Keys or values are nested over {MAX_DEPTH} deep.", _line_and_column(text, error.at)
+        )
+    except RecursionError:
         refuse(origin, "too_deep", f"Values are nested over {MAX_DEPTH} deep.")
     except ValueError as error:  # more than TOMLDecodeError: a number may have too many digits
         refuse(origin, "not_toml", f"This is not TOML: {_said(error)}.", _place(error, text))
@@ -69,24 +68,12 @@ def _place(error: ValueError, text: str) -> Place:
     if (place := _PLACE.search(str(error))) and place[1]:
         return int(place[1]), int(place[2])
     digits = None if place else re.search(rf"[\d_]{{{sys.get_int_max_str_digits()},}}", text)
-    before = text[: digits.start()] if digits else text
+    return _line_and_column(text, digits.start() if digits else len(text))
+
+
+def _line_and_column(text: str, at: int) -> Place:
+    before = text[:at]
     return before.count("\n") + 1, len(before.rpartition("\n")[2]) + 1
-
-
-def _check_depth(tree: Tree, origin: str) -> None:
-    """Refuses what would take the parser's stack or its memory; looks no deeper than the limit."""
-    cursor, depth = tree.walk(), 0
-    while True:
-        if depth > MAX_DEPTH:
-            row, column = cursor.node.start_point if cursor.node is not None else (0, 0)
-            refuse(origin, "too_deep", f"Keys or values are nested over {MAX_DEPTH} deep.", (row + 1, column + 1))
-        if cursor.goto_first_child():
-            depth += 1
-            continue
-        while not cursor.goto_next_sibling():
-            if not cursor.goto_parent():
-                return
-            depth -= 1
 
 
 def _narrowed(table: Mapping[str, Any], kind: type[Any], error: msgspec.ValidationError) -> Path:
