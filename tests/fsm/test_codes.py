@@ -16,7 +16,9 @@ def test_every_kind_is_documented_as_it_is() -> None:
 
 
 def test_every_kind_that_the_source_names_is_listed_and_the_other_way_round() -> None:
-    source = "".join(file.read_text() for file in (ROOT / "pcmrs/fsm").rglob("*.py") if file.name != "codes.py")
+    packages = [ROOT / "pcmrs" / name for name in ("fsm", "authoring")]
+    files = [file for package in packages for file in package.rglob("*.py")]
+    source = "".join(file.read_text() for file in files if file.name != "codes.py")
     named = set(re.findall(r'code="(\w+)"', source)) | set(re.findall(r'_refuse\(origin, "(\w+)"', source))
     assert named <= set(CODES)
     assert {code for code in CODES if f'"{code}"' not in source} == set()
