@@ -9,6 +9,7 @@ import click
 
 from pcmrs.cli.lazy import LazyGroup
 
+LABORATORY = "pcmrs-lab"
 COMMANDS = {
     "call": "pcmrs.cli.cell:call",
     "state": "pcmrs.cli.cell:state",
@@ -22,15 +23,15 @@ COMMANDS = {
     "stop": "pcmrs.cli.cell:stop",
     "journal": "pcmrs.cli.journal:journal",
     "fsm": "pcmrs.cli.fsm:fsm",
-    "faults": "pcmrs_lab.cli.faults:faults",
+    "faults": LABORATORY,
     "placements": "pcmrs.cli.placements:placements",
     "register": "pcmrs.cli.register:register",
     "skin": "pcmrs.cli.skin:skin",
     "calibrate": "pcmrs.cli.calibrate:calibrate",
-    "experiment": "pcmrs_lab.cli.experiment:experiment",
-    "demo": "pcmrs_lab.cli.experiment:demo",
+    "experiment": LABORATORY,
+    "demo": LABORATORY,
     "teleop": "pcmrs.cli.teleop:teleop",
-    "session": "pcmrs_lab.cli.session:session",
+    "session": LABORATORY,
     "pki": "pcmrs.cli.pki:pki",
     "peers": "pcmrs.cli.peers:peers",
     "node": "pcmrs.cli.serve:node",
@@ -45,7 +46,7 @@ COMMANDS = {
 }
 
 
-@click.group(cls=LazyGroup, commands=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=LazyGroup, commands=COMMANDS, added="", context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="pcmrs")
 def main() -> None:
     """PCMRS: medical robot procedures as hierarchical state machines.

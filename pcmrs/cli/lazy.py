@@ -4,29 +4,63 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
-from typing import Any
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Final
 
 import click
+
+from pcmrs.extras import missing_extra
+
+ADDED: Final = "pcmrs.commands"
+"""Group of the entry points with which other distributions add commands: ``name``, or ``group.name``."""
 
 
 class LazyGroup(click.Group):
     """Finds commands by name and imports only the one that is asked for.
 
     Args:
-        commands: Name of each command to ``module:function``.
+        commands: Name of each command to ``module:function``, or to the distribution that adds it.
+        added: Prefix of the entry points that add further commands; None if none are looked for.
         given: See `click.Group`.
     """
 
-    def __init__(self, *, commands: Mapping[str, str], **given: Any) -> None:
+    def __init__(self, *, commands: Mapping[str, str], added: str | None = None, **given: Any) -> None:
         super().__init__(**given)
         self._places = commands
+        self._prefix = added
 
     def list_commands(self, _context: click.Context) -> list[str]:
-        return list(self._places)
+        added = self._added()
+        known = [name for name, place in self._places.items() if ":" in place or name in added]
+        return known + sorted(added.keys() - self._places.keys())
 
-    def get_command(self, _context: click.Context, name: str) -> click.Command | None:
-        if name not in self._places:
-            return None
-        module, _, function = self._places[name].partition(":")
-        command: click.Command = getattr(import_module(module), function)
-        return command
+    def get_command(self, context: click.Context, name: str) -> click.Command | None:
+        place = self._places.get(name, "")
+        try:
+            if ":" in place:
+                module, _, function = place.partition(":")
+                command: click.Command = getattr(import_module(module), function)
+                return command
+            if (point := self._added().get(name)) is not None:
+                command = point.load()
+                return command
+        except ModuleNotFoundError as error:
+            self._fail(error)
+        if place:
+            text = f"'{context.command_path} {name}' is a command of {place}, which is not installed (docs/supply.md)."
+            raise click.UsageError(text, context)
+        return None
+
+    def _added(self) -> dict[str, EntryPoint]:
+        if self._prefix is None:
+            return {}
+        names = {point.name.removeprefix(self._prefix): point for point in entry_points(group=ADDED)}
+        return {name: point for name, point in names.items() if self._prefix + name == point.name and "." not in name}
+
+    def _fail(self, error: ModuleNotFoundError) -> None:
+        missing = missing_extra(error)
+        if missing is None:
+            raise error
+        from pcmrs.cli.running import fail  # loads what prints errors
+
+        fail(missing)

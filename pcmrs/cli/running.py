@@ -1,4 +1,4 @@
-"""How every command runs: in uvloop, with errors as one readable line and an exit status."""
+"""How every command runs: in uvloop where it is installed, with errors as one readable line and an exit status."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import click
 
 from pcmrs.cli.printing import say
 from pcmrs.errors import BlueprintError, BusError, ConfigurationError, JournalError, PcmrsError
+from pcmrs.extras import missing_extra
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -31,10 +32,17 @@ STATUS: list[tuple[type[PcmrsError], int]] = [
 
 def run(work: Coroutine[Any, Any, T]) -> T:
     """Runs `work` in an event loop of its own."""
-    import uvloop  # not needed by those who only ask for help
-
-    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+    with asyncio.Runner(loop_factory=_loop_factory()) as runner:
         return runner.run(work)
+
+
+def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
+    try:
+        import uvloop  # not needed by those who only ask for help, and not there without the extra daemon
+    except ModuleNotFoundError:
+        return None
+    factory: Callable[[], asyncio.AbstractEventLoop] = uvloop.new_event_loop
+    return factory
 
 
 def readable_errors(function: Callable[P, T]) -> Callable[P, T]:
@@ -46,6 +54,11 @@ def readable_errors(function: Callable[P, T]) -> Callable[P, T]:
             return function(*args, **kwargs)
         except PcmrsError as error:
             fail(error)
+        except ModuleNotFoundError as error:
+            missing = missing_extra(error)
+            if missing is None:
+                raise
+            fail(missing)
         except BrokenPipeError:
             raise  # whoever read the output has had enough: click ends in silence
         except OSError as error:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
-import resvg_py
-
 from pcmrs.errors import ConfigurationError
 
 ZOOM = 2.0
@@ -29,6 +27,8 @@ def png(svg: str) -> bytes:
     Raises:
         ConfigurationError: There is no font, so that the names would be missing, or the picture is too large.
     """
+    import resvg_py  # the extra authoring: a chart as text or SVG does without
+
     root = ElementTree.fromstring(svg)  # noqa: S314  # we have drawn it
     pixels = float(root.attrib["width"]) * float(root.attrib["height"]) * ZOOM**2
     if pixels > MAX_PIXELS:
@@ -42,6 +42,8 @@ def png(svg: str) -> bytes:
 
 def _shows_text(font: str | None) -> bool:
     """Whether text shows at all; the renderer leaves it out in silence where there is no font."""
+    import resvg_py
+
     texts = (_SAMPLE.format("M"), _SAMPLE.format(""))
     written, blank = (resvg_py.svg_to_bytes(svg_string=text, monospace_family=font) for text in texts)
     return written != blank

@@ -14,12 +14,12 @@ COMMANDS = {
     "export": "pcmrs.cli.fsm.export:export",
     "import": "pcmrs.cli.fsm.import_:import_",
     "simulate": "pcmrs.cli.fsm.simulate:simulate",
-    "test": "pcmrs_lab.cli.fsm_test:test",
+    "test": "pcmrs-lab",
     "diff": "pcmrs.cli.fsm.diff:diff",
 }
 
 
-@click.group(cls=LazyGroup, commands=COMMANDS)
+@click.group(cls=LazyGroup, commands=COMMANDS, added="fsm.")
 def fsm() -> None:
     """Design, verify, draw, import, test and compare workflows.
 
