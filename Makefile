@@ -15,7 +15,7 @@ SEED := 0
 PART :=
 OPTIONS :=
 WORKERS := $(shell echo $$((3 * $$(nproc) / 2)))
-EXTRAS := sim hardware console imaging ros2 docs fuzz dev
+EXTRAS := daemon recording report authoring hardware console imaging ros2 docs fuzz dev
 
 .PHONY: help install demo test nightly evidence mutants fuzz tools spin browser mono screenshots docs lint lock release clean
 
@@ -79,11 +79,11 @@ lint: install ## Check style, format, types and import contracts
 	for fixtures in tests/*/conftest.py; do $(BIN)/mypy --strict "$$fixtures"; done
 	$(BIN)/lint-imports
 
-lock: install ## Remake requirements.lock from pyproject.toml; keeps the versions that still fit
+lock: install ## Remake requirements.lock from the three pyproject.toml; keeps the versions that still fit
 	$(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url --no-strip-markers --custom-compile-command "make lock" \
-	    $(EXTRAS:%=--extra %) --output-file requirements.lock pyproject.toml
+	    --no-emit-package pcmrs --no-emit-package pcmrs-sim $(EXTRAS:%=--extra %) --output-file requirements.lock $(PROJECTS)
 
-release: install ## Build wheel, source archive, SBOM and checksums into dist/; publishes nothing
+release: install ## Build the wheels, the source archive, SBOM and checksums into dist/; publishes nothing
 	.ci/release
 
 clean: ## Remove .venv, caches and what was built

@@ -10,26 +10,28 @@ from pcmrs.errors import ConfigurationError
 EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "daemon": ("coal", "pinocchio", "prometheus_client", "ruckig", "scipy", "threadpoolctl", "trimesh", "uvloop"),
     "recording": ("foxglove", "mcap", "zstandard"),
-    "report": ("jinja2", "matplotlib", "plutoprint"),
+    "report": ("jinja2", "matplotlib", "plutoprint", "scipy", "threadpoolctl"),
     "authoring": ("resvg_py",),
     "hardware": ("ndicapy", "pyigtl", "pylsl", "serial"),
-    "console": ("nicegui", "fastapi", "uvicorn"),
-    "imaging": ("fast_simplification", "nibabel", "pydicom", "skimage"),
+    "console": ("fastapi", "nicegui", "uvicorn"),
+    "imaging": ("fast_simplification", "nibabel", "pydicom", "skimage", "trimesh"),
     "teleop": ("evdev",),
     "ros2": ("pycdr2",),
 }
 """Name of an extra to the modules that it brings and that are imported."""
 
-
-def extra_of(module: str) -> str | None:
-    """Return the extra that brings a module, such as ``scipy.linalg``; None for a module of no extra."""
-    return next((extra for extra, modules in EXTRAS.items() if module.partition(".")[0] in modules), None)
+POSIX: Final = frozenset({"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"})
+"""Modules of the standard library that Windows does not have."""
 
 
-def missing_extra(error: ModuleNotFoundError) -> ConfigurationError | None:
-    """Return the error that names the extra to install; None if the module belongs to no extra."""
-    extra = extra_of(error.name or "")
-    if extra is None:
+def missing_module(error: ModuleNotFoundError) -> ConfigurationError | None:
+    """Return the error that says what to do about a missing module; None if it belongs to no extra."""
+    module = (error.name or "").partition(".")[0]
+    if module in POSIX:
+        text = f"This needs {module}, which Windows does not have: run it on Linux."
+        return ConfigurationError(text, module=module)
+    extras = [extra for extra, modules in EXTRAS.items() if module in modules]
+    if not extras:
         return None
-    text = f"The package {error.name} is missing: install the extra {extra} (docs/supply.md)."
-    return ConfigurationError(text, package=error.name, extra=extra)
+    text = f"The package {module} is missing: install the extra {' or '.join(extras)} (docs/supply.md)."
+    return ConfigurationError(text, package=module, extras=extras)

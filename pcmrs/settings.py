@@ -31,6 +31,8 @@ from pcmrs.workflows.settings import ProcedureSettings
 
 DRIVER_SETTINGS = "pcmrs.driver_settings"
 SIMULATIONS = "pcmrs.simulations"
+SIMULATED = "sim"
+"""Driver of the simulated cell, which another distribution brings."""
 """Drivers that open their devices in the process that asks, as simulated time needs it."""
 DEVICES = ("robot", "tracker", "pointer", "scene", "stimulator", "emg")
 TABLES = ("sim", "kst", "ndi", "plus", "lsl", "trigger", "ros2")
@@ -260,12 +262,12 @@ def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Se
     settings = as_config(Settings, overlaid(defaults, values))
     _check_limits(settings, defaults)
     _check_cell(settings)
-    simulated = "sim" in settings.drivers()
-    if not simulated and "sim" not in values:
+    simulated = SIMULATED in settings.drivers()
+    if not simulated and SIMULATED not in values:
         # What the workflow says of a simulation does not matter where there is none; nor need it be installed.
         settings = msgspec.structs.replace(settings, sim={})
     if simulated:
-        _check_driver_tables({"sim": defaults.get("sim", {})}, f" in {_origin(settings.workflow)}")
+        _check_driver_tables({SIMULATED: defaults.get(SIMULATED, {})}, f" in {_origin(settings.workflow)}")
     used = settings.drivers().keys() | values.keys()
     _check_driver_tables({driver: getattr(settings, driver) for driver in TABLES if driver in used})
     return settings
@@ -337,8 +339,10 @@ def _check_cell(settings: Settings) -> None:
     for driver in settings.drivers():
         if driver not in known:
             text = f"There is no driver {driver!r}; installed are {', '.join(sorted(known)) or 'none'}."
+            if driver == SIMULATED:
+                text = "The driver 'sim' is not installed: install the distribution pcmrs-sim (docs/supply.md)."
             raise ConfigurationError(text, driver=driver)
-    real = sorted(set(settings.drivers()) - {"sim"})
+    real = sorted(set(settings.drivers()) - {SIMULATED})
     if settings.cell.rate != 1.0 and real:
         text = f"cell.rate is {settings.cell.rate:g}, but {', '.join(real)} runs in real time: only 1 is possible."
         raise ConfigurationError(text, rate=settings.cell.rate)

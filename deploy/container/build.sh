@@ -12,7 +12,7 @@ mmdebstrap --variant=minbase --include=ca-certificates,libgomp1,python3,python3-
 
 mkdir "$work/wheels"
 .venv/bin/python deploy/locked.py sim hardware >"$work/locked.txt"
-.venv/bin/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir "$work/wheels" .
+.venv/bin/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir "$work/wheels" . ./sim
 .venv/bin/python -m pip wheel --quiet --require-hashes --no-deps --requirement "$work/locked.txt" --wheel-dir "$work/wheels"
 
 cp deploy/container/Containerfile "$work"

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import click
 
-from pcmrs.extras import missing_extra
+from pcmrs.extras import missing_module
 
 ADDED: Final = "pcmrs.commands"
 """Group of the entry points with which other distributions add commands: ``name``, or ``group.name``."""
@@ -58,7 +58,7 @@ class LazyGroup(click.Group):
         return {name: point for name, point in names.items() if self._prefix + name == point.name and "." not in name}
 
     def _fail(self, error: ModuleNotFoundError) -> None:
-        missing = missing_extra(error)
+        missing = missing_module(error)
         if missing is None:
             raise error
         from pcmrs.cli.running import fail  # loads what prints errors

@@ -12,7 +12,7 @@ import click
 
 from pcmrs.cli.printing import say
 from pcmrs.errors import BlueprintError, BusError, ConfigurationError, JournalError, PcmrsError
-from pcmrs.extras import missing_extra
+from pcmrs.extras import missing_module
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -55,7 +55,7 @@ def readable_errors(function: Callable[P, T]) -> Callable[P, T]:
         except PcmrsError as error:
             fail(error)
         except ModuleNotFoundError as error:
-            missing = missing_extra(error)
+            missing = missing_module(error)
             if missing is None:
                 raise
             fail(missing)

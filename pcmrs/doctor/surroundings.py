@@ -22,17 +22,17 @@ from pcmrs.gateway.settings import UNIX_NS
 from pcmrs.hosts import is_loopback
 from pcmrs.service.health_report import ENDS_SOON
 from pcmrs.service.metrics import HOST as METRICS_HOST
-from pcmrs.settings import DRIVER_SETTINGS, Settings
+from pcmrs.settings import DRIVER_SETTINGS, SIMULATED, Settings
 
 EXTRAS: Final = {
-    "sim": ("sim",),
+    SIMULATED: (SIMULATED,),
     "ndi": ("hardware",),
     "plus": ("hardware",),
     "lsl": ("hardware",),
     "trigger": ("hardware",),
     "ros2": ("ros2",),
 }
-"""Driver to the extras of the distribution that it needs."""
+"""Driver to the extras that it needs; the simulated cell is a distribution by itself."""
 DIALLED: Final = ("ndi", "plus")
 """Devices that take a second client for a moment. A cabinet takes one, and may end its application when that goes."""
 LSL_DRIVERS: Final = frozenset({"lsl", "trigger"})
@@ -74,7 +74,7 @@ def ports(settings: Settings, *, running: bool) -> Iterator[Finding]:
 
 def extras(settings: Settings, wanted: Mapping[str, tuple[str, ...]] = EXTRAS) -> Iterator[Finding]:
     """Whether the packages are installed that drivers and page need."""
-    needed = {extra for driver in settings.drivers() for extra in wanted.get(driver, ())}
+    needed = {"daemon"} | {extra for driver in settings.drivers() for extra in wanted.get(driver, ())}
     for extra in sorted(needed | ({"console"} if settings.console.enabled else set())):
         missing = [name for name in _packages(extra) if not _is_installed(name)]
         if not missing:
@@ -175,6 +175,8 @@ def _why_not_bound(host: str, port: int, kind: socket.SocketKind) -> str:
 
 
 def _packages(extra: str) -> list[str]:
+    if extra == SIMULATED:
+        return [_name(line) for line in requires("pcmrs-sim") or []]
     ending = f'extra == "{extra}"'
     lines = [each.replace("'", '"') for each in requires("pcmrs") or []]
     return [_name(line) for line in lines if line.endswith(ending)]

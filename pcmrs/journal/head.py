@@ -6,7 +6,6 @@ that may have been acknowledged, and is signed, so that nobody without the key c
 
 from __future__ import annotations
 
-import fcntl
 import os
 import struct
 from dataclasses import dataclass
@@ -107,6 +106,8 @@ class HeadFile:
         except OSError as error:
             raise JournalError(f"{path} cannot be written: {error.strerror}.", path=str(path)) from error
         try:
+            import fcntl  # who only reads a journal does so on Windows, too
+
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             os.close(self._descriptor)

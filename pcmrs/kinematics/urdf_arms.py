@@ -91,7 +91,7 @@ def _packaged_file(model: str, file: str) -> Path:
     for path in known:
         if path.as_posix().endswith(file):
             return Path(str(path.locate()))
-    text = f"The arm {model!r} needs the package {_PACKAGE} with {file}: install pcmrs[sim]."
+    text = f"The arm {model!r} needs the package {_PACKAGE} with {file}: install pcmrs-sim (docs/supply.md)."
     raise ConfigurationError(text, model=model, package=_PACKAGE)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -176,6 +175,8 @@ class Authority:
     def _register(self) -> Iterator[list[Identity]]:
         """The register, while nobody else changes it."""
         with (self.folder / f"{REGISTER}.lock").open("w") as lock:
+            import fcntl  # who only reads an identity does so on Windows, too
+
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield self.identities()
 

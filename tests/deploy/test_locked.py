@@ -42,8 +42,10 @@ def test_whatever_installs_names_hashes_or_takes_files_that_are_there() -> None:
 def test_an_extra_brings_what_it_needs_and_no_tools_of_developers() -> None:
     base, sim = locked([]), locked(["sim"])
     assert {"eclipse-zenoh", "msgspec", "click"} <= names(base)
-    assert "mujoco" not in names(base)
+    assert not names(base) & {"matplotlib", "mujoco", "pin", "plutoprint", "resvg-py", "scipy", "uvloop"}
     assert {"mujoco", "glfw"} <= names(sim)  # the latter is needed by the former only
+    assert {"pin", "uvloop", "foxglove-sdk"} <= names(sim)  # by the daemon, for which it is the cell
+    assert names(sim) | {"matplotlib", "plutoprint"} <= names(locked(["lab"]))
     assert {"nicegui", "starlette"} <= names(locked(["console"]))
     assert not names(locked(["sim", "hardware", "console"])) & {"pytest", "mypy", "ruff", "detect-secrets"}
     lock = (ROOT / "requirements.lock").read_text()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
 from xml.etree import ElementTree
 
 from pcmrs.errors import ConfigurationError
+from pcmrs.extras import missing_module
 
 ZOOM = 2.0
 """Pixels per px of the drawing."""
@@ -25,10 +27,9 @@ def png(svg: str) -> bytes:
     """Renders a chart with the system's fonts, `ZOOM` pixels for each px of the drawing.
 
     Raises:
-        ConfigurationError: There is no font, so that the names would be missing, or the picture is too large.
+        ConfigurationError: The renderer is not installed, there is no font, so that the names would be missing, or the
+            picture is too large.
     """
-    import resvg_py  # the extra authoring: a chart as text or SVG does without
-
     root = ElementTree.fromstring(svg)  # noqa: S314  # we have drawn it
     pixels = float(root.attrib["width"]) * float(root.attrib["height"]) * ZOOM**2
     if pixels > MAX_PIXELS:
@@ -36,14 +37,20 @@ def png(svg: str) -> bytes:
         raise ConfigurationError(text, pixels=pixels)
     for font in _MONOSPACE:
         if _shows_text(font):
-            return resvg_py.svg_to_bytes(svg_string=svg, zoom=ZOOM, background="#ffffff", monospace_family=font)
+            return _pixels(svg, font, zoom=ZOOM, background="#ffffff")
     raise ConfigurationError("no font to write the names with: install one (Debian: fonts-dejavu-core), or use svg")
 
 
 def _shows_text(font: str | None) -> bool:
     """Whether text shows at all; the renderer leaves it out in silence where there is no font."""
-    import resvg_py
-
     texts = (_SAMPLE.format("M"), _SAMPLE.format(""))
-    written, blank = (resvg_py.svg_to_bytes(svg_string=text, monospace_family=font) for text in texts)
+    written, blank = (_pixels(text, font) for text in texts)
     return written != blank
+
+
+def _pixels(svg: str, font: str | None, **options: Any) -> bytes:
+    try:
+        import resvg_py  # not needed for a chart as text or SVG
+    except ModuleNotFoundError as error:
+        raise missing_module(error) or error from None
+    return resvg_py.svg_to_bytes(svg_string=svg, monospace_family=font, **options)

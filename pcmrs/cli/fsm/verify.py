@@ -13,6 +13,7 @@ from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.progress import search_bar
 from pcmrs.cli.running import readable_errors
 from pcmrs.errors import ConfigurationError
+from pcmrs.extras import missing_module
 from pcmrs.fsm.finding import unread
 
 if TYPE_CHECKING:
@@ -61,8 +62,14 @@ def _known(raw: bytes) -> Known | None:
     """What PCMRS's own steps do; not loaded for a file that names none."""
     if b"steps" not in raw and b"extends" not in raw and b"activities" not in raw:
         return None
-    from pcmrs.workflows.opening import placement_registry
-
+    try:
+        from pcmrs.workflows.opening import placement_registry
+    except ModuleNotFoundError as error:
+        missing = missing_module(error)
+        if missing is None:
+            raise
+        say(f"What the steps of PCMRS do is not looked at. {missing.text}", err=True)
+        return None
     return placement_registry().known
 
 
