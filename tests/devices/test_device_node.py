@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 
@@ -31,122 +31,14 @@ from pcmrs.messages import (
     LandmarkPrompt,
     MotionResult,
     PressRequest,
-    ServoSession,
 )
 from pcmrs.testing.clock import ManualClock, settle
+from pcmrs.testing.devices import END, STATE, FakeHand, FakeRobot, FakeTracker
 from pcmrs.threads import Load
 
 BEAT_PERIOD = beat_period(DEADMAN)
 
-STATE = JointState(captured=1.0, sent=1.0, positions=[0.1] * 7, velocities=[0.0] * 7, torques=[0.0] * 7)
 TRAJECTORY = JointTrajectory(period=0.005, positions=[[0.0] * 7, [0.1] * 7])
-END = JointSetpoint(session=0, number=0, sent=0.0, positions=[], velocities=[])
-
-
-class FakeRobot:
-    """Does as told and remembers what it was told."""
-
-    trouble = ""
-    dropped = 0
-
-    def __init__(self) -> None:
-        self.error: Exception | None = None
-        self.state = STATE
-        self.followed: list[JointTrajectory] = []
-        self.holds = 0
-        self.stream: asyncio.Queue[JointState] = asyncio.Queue()
-        self.reports: asyncio.Queue[DeviceEvent] = asyncio.Queue()
-        self.setpoints: list[JointSetpoint] = []
-        self.pressed: list[PressRequest] = []
-        self.servo_end = MotionResult(outcome="done", positions=[0.1] * 7)
-
-    async def connect(self) -> JointState:
-        if self.error is not None:
-            raise self.error
-        return STATE
-
-    async def disconnect(self) -> None:
-        await asyncio.sleep(0)
-
-    async def joints(self) -> JointState:
-        return self.state
-
-    async def follow(self, trajectory: JointTrajectory) -> MotionResult:
-        self.followed.append(trajectory)
-        return MotionResult(outcome="done", positions=trajectory.positions[-1])
-
-    async def press(self, request: PressRequest) -> MotionResult:
-        self.pressed.append(request)
-        return MotionResult(outcome="done", positions=[0.1] * 7, force=3.1)
-
-    async def begin_servo(self) -> ServoSession:
-        return ServoSession(session=4, deadman=0.1)
-
-    async def end_servo(self, session: int) -> MotionResult:
-        assert session == 4
-        self.setpoints.append(END)
-        if self.error is not None:
-            raise self.error
-        return self.servo_end
-
-    def set_point(self, setpoint: JointSetpoint) -> None:
-        self.setpoints.append(setpoint)
-
-    async def hold(self) -> JointState:
-        self.holds += 1
-        if self.error is not None:
-            raise self.error
-        return STATE
-
-    async def states(self) -> AsyncIterator[JointState]:
-        while True:
-            yield await self.stream.get()
-
-    async def events(self) -> AsyncIterator[DeviceEvent]:
-        while True:
-            yield await self.reports.get()
-
-
-class FakeTracker:
-    trouble = "The tracker is unplugged."
-
-    def __init__(self) -> None:
-        self.stream: asyncio.Queue[Sequence[BodyPose]] = asyncio.Queue()
-
-    async def frames(self) -> AsyncIterator[Sequence[BodyPose]]:
-        while True:
-            yield await self.stream.get()
-
-
-class FakeHand:
-    """A pointer and a scene in one."""
-
-    def __init__(self) -> None:
-        self.calls: list[Any] = []
-
-    async def touch(self, prompt: LandmarkPrompt) -> None:
-        self.calls.append(prompt)
-
-    async def touch_surface(self) -> None:
-        self.calls.append("surface")
-
-    async def release(self) -> None:
-        self.calls.append("release")
-
-    async def displace_touch(self, index: int, offset_in_image: tuple[float, float, float]) -> None:
-        self.calls.append((index, offset_in_image))
-
-    async def reseed(self, seed: int) -> None:
-        self.calls.append(seed)
-
-    async def set_motion(self, motion: HeadMotion) -> None:
-        self.calls.append(motion)
-
-    async def bump_reference(self, offset_in_body_ref: Any, rotvec: Any) -> None:
-        self.calls.append((offset_in_body_ref, rotvec))
-
-    async def pivot_pointer(self, duration: float) -> None:
-        self.calls.append(duration)
 
 
 class FakeScheduling:

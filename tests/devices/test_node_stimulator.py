@@ -13,53 +13,11 @@ from pcmrs.devices.deadman import DEADMAN, beat_period
 from pcmrs.devices.node import DAEMON_BEAT, PULSE_DELAY, DeviceNode
 from pcmrs.devices.remote import RemoteEmg, RemoteStimulator
 from pcmrs.errors import DeviceError, UnknownOutcomeError
-from pcmrs.messages import Beat, DeviceEvent, Epoch, FiredPulse, NodeBeat, StimulatorState
+from pcmrs.messages import Beat, DeviceEvent, FiredPulse, NodeBeat
 from pcmrs.testing.clock import ManualClock, settle
+from pcmrs.testing.devices import EPOCH, FakeEmg, FakeStimulator
 
 BEAT_PERIOD = beat_period(DEADMAN)
-
-EPOCH = Epoch(pulse=1, muscle="FDI", rate_hz=5000.0, start=-0.1, samples=[0.0, 1e-5])
-
-
-class FakeStimulator:
-    def __init__(self) -> None:
-        self.armed = False
-        self.pulse = 0
-        self.disarms = 0
-        self.error: Exception | None = None
-        self.reports: asyncio.Queue[DeviceEvent] = asyncio.Queue()
-
-    async def state(self) -> StimulatorState:
-        if self.error is not None:
-            raise self.error
-        return StimulatorState(armed=self.armed, ready=True, intensity=50.0, coil_temperature=None, pulse=self.pulse)
-
-    async def set_intensity(self, percent: float) -> StimulatorState:
-        return await self.state()
-
-    async def arm(self) -> StimulatorState:
-        self.armed = True
-        return await self.state()
-
-    async def disarm(self) -> StimulatorState:
-        self.disarms += 1
-        self.armed = False
-        return await self.state()
-
-    async def fire(self, number: int) -> FiredPulse:
-        self.pulse = number
-        return FiredPulse(number=number, intensity=50.0, fired=1.0)
-
-    async def events(self) -> AsyncIterator[DeviceEvent]:
-        while True:
-            yield await self.reports.get()
-
-
-class FakeEmg:
-    async def epoch(self, pulse: int, before: float, after: float) -> Epoch:
-        if pulse != EPOCH.pulse:
-            raise DeviceError(f"No marker of pulse {pulse} was seen.", pulse=pulse)
-        return EPOCH
 
 
 class Bench:

@@ -1,0 +1,221 @@
+"""Devices for tests: each answers at once, remembers what it was told, and fails if the test says so."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Sequence
+from typing import Any
+
+from pcmrs.errors import DeviceError
+from pcmrs.messages import (
+    BodyPose,
+    DeviceEvent,
+    Epoch,
+    FiredPulse,
+    HeadMotion,
+    JointSetpoint,
+    JointState,
+    JointTrajectory,
+    LandmarkPrompt,
+    MotionResult,
+    PressRequest,
+    ServoSession,
+    StimulatorState,
+)
+
+SESSION = 4
+"""Of set points, as `FakeRobot` numbers it."""
+STATE = JointState(captured=1.0, sent=1.0, positions=[0.1] * 7, velocities=[0.0] * 7, torques=[0.0] * 7)
+"""Joints of an arm at rest, rad."""
+END = JointSetpoint(session=0, number=0, sent=0.0, positions=[], velocities=[])
+"""Stands for the end of a session among the set points of `FakeRobot`."""
+EPOCH = Epoch(pulse=1, muscle="FDI", rate_hz=5000.0, start=-0.1, samples=[0.0, 1e-5])
+"""The signal around pulse 1, V."""
+
+
+class FakeRobot:
+    """A robot that does as told at once, and remembers what it was told.
+
+    Attributes:
+        error: Raised by calls; None for a robot that answers.
+        state: Measured joints.
+        followed: Trajectories, in order.
+        pressed: Requests to press, in order.
+        holds: How often it was held.
+        setpoints: Set points in order; `END` where a session ended.
+        servo_end: How sessions of set points end.
+        stream: Put joint states in here, and it publishes them.
+        reports: Put events in here, and it reports them.
+    """
+
+    trouble = ""
+    dropped = 0
+
+    def __init__(self) -> None:
+        self.error: Exception | None = None
+        self.state = STATE
+        self.followed: list[JointTrajectory] = []
+        self.holds = 0
+        self.stream: asyncio.Queue[JointState] = asyncio.Queue()
+        self.reports: asyncio.Queue[DeviceEvent] = asyncio.Queue()
+        self.setpoints: list[JointSetpoint] = []
+        self.pressed: list[PressRequest] = []
+        self.servo_end = MotionResult(outcome="done", positions=[0.1] * 7)
+
+    async def connect(self) -> JointState:
+        if self.error is not None:
+            raise self.error
+        return STATE
+
+    async def disconnect(self) -> None:
+        await asyncio.sleep(0)
+
+    async def joints(self) -> JointState:
+        return self.state
+
+    async def follow(self, trajectory: JointTrajectory) -> MotionResult:
+        self.followed.append(trajectory)
+        return MotionResult(outcome="done", positions=trajectory.positions[-1])
+
+    async def press(self, request: PressRequest) -> MotionResult:
+        self.pressed.append(request)
+        return MotionResult(outcome="done", positions=[0.1] * 7, force=3.1)
+
+    async def begin_servo(self) -> ServoSession:
+        return ServoSession(session=SESSION, deadman=0.1)
+
+    async def end_servo(self, session: int) -> MotionResult:
+        if session != SESSION:
+            raise DeviceError(f"There is no session {session}; the only one is {SESSION}.", session=session)
+        self.setpoints.append(END)
+        if self.error is not None:
+            raise self.error
+        return self.servo_end
+
+    def set_point(self, setpoint: JointSetpoint) -> None:
+        self.setpoints.append(setpoint)
+
+    async def hold(self) -> JointState:
+        self.holds += 1
+        if self.error is not None:
+            raise self.error
+        return STATE
+
+    async def states(self) -> AsyncIterator[JointState]:
+        while True:
+            yield await self.stream.get()
+
+    async def events(self) -> AsyncIterator[DeviceEvent]:
+        while True:
+            yield await self.reports.get()
+
+
+class FakeTracker:
+    """A tracker without frames of its own.
+
+    Attributes:
+        trouble: Why it sends no frames, as it says.
+        stream: Put frames in here, and it publishes them.
+    """
+
+    trouble = "The tracker is unplugged."
+
+    def __init__(self) -> None:
+        self.stream: asyncio.Queue[Sequence[BodyPose]] = asyncio.Queue()
+
+    async def frames(self) -> AsyncIterator[Sequence[BodyPose]]:
+        while True:
+            yield await self.stream.get()
+
+
+class FakeHand:
+    """A pointer and a scene in one; it does nothing.
+
+    Attributes:
+        calls: What it was asked for, in order.
+    """
+
+    def __init__(self) -> None:
+        self.calls: list[Any] = []
+
+    async def touch(self, prompt: LandmarkPrompt) -> None:
+        self.calls.append(prompt)
+
+    async def touch_surface(self) -> None:
+        self.calls.append("surface")
+
+    async def release(self) -> None:
+        self.calls.append("release")
+
+    async def displace_touch(self, index: int, offset_in_image: tuple[float, float, float]) -> None:
+        self.calls.append((index, offset_in_image))
+
+    async def reseed(self, seed: int) -> None:
+        self.calls.append(seed)
+
+    async def set_motion(self, motion: HeadMotion) -> None:
+        self.calls.append(motion)
+
+    async def bump_reference(self, offset_in_body_ref: Any, rotvec: Any) -> None:
+        self.calls.append((offset_in_body_ref, rotvec))
+
+    async def pivot_pointer(self, duration: float) -> None:
+        self.calls.append(duration)
+
+
+class FakeStimulator:
+    """A stimulator that is charged at once.
+
+    Attributes:
+        armed: Whether it can fire.
+        intensity: Percent of the maximum stimulator output.
+        pulse: Number of the last pulse.
+        disarms: How often it was disarmed.
+        error: Raised by calls; None for a stimulator that answers.
+        reports: Put events in here, and it reports them.
+    """
+
+    def __init__(self) -> None:
+        self.armed = False
+        self.intensity = 50.0
+        self.pulse = 0
+        self.disarms = 0
+        self.error: Exception | None = None
+        self.reports: asyncio.Queue[DeviceEvent] = asyncio.Queue()
+
+    async def state(self) -> StimulatorState:
+        if self.error is not None:
+            raise self.error
+        return StimulatorState(
+            armed=self.armed, ready=True, intensity=self.intensity, coil_temperature=None, pulse=self.pulse
+        )
+
+    async def set_intensity(self, percent: float) -> StimulatorState:
+        self.intensity = percent
+        return await self.state()
+
+    async def arm(self) -> StimulatorState:
+        self.armed = True
+        return await self.state()
+
+    async def disarm(self) -> StimulatorState:
+        self.disarms += 1
+        self.armed = False
+        return await self.state()
+
+    async def fire(self, number: int) -> FiredPulse:
+        self.pulse = number
+        return FiredPulse(number=number, intensity=self.intensity, fired=1.0)
+
+    async def events(self) -> AsyncIterator[DeviceEvent]:
+        while True:
+            yield await self.reports.get()
+
+
+class FakeEmg:
+    """An electromyograph that has seen pulse 1 only."""
+
+    async def epoch(self, pulse: int, before: float, after: float) -> Epoch:  # noqa: ARG002 - as the protocol has it
+        if pulse != EPOCH.pulse:
+            raise DeviceError(f"No marker of pulse {pulse} was seen.", pulse=pulse)
+        return EPOCH
