@@ -33,7 +33,7 @@ import structlog
 
 structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
 sys.path[:0] = sys.argv[2:]
-from clock import ManualClock
+from pcmrs.testing.clock import ManualClock
 from gateway_fakes import FakeCore
 from signed_room import config, peer
 from pcmrs.gateway.links import open_gateway

@@ -159,5 +159,5 @@ def test_the_extra_is_named_where_the_package_is_absent(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(urdf_arms, "files", absent)
     urdf_arms._packaged_arm.cache_clear()
-    with pytest.raises(ConfigurationError, match=r"example-robot-data .* install pcmrs\[sim\]"):
+    with pytest.raises(ConfigurationError, match=r"example-robot-data .* install pcmrs-sim"):
         find_arm("panda")
