@@ -60,7 +60,7 @@ class CommandEdge:
 
     @classmethod
     async def open(cls, bus: Bus, submit: Submit, refused: Refused, stop: Stop) -> CommandEdge:
-        """Starts taking commands.
+        """Starts taking commands and Stops; none that is sent after it returns is lost.
 
         Args:
             bus: The daemon's bus.
@@ -70,9 +70,15 @@ class CommandEdge:
                 to stop before it returns.
 
         Raises:
-            BusError: The second session, for Stop, cannot be opened.
+            BusError: The second session, for Stop, cannot be opened, or the router does not learn of it.
         """
-        return cls(bus, submit, refused, await StopLane.open(bus.settings, stop))
+        lane = await StopLane.open(bus.settings, stop)
+        try:
+            await bus.until_served("stop/*")
+        except BaseException:
+            await lane.close()
+            raise
+        return cls(bus, submit, refused, lane)
 
     async def close(self) -> None:
         """Takes no more commands, gives up waiting for the verdicts on puts, and closes the lane of Stop."""

@@ -36,7 +36,6 @@ OTHERS = "bus:others"
 ANSWERED = 64
 """Answers that wait for one source; one more is not sent, though it was a Stop: its asker learns nothing."""
 
-
 _log = logging.getLogger(__name__)
 
 
@@ -107,19 +106,19 @@ class StopLane:
         self._waiting: dict[str, _Waiting] = {}
         self._replies = Replies()
         self._receivers: tuple[Any, ...] = (
-            session.declare_queryable(f"{prefix}/stop/*", self._on_query),
             session.declare_subscriber(f"{prefix}/stop/*", self._on_put),
+            session.declare_queryable(f"{prefix}/stop/*", self._on_query),  # last: who finds it finds both
         )
 
     @classmethod
     async def open(cls, settings: BusSettings, stop: Stop) -> StopLane:
-        """Opens the lane as a client of the router that `settings` names.
+        """Opens the lane as a client of the router that `settings` names, which learns of it a moment later.
 
         Raises:
             BusError: No router answers.
         """
         own = msgspec.structs.replace(settings, mode="client")
-        session = await asyncio.get_running_loop().run_in_executor(None, open_session, own)
+        session = await asyncio.to_thread(open_session, own)
         return cls(session, cell_prefix(settings.site, settings.cell), stop)
 
     async def close(self) -> None:

@@ -9,6 +9,7 @@ import time
 from collections import Counter
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -321,6 +322,30 @@ def test_an_id_is_looked_for_in_a_short_message_only() -> None:
     for length in range(LONGEST - 1, LONGEST + 3):
         assert (stop._press_of(press.ljust(length)) is None) == (length > LONGEST), length
     assert stop._press_of(b"") is None
+
+
+async def test_a_stop_right_after_the_edge_is_open_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The router learns of the lane later than the daemon has declared it, above all on a busy machine."""
+    declare = zenoh.Session.declare_queryable
+    late: list[threading.Timer] = []
+
+    def declare_late(session: zenoh.Session, key: str, handler: Any, **more: Any) -> Any:
+        if "/stop/" not in key:
+            return declare(session, key, handler, **more)
+        late.append(threading.Timer(0.2, declare, (session, key, handler)))
+        late[-1].start()
+        return SimpleNamespace(undeclare=late[-1].join)
+
+    async with open_bus(new_cell()) as bus:
+        daemon = Daemon(bus)
+        monkeypatch.setattr(zenoh.Session, "declare_queryable", declare_late)
+        edge = await CommandEdge.open(bus, daemon.submit, daemon.refuse, daemon.stop)
+        try:
+            with plain_session(bus.settings) as session:
+                await get(daemon, session, "stop/anna")
+        finally:
+            await edge.close()
+    assert daemon.stops == 1
 
 
 @pytest.mark.usefixtures("many_links")
