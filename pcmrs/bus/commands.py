@@ -70,11 +70,11 @@ class CommandEdge:
                 to stop before it returns.
 
         Raises:
-            BusError: The second session, for Stop, cannot be opened, or the router does not learn of it.
+            BusError: The second session, for Stop, cannot be opened, or the router brings nothing to it.
         """
         lane = await StopLane.open(bus.settings, stop)
         try:
-            await bus.until_served("stop/*")
+            await lane.until_reached(lambda: bus.look_around("stop/*"))
         except BaseException:
             await lane.close()
             raise

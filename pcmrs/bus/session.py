@@ -26,16 +26,13 @@ from pcmrs.bus.serving import Refuse, Service, attached_to, payload_of
 from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.bus.turns import AT_ONCE, Turns
 from pcmrs.clock import SystemClock
-from pcmrs.errors import AccessError, BusError, PayloadError, PcmrsError, SealError
+from pcmrs.errors import AccessError, PayloadError, PcmrsError, SealError
 from pcmrs.messages.identity import LOCAL
 
 if TYPE_CHECKING:
     from pcmrs.bus.signature import Signatures, Signer
 
 T = TypeVar("T")
-
-SERVED_WITHIN = 10.0
-"""Seconds after which a service that the router does not know is an error."""
 
 
 class Bus:
@@ -263,29 +260,9 @@ class Bus:
         answer = await ask(self._session, pool, self._absolute(key), payload, timeout, data, attached, sealing)
         return unpack(answer, reply)
 
-    async def until_served(self, key: str) -> None:
-        """Returns when the router would bring a request on this key to somebody.
-
-        Raises:
-            BusError: It does not within `SERVED_WITHIN`.
-        """
-        loop, served = asyncio.get_running_loop(), asyncio.Event()
-        asking: Any = self._session.declare_querier(self._absolute(key))
-
-        def follow(status: zenoh.MatchingStatus) -> None:
-            if status.matching:
-                loop.call_soon_threadsafe(served.set)
-
-        asking.declare_matching_listener(follow)
-        follow(asking.matching_status)  # it may have matched before the listener was there
-        try:
-            async with asyncio.timeout(SERVED_WITHIN):
-                await served.wait()
-        except TimeoutError:
-            text = f"Nobody serves {key} after {SERVED_WITHIN:g} s: restart the router or the daemon."
-            raise BusError(text, endpoint=self.settings.endpoint) from None
-        finally:
-            await self._in_pool(asking.undeclare)
+    async def look_around(self, key: str) -> None:
+        """Sends a request on a key expression to everybody who serves a part of it, and waits for no reply."""
+        await self._in_pool(self._session.get, self._absolute(key))
 
     def alive(self, component: str) -> Any:
         """Declares a liveliness token, ``alive/<component>``, that lasts as long as this session."""
@@ -380,7 +357,7 @@ class Bus:
     def _absolute(self, key: str) -> str:
         return f"{self.prefix}/{key}"
 
-    async def _in_pool(self, work: Callable[..., None], *arguments: Any) -> None:
+    async def _in_pool(self, work: Callable[..., object], *arguments: Any) -> None:
         await self._loop.run_in_executor(self._pool, work, *arguments)
 
 

@@ -8,7 +8,8 @@ import math
 import re
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -19,7 +20,7 @@ from pcmrs.bus.codec import is_text, pack, pack_text, unpack
 from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.serving import payload_of
 from pcmrs.bus.settings import BusSettings, open_session
-from pcmrs.errors import PayloadError
+from pcmrs.errors import BusError, PayloadError
 from pcmrs.messages import Message
 
 PRESS = re.compile(r"[0-9a-f]{32}")
@@ -35,6 +36,10 @@ SOURCES = 32
 OTHERS = "bus:others"
 ANSWERED = 64
 """Answers that wait for one source; one more is not sent, though it was a Stop: its asker learns nothing."""
+REACHED_WITHIN = 10.0
+"""A lane that its router has not found by then does not open, s."""
+LOOKED_EVERY = 0.02
+"""Between two looks for it, s."""
 
 _log = logging.getLogger(__name__)
 
@@ -105,6 +110,7 @@ class StopLane:
         self._lock = threading.Lock()
         self._waiting: dict[str, _Waiting] = {}
         self._replies = Replies()
+        self._reached = asyncio.Event()
         self._receivers: tuple[Any, ...] = (
             session.declare_subscriber(f"{prefix}/stop/*", self._on_put),
             session.declare_queryable(f"{prefix}/stop/*", self._on_query),  # last: who finds it finds both
@@ -120,6 +126,25 @@ class StopLane:
         own = msgspec.structs.replace(settings, mode="client")
         session = await asyncio.to_thread(open_session, own)
         return cls(session, cell_prefix(settings.site, settings.cell), stop)
+
+    async def until_reached(self, look: Callable[[], Awaitable[object]]) -> None:
+        """Returns when the router brings messages to this lane.
+
+        Args:
+            look: Looks around on ``stop/*`` from a session of the router.
+
+        Raises:
+            BusError: It brings none within `REACHED_WITHIN`.
+        """
+        try:
+            async with asyncio.timeout(REACHED_WITHIN):
+                while not self._reached.is_set():
+                    await look()
+                    with suppress(TimeoutError):
+                        await asyncio.wait_for(self._reached.wait(), LOOKED_EVERY)
+        except TimeoutError:
+            text = f"The daemon's own router brings it no Stop after {REACHED_WITHIN:g} s: start the daemon again."
+            raise BusError(text) from None
 
     async def close(self) -> None:
         """Takes no more stops, answers those it has taken, and closes the session."""
@@ -138,6 +163,7 @@ class StopLane:
         key = str(query.key_expr)
         if "*" in key:
             # Somebody looks around, nobody asks for Stop.
+            self._loop.call_soon_threadsafe(self._reached.set)
             _drop(query)
         else:
             self._wait(key, _press_of(payload_of(query)), query)

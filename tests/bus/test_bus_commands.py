@@ -23,7 +23,7 @@ from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.commands import TOLD_AT_ONCE
 from pcmrs.bus.envelope import Envelope
 from pcmrs.bus.settings import STOPS
-from pcmrs.bus.stop import ANSWERED, LONGEST, OTHERS, Replies, Stopping
+from pcmrs.bus.stop import ANSWERED, LONGEST, OTHERS, Replies, StopLane, Stopping
 from pcmrs.messages import Command, Verdict
 from pcmrs.messages.identity import Identity
 from pcmrs.messages.roles import Role
@@ -324,8 +324,9 @@ def test_an_id_is_looked_for_in_a_short_message_only() -> None:
     assert stop._press_of(b"") is None
 
 
-async def test_a_stop_right_after_the_edge_is_open_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The router learns of the lane later than the daemon has declared it, above all on a busy machine."""
+@pytest.mark.parametrize("beside", [False, True])
+async def test_a_stop_right_after_the_edge_is_open_is_not_lost(monkeypatch: pytest.MonkeyPatch, beside: bool) -> None:
+    """The router learns of the lane later than the daemon has declared it; a device node's lane may be there before."""
     declare = zenoh.Session.declare_queryable
     late: list[threading.Timer] = []
 
@@ -338,6 +339,7 @@ async def test_a_stop_right_after_the_edge_is_open_is_not_lost(monkeypatch: pyte
 
     async with open_bus(new_cell()) as bus:
         daemon = Daemon(bus)
+        node = await StopLane.open(bus.settings, lambda *_: None) if beside else None
         monkeypatch.setattr(zenoh.Session, "declare_queryable", declare_late)
         edge = await CommandEdge.open(bus, daemon.submit, daemon.refuse, daemon.stop)
         try:
@@ -345,6 +347,8 @@ async def test_a_stop_right_after_the_edge_is_open_is_not_lost(monkeypatch: pyte
                 await get(daemon, session, "stop/anna")
         finally:
             await edge.close()
+            if node is not None:
+                await node.close()
     assert daemon.stops == 1
 
 
