@@ -7,9 +7,8 @@ import sys
 
 import click
 
-from pcmrs.cli.lazy import LazyGroup
+from pcmrs.cli.lazy import LABORATORY, LazyGroup
 
-LABORATORY = "pcmrs-lab"
 COMMANDS = {
     "call": "pcmrs.cli.cell:call",
     "state": "pcmrs.cli.cell:state",

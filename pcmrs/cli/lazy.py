@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import click
 
-from pcmrs.extras import missing_module
-
+LABORATORY: Final = "pcmrs-lab"
+"""Distribution with the commands of the laboratory."""
 ADDED: Final = "pcmrs.commands"
 """Group of the entry points with which other distributions add commands: ``name``, or ``group.name``."""
 
@@ -45,7 +45,9 @@ class LazyGroup(click.Group):
                 command = point.load()
                 return command
         except ModuleNotFoundError as error:
-            self._fail(error)
+            from pcmrs.cli.running import fail_missing  # loads what prints errors
+
+            fail_missing(error)
         if place:
             text = f"'{context.command_path} {name}' is a command of {place}, which is not installed (docs/supply.md)."
             raise click.UsageError(text, context)
@@ -56,11 +58,3 @@ class LazyGroup(click.Group):
             return {}
         names = {point.name.removeprefix(self._prefix): point for point in entry_points(group=ADDED)}
         return {name: point for name, point in names.items() if self._prefix + name == point.name and "." not in name}
-
-    def _fail(self, error: ModuleNotFoundError) -> None:
-        missing = missing_module(error)
-        if missing is None:
-            raise error
-        from pcmrs.cli.running import fail  # loads what prints errors
-
-        fail(missing)

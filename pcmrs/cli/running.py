@@ -55,10 +55,7 @@ def readable_errors(function: Callable[P, T]) -> Callable[P, T]:
         except PcmrsError as error:
             fail(error)
         except ModuleNotFoundError as error:
-            missing = missing_module(error)
-            if missing is None:
-                raise
-            fail(missing)
+            fail_missing(error)
         except BrokenPipeError:
             raise  # whoever read the output has had enough: click ends in silence
         except OSError as error:
@@ -69,6 +66,14 @@ def readable_errors(function: Callable[P, T]) -> Callable[P, T]:
             sys.exit(130)
 
     return command
+
+
+def fail_missing(error: ModuleNotFoundError) -> NoReturn:
+    """Ends the process with what to install; raises the error if its module belongs to no extra."""
+    missing = missing_module(error)
+    if missing is None:
+        raise error
+    fail(missing)
 
 
 def fail(error: PcmrsError) -> NoReturn:

@@ -51,7 +51,7 @@ def test_a_comfortable_posture_near_the_seed_is_taken(arm: ArmModel) -> None:
 def test_the_first_comfortable_posture_ends_the_search_and_else_a_few_are_compared(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Each descent takes its time, and whoever asks for a plan waits for all of them."""
+    """Each descent takes time, and a plan waits for all of them."""
     arm, descents = ArmModel(find_arm("panda")), 0
 
     def count(*given: Any) -> Any:

@@ -116,14 +116,14 @@ class CoverageMap(msgspec.Struct):
         files = {}
         for name in sorted(self.files.keys() | newer.files.keys()):
             old, new = self.files.get(name), newer.files.get(name)
-            if old is not None and new is not None and old.digest != new.digest:
+            known = [each for each in (old, new) if each is not None]
+            if len({each.digest for each in known}) > 1:
                 raise MapError(f"{name} has changed since all was measured. Measure all again: {_COMMAND}")
             lines = {line: _without(int(bits, 16), gone) for line, bits in (old.lines if old else {}).items()}
             for line, bits in (new.lines if new else {}).items():
                 lines[line] = lines.get(line, 0) | int(bits, 16) << len(kept)
-            arcs = set[tuple[int, int]]().union(*(each.arcs for each in (old, new) if each is not None))
-            digest = (new or old or MappedFile("", {}, set())).digest
-            files[name] = MappedFile(digest, {line: f"{each:x}" for line, each in lines.items()}, arcs)
+            arcs = set[tuple[int, int]]().union(*(each.arcs for each in known))
+            files[name] = MappedFile(known[0].digest, {line: f"{each:x}" for line, each in lines.items()}, arcs)
         return CoverageMap(
             tests=kept + newer.tests,
             failed=[name for name in self.failed if name not in measured] + newer.failed,

@@ -115,7 +115,7 @@ class Course:
         self._number += 0 if repeat and self._number else 1
         payload = RATMS.branches[branch].operations[operation].payload
         arguments = {} if payload == "none" else {"values": [value]}
-        by = "detector:test" if (branch, operation) in EVENTS else source
+        by = "detector:test" if is_event(index) else source
         command = Command(id=f"c{self._number}", branch=branch, operation=operation, source=by, arguments=arguments)
         self._spawn(self.dispatcher.submit(command))
 

@@ -1,4 +1,4 @@
-"""Driving a cell over the bus: to a registered head, into a motion, and out of it; all of it must be accepted."""
+"""What a campaign does with a cell beside `pcmrs.testing.driving`: the tool follows, the scene has a fault."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from pcmrs.cli.lazy import LazyGroup
+from pcmrs.cli.lazy import LABORATORY, LazyGroup
 
 COMMANDS = {
     "design": "pcmrs.cli.fsm.design:design",
@@ -14,7 +14,7 @@ COMMANDS = {
     "export": "pcmrs.cli.fsm.export:export",
     "import": "pcmrs.cli.fsm.import_:import_",
     "simulate": "pcmrs.cli.fsm.simulate:simulate",
-    "test": "pcmrs-lab",
+    "test": LABORATORY,
     "diff": "pcmrs.cli.fsm.diff:diff",
 }
 
