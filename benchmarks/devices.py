@@ -247,7 +247,7 @@ async def tracker_ages(driver: str, seconds: float) -> tuple[Floats, Floats]:
     from pcmrs.bus import Bus
     from pcmrs.bus.seal import Seal, new_key
     from pcmrs.devices.poses import PoseFeed
-    from pcmrs.service.nodes import NodeProcesses
+    from pcmrs.service.processes.nodes import NodeProcesses
     from pcmrs.service.supervisor import Supervisor
     from pcmrs.settings import read_settings
 

@@ -45,7 +45,7 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import BlueprintTag
 from pcmrs.service.core import GatewayCore
 from pcmrs.service.publishing import Publishing
-from pcmrs.service.recorder import JournalRecorder
+from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.testing.daemon import free_port
 from pcmrs.threads import keep_pauses_short
 from pcmrs.workflows.cell import Cell

@@ -36,7 +36,7 @@ from pcmrs.dispatcher import Dispatcher, ProcedureData, Registry, Workflow
 from pcmrs.fsm import Change, Denial, Engine, StateSet, close, parse_blueprint
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Command
-from pcmrs.service.recorder import JournalRecorder
+from pcmrs.service.restart.recorder import JournalRecorder
 
 BLUEPRINT = b"""
 id = "bench"

@@ -26,7 +26,7 @@ from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Command, Verdict
-from pcmrs.service.recorder import SNAPSHOT_EVERY, JournalRecorder
+from pcmrs.service.restart.recorder import SNAPSHOT_EVERY, JournalRecorder
 from pcmrs.testing.daemon import free_port
 from pcmrs.workflows.opening import open_workflow
 

@@ -17,11 +17,10 @@ from stop_page import open_page
 
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
-from pcmrs.gateway.keys import new_key, read_key
-from pcmrs.gateway.signing import Signer
+from pcmrs.gateway.signing import Signer, new_key, read_key
 from pcmrs.pki import Authority, read_credentials
 from pcmrs.planner import Planner
-from pcmrs.service.children import end_child
+from pcmrs.service.processes.child import end_child
 from pcmrs.testing.cell import REAL_TIME, RunningCell, open_cell
 from pcmrs.testing.daemon import free_port
 

@@ -11,8 +11,8 @@ from fuzz.running import instrumented, pieces, run
 
 with instrumented("pcmrs.gateway"):
     from pcmrs.errors import PayloadError
-    from pcmrs.gateway.frames import Frames
     from pcmrs.gateway.signing import Signer, sign_answer, split
+    from pcmrs.gateway.tcp import Frames
 
 KEY = bytes(range(32))
 

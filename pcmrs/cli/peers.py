@@ -43,9 +43,9 @@ def new(name: str, folder: Path, as_json: bool) -> None:
 
     Example: pcmrs peers new planner --folder ~/keys
     """
-    from pcmrs.gateway.keys import new_key
-    from pcmrs.gateway.permissions import DEFAULT
+    from pcmrs.gateway.commands import DEFAULT
     from pcmrs.gateway.settings import UNIX_NS, GatewayConfig, PeerConfig
+    from pcmrs.gateway.signing import new_key
 
     file = folder.absolute() / f"{name}.key"
     # Refuses the name before there is a file.

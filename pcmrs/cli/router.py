@@ -65,7 +65,7 @@ def router(identity: Path | None, register: Path, listen: tuple[str, ...], print
 
 async def _route(settings: BusSettings, *, as_json: bool) -> None:
     from pcmrs.router import routing
-    from pcmrs.service.notify import ServiceManager
+    from pcmrs.service.health.service_manager import ServiceManager
 
     loop, ended, manager = asyncio.get_running_loop(), asyncio.Event(), ServiceManager()
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -1,12 +1,10 @@
 """Dispatcher-State/Flag/Operation: commands in, decisions out, operations performed in between."""
 
-from pcmrs.dispatcher.activity import Activity
 from pcmrs.dispatcher.dispatcher import Dispatcher
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import Recorder
-from pcmrs.dispatcher.registry import NoArguments, Registry
-from pcmrs.dispatcher.run import ProcedureData, Run
-from pcmrs.dispatcher.workflow import Workflow
+from pcmrs.dispatcher.run import Activity, ProcedureData, Run
+from pcmrs.dispatcher.workflow import NoArguments, Registry, Workflow
 
 __all__ = [
     "Activity",

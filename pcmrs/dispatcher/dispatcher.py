@@ -21,28 +21,19 @@ from pcmrs.dispatcher.admission import (
     find_operation,
     read_payload,
 )
-from pcmrs.dispatcher.attempt import Attempt, locks_for
-from pcmrs.dispatcher.checks import Checks
-from pcmrs.dispatcher.decisions import Conclusion, Decisions, reason_for
+from pcmrs.dispatcher.decisions import TOO_MANY, Conclusion, Decisions, Rejections, reason_for
 from pcmrs.dispatcher.events import DAEMON, REOPENED, SHUTDOWN, failed, not_confirmed, pressed_again, stopped
-from pcmrs.dispatcher.hold import Hold
-from pcmrs.dispatcher.lanes import Lanes
+from pcmrs.dispatcher.execution import Checks, Planner, Stage, performing, reason_of
 from pcmrs.dispatcher.lease import LEASE, RENEW, TAKEN, Lease
-from pcmrs.dispatcher.memory import Memory
-from pcmrs.dispatcher.perform import reason_of
+from pcmrs.dispatcher.locks import Attempt, Lanes, locks_for
 from pcmrs.dispatcher.performer import Performer
-from pcmrs.dispatcher.planner import Planner
-from pcmrs.dispatcher.presses import Presses, StopUnderWay
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.dispatcher.queued import QueuedRow
-from pcmrs.dispatcher.reconcile import Reconciliation
-from pcmrs.dispatcher.recorder import Recorder
-from pcmrs.dispatcher.rejections import TOO_MANY, Rejections
+from pcmrs.dispatcher.recorder import QueuedRow, Recorder
+from pcmrs.dispatcher.recovery import Reconciliation, Unsettled
 from pcmrs.dispatcher.run import C, D, Run
-from pcmrs.dispatcher.stage import Stage, performing
-from pcmrs.dispatcher.stops import STANDSTILL, Stops
+from pcmrs.dispatcher.stops import STANDSTILL, Hold, Presses, Stops, StopUnderWay
 from pcmrs.dispatcher.tasks import Tasks
-from pcmrs.dispatcher.unsettled import Unsettled
+from pcmrs.dispatcher.verdict_cache import Memory
 from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import JournalError, PcmrsError, ReentrancyError, RefusalError
 from pcmrs.fsm import Closure, Denial

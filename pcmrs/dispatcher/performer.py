@@ -7,14 +7,20 @@ from typing import Generic
 
 from pcmrs.dispatcher.activities import Activities
 from pcmrs.dispatcher.admission import check_in_time
-from pcmrs.dispatcher.attempt import Attempt, Locks
-from pcmrs.dispatcher.checks import Checks
 from pcmrs.dispatcher.decisions import Conclusion, Decisions
-from pcmrs.dispatcher.lanes import Lanes
-from pcmrs.dispatcher.perform import Ending, consequence, reason_of, take_steps, take_steps_at_once
+from pcmrs.dispatcher.execution import (
+    Checks,
+    Ending,
+    Stage,
+    consequence,
+    performing,
+    reason_of,
+    take_steps,
+    take_steps_at_once,
+)
+from pcmrs.dispatcher.locks import Attempt, Lanes, Locks
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.run import C, D, Run
-from pcmrs.dispatcher.stage import Stage, performing
 from pcmrs.errors import PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.failpoints import failpoint
 from pcmrs.fsm import Denial, OperationSpec

@@ -1,7 +1,9 @@
-"""One operation being performed, as its checks and steps see it."""
+"""What checks, steps and activities see of the procedure and its cell."""
 
 from __future__ import annotations
 
+import asyncio
+import uuid
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
@@ -11,7 +13,7 @@ import msgspec
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
 from pcmrs.fsm.blueprint import Motion
-from pcmrs.messages import Command, Reason
+from pcmrs.messages import Command, Reason, Verdict
 
 
 class ProcedureData(msgspec.Struct, frozen=True, kw_only=True):
@@ -95,3 +97,76 @@ class Run(Generic[C, D]):
     def progress(self, fraction: float) -> None:
         """Shows how far the operation is, from 0 to 1."""
         self._show_progress(fraction)
+
+
+@dataclass(eq=False)
+class Activity(Generic[C, D]):
+    """Handed to the function of an activity, which goes on until it is cancelled.
+
+    A function that moves the robot ends its motion before it lets the cancellation through. What returns or raises by
+    itself takes the lane of Stop. It must not await the dispatcher; it may `post`.
+
+    Attributes:
+        name: Registered name of the function.
+        branch: The branch whose state it belongs to.
+        state: That state.
+        command: The command that led into the state.
+        cell: The devices and frames of the cell.
+        clock: The cell's clock.
+        values: What it shows of itself in the snapshot.
+    """
+
+    name: str
+    branch: str
+    state: str
+    command: Command
+    cell: C
+    clock: Clock
+    _data: Callable[[], D]
+    _states: Callable[[], dict[str, str]]
+    _submit: Callable[[Command], asyncio.Future[Verdict]]
+    _show: Callable[[], None]
+    values: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def source(self) -> str:
+        """Who asks for what it posts, and where its events come from."""
+        return f"activity:{self.name}"
+
+    @property
+    def data(self) -> D:
+        """The procedure's data now."""
+        return self._data()
+
+    @property
+    def states(self) -> dict[str, str]:
+        """The joint state now."""
+        return self._states()
+
+    def post(self, branch: str, operation: str, **arguments: Any) -> asyncio.Future[Verdict]:
+        """Submits a command at once; it may ask for events, too.
+
+        Returns:
+            The verdict to come: to look at, never to await.
+        """
+        return self._submit(self.command_to(branch, operation, arguments))
+
+    def show(self, **values: Any) -> None:
+        """Shows values in the snapshot, beside those shown before; each change is published: a few per second."""
+        shown = self.values | values
+        if shown != self.values:
+            self.values = shown
+            self._show()
+
+    def command_to(self, branch: str, operation: str, arguments: dict[str, Any]) -> Command:
+        """A command of this activity, of which the command that led into the state is the parent."""
+        return Command(
+            id=f"{self.name}-{uuid.uuid4().hex}",
+            branch=branch,
+            operation=operation,
+            source=self.source,
+            user=self.command.user,
+            role="daemon",
+            arguments=arguments,
+            parent=self.command.id,
+        )

@@ -1,11 +1,20 @@
-"""The Stops of one dispatcher: their numbers, what an acknowledgement waits for, and which one it answers."""
+"""Stop: the numbers of Stops, presses that meet a Stop under way, and how the robot is held.
+
+While the hold of a Stop is not answered, nothing can release the latch, and a further press would ask for what is being
+done already. Such presses are counted: pressing without end must neither delay the loop nor fill the journal.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from typing import Any
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import structlog
 
 from pcmrs.clock import Clock
+from pcmrs.dispatcher.tasks import Tasks
 from pcmrs.messages import Command, Reason, StopState
 
 LOCAL = "local"
@@ -111,3 +120,108 @@ class Stops:
 
     def _waits_for(self) -> list[str]:
         return sorted(set(self._pending.values()))
+
+
+SOURCES: Final = 32
+"""Sources of one kind, such as all of the bus, with their own Stop under way; one more joins the newest Stop, and is
+counted by its name there."""
+NAMED: Final = 32
+"""Names that one Stop counts by; further ones are counted together."""
+OTHERS: Final = "others"
+
+
+@dataclass(eq=False, slots=True)
+class StopUnderWay:
+    """One Stop.
+
+    Attributes:
+        source: Who has pressed.
+        number: Of the Stop.
+        standing: Its result is whether the robot has confirmed that it stands.
+        joined: Source to its presses that have met this Stop.
+    """
+
+    source: str
+    number: int
+    standing: asyncio.Task[bool]
+    joined: dict[str, int] = field(default_factory=dict)
+
+    def join(self, source: str, presses: int) -> None:
+        """Counts presses."""
+        name = source if source in self.joined or len(self.joined) < NAMED else OTHERS
+        self.joined[name] = self.joined.get(name, 0) + presses
+
+
+class Presses:
+    """The Stops under way, by who has pressed.
+
+    Args:
+        joined: Called with a Stop that others have joined, once it is not under way any more.
+    """
+
+    def __init__(self, joined: Callable[[StopUnderWay], object]) -> None:
+        self._joined = joined
+        self._under_way: dict[str, StopUnderWay] = {}
+
+    def find(self, source: str) -> StopUnderWay | None:
+        """The Stop under way that a press by `source` is; None where it begins one."""
+        own = self._under_way.get(source)
+        if own is None and sum(_kind(each) == _kind(source) for each in self._under_way) >= SOURCES:
+            return next(reversed(self._under_way.values()))
+        return own
+
+    def add(self, stop: StopUnderWay, holding: asyncio.Future[bool]) -> None:
+        """A Stop has begun; it is under way until `holding` is done."""
+        self._under_way.pop(stop.source, None)  # the newest comes last
+        self._under_way[stop.source] = stop
+        holding.add_done_callback(lambda _: self._end(stop))
+
+    def _end(self, stop: StopUnderWay) -> None:
+        if self._under_way.get(stop.source) is stop:
+            del self._under_way[stop.source]
+        if stop.joined:
+            self._joined(stop)
+
+
+def _kind(source: str) -> str:
+    """By which way a source presses, such as ``bus`` or ``udp``: nobody on one of them takes the places of others."""
+    return source.partition(":")[0]
+
+
+log = structlog.get_logger(__name__)
+
+
+class Hold:
+    """Asks the devices to stand still, and says whether that was confirmed.
+
+    Those who stop while the hold of a Stop is under way wait for that one: nothing can begin to move in between, since
+    the latch is set and cannot be released before. The hold of a motion is never merged with another one, for the
+    request of that motion may still be on its way: only a hold that is sent after it outdates it.
+
+    Args:
+        hold: Holds the robot, latches it if told to, and returns when it stands; raises when that is not confirmed.
+        tasks: Where a hold goes on when those who asked for it are cancelled.
+    """
+
+    def __init__(self, hold: Callable[[bool], Awaitable[object]], tasks: Tasks) -> None:
+        self._hold = hold
+        self._tasks = tasks
+        self._stopping: asyncio.Task[bool] | None = None
+
+    def stop(self) -> asyncio.Task[bool]:
+        """Holds and latches: the result is whether the robot has confirmed that it stands."""
+        if self._stopping is None or self._stopping.done():
+            self._stopping = self._tasks.spawn(self._try(latch=True))
+        return self._stopping
+
+    async def end_motion(self) -> bool:
+        """Holds the robot after a motion: whether it has confirmed that it stands."""
+        return await asyncio.shield(self._tasks.spawn(self._try(latch=False)))
+
+    async def _try(self, *, latch: bool) -> bool:
+        try:
+            await self._hold(latch)
+        except Exception as error:
+            log.warning("hold_not_confirmed", reason=str(error))
+            return False
+        return True

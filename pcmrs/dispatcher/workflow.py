@@ -1,14 +1,134 @@
-"""A workflow ready to run: its blueprint, what the names in it stand for, and its data."""
+"""A workflow ready to run: its blueprint, and what the names in it stand for."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Generic
+import inspect
+from collections.abc import Awaitable, Callable, Container, Coroutine, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
 
-from pcmrs.dispatcher.registry import Registry
-from pcmrs.dispatcher.run import C, D
+import msgspec
+
+from pcmrs.dispatcher.run import Activity, C, D, Run
+from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint, Effect
+from pcmrs.fsm.finding import summary
+from pcmrs.fsm.rules.declared import Known, check_declared
+
+Check = Callable[[Run[C, D]], None]
+Step = Callable[[Run[C, D]], Awaitable[None] | None]
+Pursuit = Callable[[Activity[C, D]], Coroutine[Any, Any, None]]
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+class NoArguments(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The payload of operations that take no arguments."""
+
+
+@dataclass
+class Registry(Generic[C, D]):
+    """What the names in a blueprint stand for. Functions are registered under their own names."""
+
+    payloads: dict[str, type[msgspec.Struct]] = field(default_factory=lambda: {"none": NoArguments})
+    checks: dict[str, Check[C, D]] = field(default_factory=dict)
+    steps: dict[str, Step[C, D]] = field(default_factory=dict)
+    worldly: set[str] = field(default_factory=set)
+    lasting: set[str] = field(default_factory=set)
+    activities: dict[str, Pursuit[C, D]] = field(default_factory=dict)
+    moving: set[str] = field(default_factory=set)
+    affecting: set[str] = field(default_factory=set)
+
+    def payload(self, name: str, kind: type[msgspec.Struct]) -> None:
+        """Registers the type of an operation's arguments."""
+        self.payloads[name] = kind
+
+    def check(self, function: F) -> F:
+        """Registers a pure check: it raises `RefusalError` or returns."""
+        self.checks[function.__name__] = function
+        return function
+
+    def long_check(self, function: F) -> F:
+        """Registers a check that takes long, as planning a motion does: a planner asks it, where there is one.
+
+        It reads command, states, data and cell of its run, and leaves what it found in `prepared`, `result` and
+        `undecided`; all of that is sent between processes.
+        """
+        self.lasting.add(function.__name__)
+        return self.check(function)
+
+    def step(self, function: F) -> F:
+        """Registers a step that changes the procedure's data only, and so has nothing to wait for.
+
+        Raises:
+            BlueprintError: It is a coroutine function.
+        """
+        if inspect.iscoroutinefunction(function):
+            text = f"{function.__name__} waits, so it touches the world: register it with world_step."
+            raise BlueprintError(text, step=function.__name__)
+        self.steps[function.__name__] = function
+        return function
+
+    def world_step(self, function: F, *, moves: bool = False, affects_patient: bool = False) -> F:
+        """Registers a step that touches the world outside: its intent is journalled first.
+
+        Args:
+            function: The step.
+            moves: It moves the robot: an operation with it must declare `motion`.
+            affects_patient: It acts on the patient otherwise: an operation with it must declare `affects_patient`.
+        """
+        self.worldly.add(function.__name__)
+        if moves:
+            self.moving.add(function.__name__)
+        if affects_patient:
+            self.affecting.add(function.__name__)
+        self.steps[function.__name__] = function
+        return function
+
+    def activity(self, function: F, *, moves: bool = False) -> F:
+        """Registers what goes on while a branch is in a state: it is cancelled when the state is left.
+
+        Args:
+            function: The activity.
+            moves: It moves the robot, which a blueprint with it must declare.
+
+        Raises:
+            BlueprintError: It is no coroutine function.
+        """
+        if not inspect.iscoroutinefunction(function):
+            text = f"{function.__name__} does not wait, so it would end at once: write it with async def."
+            raise BlueprintError(text, activity=function.__name__)
+        self.activities[function.__name__] = function
+        if moves:
+            self.moving.add(function.__name__)
+        return function
+
+    @property
+    def known(self) -> Known:
+        """What is known of the functions, for the verifier."""
+        return Known(moving=frozenset(self.moving), affecting=frozenset(self.affecting))
+
+    def check_declarations(self, blueprint: Blueprint) -> None:
+        """Raises `BlueprintError` if the blueprint does not declare what its steps and activities do."""
+        findings = list(check_declared(blueprint, self.known))
+        if findings:
+            raise BlueprintError(summary(findings), findings=findings)
+
+    def check_names(self, blueprint: Blueprint) -> None:
+        """Raises `BlueprintError` if the blueprint uses a name that is not registered."""
+        for branch, spec in blueprint.branches.items():
+            for name, operation in spec.operations.items():
+                self._check(f"{branch}.{name}", "payload", [operation.payload], self.payloads)
+                self._check(f"{branch}.{name}", "check", operation.checks, self.checks)
+                self._check(f"{branch}.{name}", "step", operation.steps, self.steps)
+            for state, activity in spec.activities.items():
+                self._check(f"{branch} {state}", "activity", [activity.run], self.activities)
+
+    @staticmethod
+    def _check(where: str, kind: str, names: Iterable[str], known: Container[str]) -> None:
+        for name in names:
+            if name not in known:
+                raise BlueprintError(f"{where}: no {kind} is registered as {name!r}", where=where, name=name)
+
 
 Settle = Callable[[D, Mapping[str, str], Sequence[Effect]], D]
 """Fits the data to a commit: (data, joint state after it, its effects) → data. Pure."""

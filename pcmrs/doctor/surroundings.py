@@ -20,8 +20,8 @@ from pcmrs.doctor.finding import Finding, bad, good, warning
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.settings import UNIX_NS
 from pcmrs.hosts import is_loopback
-from pcmrs.service.health_report import ENDS_SOON
-from pcmrs.service.metrics import HOST as METRICS_HOST
+from pcmrs.service.health.metrics import HOST as METRICS_HOST
+from pcmrs.service.health.report import ENDS_SOON
 from pcmrs.settings import DRIVER_SETTINGS, SIMULATED, Settings
 
 EXTRAS: Final = {

@@ -7,9 +7,8 @@ from functools import partial
 
 from pcmrs.clock import Clock
 from pcmrs.errors import PayloadError, PcmrsError, RefusalError
-from pcmrs.gateway.actions import Actions, Services
-from pcmrs.gateway.admission import NOT_KEPT, Admission
-from pcmrs.gateway.authentication import (
+from pcmrs.gateway.auth.admission import NOT_KEPT, Admission
+from pcmrs.gateway.auth.peers import (
     BAD_TAG,
     CLOCK_AHEAD,
     NOT_ALLOWED,
@@ -21,8 +20,8 @@ from pcmrs.gateway.authentication import (
 )
 from pcmrs.gateway.commands import COMMANDS, Action
 from pcmrs.gateway.grammar import Request, parse, parse_tool_points
-from pcmrs.gateway.memory import Memory
-from pcmrs.gateway.series import PlanLock
+from pcmrs.gateway.handlers import Actions, PlanLock, Services
+from pcmrs.gateway.outcome import Memory
 from pcmrs.gateway.session import QUEUE_FULL, Answer, Session
 from pcmrs.gateway.signing import Signed, split
 from pcmrs.gateway.tasks import Tasks

@@ -14,19 +14,17 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.errors import ConfigurationError
-from pcmrs.gateway.actions import Services
-from pcmrs.gateway.admission import NOT_KEPT, Admission
-from pcmrs.gateway.authentication import SignedPeer
-from pcmrs.gateway.beats import kernel_beats
+from pcmrs.gateway.auth.admission import NOT_KEPT, Admission
+from pcmrs.gateway.auth.counters import CounterFile, CounterKeeper, check_room
+from pcmrs.gateway.auth.peers import SignedPeer
 from pcmrs.gateway.core import Core
-from pcmrs.gateway.counters import CounterFile, check_room
+from pcmrs.gateway.handlers import Services
 from pcmrs.gateway.intake import Counters, Intake
-from pcmrs.gateway.keeper import CounterKeeper
-from pcmrs.gateway.markers import Markers
+from pcmrs.gateway.periodic_timer import kernel_beats
 from pcmrs.gateway.records import Records
-from pcmrs.gateway.refusals import Refusals
+from pcmrs.gateway.rejection_log import Refusals
 from pcmrs.gateway.settings import UNIX_NS, GatewayConfig, LinkConfig, PeerConfig
-from pcmrs.gateway.streams import Send, Streams
+from pcmrs.gateway.streams import Markers, Send, Streams
 from pcmrs.gateway.tasks import Tasks
 from pcmrs.gateway.tcp import LINK, TcpLink
 from pcmrs.gateway.udp import UdpLink

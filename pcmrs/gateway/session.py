@@ -12,11 +12,10 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.errors import PcmrsError, RefusalError
-from pcmrs.gateway.actions import Actions, Job
 from pcmrs.gateway.commands import Action, Second
 from pcmrs.gateway.grammar import Request
-from pcmrs.gateway.memory import Memory
-from pcmrs.gateway.outcome import NO_DATA, Outcome
+from pcmrs.gateway.handlers import Actions, Job
+from pcmrs.gateway.outcome import NO_DATA, Memory, Outcome
 from pcmrs.gateway.tasks import Tasks
 
 ACKNOWLEDGEMENT = "ack"

@@ -10,7 +10,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.gateway.permissions import DEFAULT, allowed
+from pcmrs.gateway.commands import DEFAULT, allowed
 from pcmrs.gateway.signing import PEER_NAME
 from pcmrs.hosts import is_loopback
 from pcmrs.messages.identity import LOCAL

@@ -1,4 +1,4 @@
-"""Streams to clients: poses for visualization and mixed reality, the pointer tip, tool points from mixed reality.
+"""Streams to clients: poses, the pointer tip, tool points from mixed reality, and markers on Lab Streaming Layer.
 
 All but the mixed reality stream are in mm with 5 decimals and have no terminator.
 """
@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
-from pcmrs.gateway.beats import Beats
+from pcmrs.devices.lsl.markers import MarkerOutlet
 from pcmrs.gateway.core import Core
 from pcmrs.gateway.grammar import TOOL_POINTS_PREFIX
+from pcmrs.gateway.periodic_timer import Beats
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.gateway.tasks import Repetition, Tasks
+from pcmrs.messages import DeviceEvent, Snapshot, Verdict
 from pcmrs.spatial import Floats, Transform
 
 REGISTERED = "111"
@@ -119,3 +121,39 @@ def unity_message(prefix: str, pose: Transform) -> str:
 
 def _join(numbers: Iterable[float], decimals: int) -> str:
     return "_".join(f"{number:.{decimals}f}" for number in numbers)
+
+
+STOP = "stop"
+
+
+class Markers:
+    """Marks every change of a state as ``branch:from->to``, every Stop as ``stop`` and every pulse as ``pulse:3``.
+
+    The mark of a pulse comes when its operation has ended: when it was given is marked by the stimulator's driver.
+
+    Args:
+        stream: Name of the stream.
+        now: How things are; changes from there on are marked.
+
+    Raises:
+        ConfigurationError: Lab Streaming Layer is not installed.
+    """
+
+    def __init__(self, stream: str, now: Snapshot) -> None:
+        self._outlet = MarkerOutlet(stream)
+        self._branches = now.branches
+
+    def show(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+        """Marks what is new in something that the daemon publishes; never waits."""
+        if isinstance(message, Snapshot):
+            for branch, state in message.branches.items():
+                before = self._branches.get(branch)
+                if before != state:
+                    self._outlet.push(f"{branch}:{before}->{state}")
+            self._branches = message.branches
+        elif isinstance(message, Verdict) and message.result and "pulse" in message.result:
+            self._outlet.push(f"pulse:{message.result['pulse']}")
+
+    def stop(self) -> None:
+        """Marks a Stop."""
+        self._outlet.push(STOP)

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import structlog
 
 from pcmrs.clock import Clock
-from pcmrs.gateway.beats import Beats
+from pcmrs.gateway.periodic_timer import Beats
 
 T = TypeVar("T")
 _log = structlog.get_logger(__name__)

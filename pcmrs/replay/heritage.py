@@ -11,7 +11,7 @@ from pcmrs.dispatcher import Dispatcher, Workflow
 from pcmrs.errors import ReplayError
 from pcmrs.replay.differences import Difference
 from pcmrs.replay.history import DaemonRun, closes_earlier_run
-from pcmrs.service.ledger import Kept, Ledger
+from pcmrs.service.restart.state import Kept, Ledger
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 

@@ -14,7 +14,7 @@ from pcmrs.errors import ReplayError
 from pcmrs.journal import JournalReader, StoredRow
 from pcmrs.messages import BlueprintTag
 from pcmrs.replay.keys import COMPARED, is_rejected_report
-from pcmrs.service.ledger import ENDED
+from pcmrs.service.restart.state import ENDED
 
 _SQLITE = b"SQLite format 3\0"
 

@@ -41,7 +41,7 @@ from pcmrs.report.record import (
     Unknown,
 )
 from pcmrs.report.source import Source, files_of, open_source
-from pcmrs.service.ledger import Kept, Ledger
+from pcmrs.service.restart.state import Kept, Ledger
 from pcmrs.settings import DEVICES, read_settings
 from pcmrs.spatial import Transform
 from pcmrs.workflows import find_workflow

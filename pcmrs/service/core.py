@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.errors import RefusalError
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
-from pcmrs.service.tally import Submit
+from pcmrs.service.command_metrics import Submit
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform

@@ -21,29 +21,29 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.files import make_private
 from pcmrs.fsm import Blueprint
 from pcmrs.gateway.links import Gateway, open_gateway
-from pcmrs.gateway.refusals import Refusals
+from pcmrs.gateway.rejection_log import Refusals
 from pcmrs.gateway.tasks import Tasks
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag
-from pcmrs.service.audit import audit
-from pcmrs.service.companion import Companion
-from pcmrs.service.console import is_served, open_console
-from pcmrs.service.counters import Source, counted
-from pcmrs.service.heart import HeartProcess
-from pcmrs.service.inspection import Inspection
-from pcmrs.service.metrics import MetricsServer
-from pcmrs.service.nodes import NodeProcesses
-from pcmrs.service.notify import ServiceManager, keep_informed
-from pcmrs.service.planner import PlanningProcess
+from pcmrs.service.command_metrics import Source, counted
+from pcmrs.service.health.inspection import Inspection
+from pcmrs.service.health.metrics import MetricsServer
+from pcmrs.service.health.service_manager import ServiceManager, keep_informed
 from pcmrs.service.procedure import Clocks, RunningProcedure
+from pcmrs.service.processes.child import Companion
+from pcmrs.service.processes.console import is_served, open_console
+from pcmrs.service.processes.heart import HeartProcess
+from pcmrs.service.processes.nodes import NodeProcesses
+from pcmrs.service.processes.planner import PlanningProcess
+from pcmrs.service.processes.recorder import open_recorder
 from pcmrs.service.publishing import answer_queries, tell_health
-from pcmrs.service.recorder import JournalRecorder
-from pcmrs.service.recording import open_recorder
-from pcmrs.service.recovery import conclude, keep_journal, recover
-from pcmrs.service.showing import setup_of
-from pcmrs.service.space import MEGABYTE, SpaceWatch
-from pcmrs.service.stall import StallWatch
+from pcmrs.service.restart.audit import audit
+from pcmrs.service.restart.recorder import JournalRecorder
+from pcmrs.service.restart.recovery import conclude, keep_journal, recover
+from pcmrs.service.setup_view import setup_of
 from pcmrs.service.supervisor import Supervisor
+from pcmrs.service.watches.space import MEGABYTE, SpaceWatch
+from pcmrs.service.watches.stall import StallWatch
 from pcmrs.settings import Settings
 from pcmrs.threads import NOT_PERMITTED, Priority, RealTime, keep_pauses_short
 from pcmrs.workflows.opening import open_workflow

@@ -18,28 +18,28 @@ from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.remote import ActingDevice, RemoteEmg, RemotePointer, RemoteRobot, RemoteStimulator
 from pcmrs.devices.standstill import Standstill
 from pcmrs.dispatcher import Dispatcher, Recorder, Workflow
-from pcmrs.dispatcher.planner import Planner
-from pcmrs.dispatcher.rejections import Rejections
+from pcmrs.dispatcher.decisions import Rejections
+from pcmrs.dispatcher.execution import Planner
 from pcmrs.errors import DeviceError
 from pcmrs.fsm import Blueprint
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import Beat, BodyPose, DeviceEvent, DeviceHealth, JointState, NodeBeat, Snapshot, Verdict
 from pcmrs.messages.setup import Gathered
-from pcmrs.service.abandoned import AbandonedWatch
+from pcmrs.service.command_metrics import Tally
 from pcmrs.service.core import GatewayCore
-from pcmrs.service.gates import GateWatch
-from pcmrs.service.health import HealthWatch
-from pcmrs.service.hearing import Hearing, awaited
-from pcmrs.service.heart import Heart, LoopHeart
-from pcmrs.service.lease import LeaseWatch
+from pcmrs.service.processes.heart import Heart, LoopHeart
 from pcmrs.service.publishing import Publishing
-from pcmrs.service.reference import ReferenceWatch
-from pcmrs.service.showing import gathered
+from pcmrs.service.setup_view import gathered
 from pcmrs.service.supervisor import Supervisor
-from pcmrs.service.tally import Tally
 from pcmrs.service.teleoperation import connect_teleoperators
-from pcmrs.service.watch import RobotWatch
+from pcmrs.service.watches.abandoned import AbandonedWatch
+from pcmrs.service.watches.devices import HealthWatch
+from pcmrs.service.watches.gates import GateWatch
+from pcmrs.service.watches.lease import LeaseWatch
+from pcmrs.service.watches.readiness import Hearing, awaited
+from pcmrs.service.watches.reference import ReferenceWatch
+from pcmrs.service.watches.robot import RobotWatch
 from pcmrs.settings import DWELL, Settings
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData

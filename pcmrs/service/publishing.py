@@ -32,7 +32,7 @@ from pcmrs.messages import (
 )
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import Gathered, Setup
-from pcmrs.service import showing
+from pcmrs.service import setup_view
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.tms.data import Data
@@ -68,7 +68,7 @@ class Publishing:
         self._data = data
         registration = data.registered.body_ref_from_image if data.registered is not None else None
         self._publish_new("state/target", Target(plan=data.plan_id, pose=data.plan, body_ref_from_image=registration))
-        self._publish_new("state/data", showing.gathered(cell, data))
+        self._publish_new("state/data", setup_view.gathered(cell, data))
         if isinstance(data, Data) and data.epoch is not None:
             self._publish_new("state/epoch", data.epoch)
 

@@ -18,7 +18,7 @@ import msgspec
 from pcmrs.bus.seal import read_key, write_key
 from pcmrs.errors import DeviceError
 from pcmrs.service import Ready
-from pcmrs.service.children import end_child
+from pcmrs.service.processes.child import end_child
 
 START_TIME = 300.0
 """The daemon must say that it is ready within this, s: on a busy machine its imports alone take a minute."""

@@ -12,7 +12,7 @@ from pcmrs.devices.poses import PoseFeed, Seen
 from pcmrs.devices.protocols import LatchingRobot, Pointer
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.dispatcher import Workflow
-from pcmrs.dispatcher.perform import reason_of, refusal
+from pcmrs.dispatcher.execution import reason_of, refusal
 from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.formats.mesh import Mesh
 from pcmrs.kinematics.model import ArmModel

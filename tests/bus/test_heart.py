@@ -19,7 +19,7 @@ from pcmrs.bus.heart import SIGN, signs_of
 from pcmrs.bus.seal import Seal, new_key
 from pcmrs.clock import SystemClock
 from pcmrs.messages import Beat, DeviceEvent
-from pcmrs.service.heart import ANSWER_TIME, HeartProcess
+from pcmrs.service.processes.heart import ANSWER_TIME, HeartProcess
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 
 

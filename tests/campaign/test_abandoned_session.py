@@ -18,8 +18,8 @@ from pcmrs.dispatcher import Dispatcher
 from pcmrs.fsm import load_blueprint
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Running, Snapshot, TeleopStatus
 from pcmrs.messages.roles import HOLDING, ROLES, Role
-from pcmrs.service.abandoned import AbandonedWatch
 from pcmrs.service.teleoperation import connect_teleoperators
+from pcmrs.service.watches.abandoned import AbandonedWatch
 from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.workflows.teleop_port import TeleopPort
 

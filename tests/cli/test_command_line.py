@@ -16,7 +16,7 @@ from pcmrs.cli.serve import serve
 from pcmrs.clock import SystemClock
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Command, Reason, Verdict
-from pcmrs.service.recorder import JournalRecorder
+from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.testing.daemon import free_port
 
 

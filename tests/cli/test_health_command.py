@@ -10,7 +10,7 @@ from rich.console import Console
 
 from pcmrs.cli.health_table import health_table
 from pcmrs.messages.health import Health, HealthFacts, TaskStanding
-from pcmrs.service.health_report import report
+from pcmrs.service.health.report import report
 
 
 def shown(facts: HealthFacts) -> str:

@@ -17,7 +17,7 @@ from pcmrs.clock import SystemClock
 from pcmrs.gateway.records import placement_text, sample_rows
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Command, Verdict
-from pcmrs.service.recorder import JournalRecorder
+from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.spatial import Transform
 
 ERRORS_MM = np.array(((0.3, 0.0, 0.4), (0.0, 0.0, -1.0), (2.0, 0.0, 0.0)))

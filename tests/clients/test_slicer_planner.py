@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from slicer_program import Cell, Program, core, lossy_way, running_cell
 
-from pcmrs.gateway.keys import new_key
+from pcmrs.gateway.signing import new_key
 from pcmrs.testing.daemon import free_port
 from pcmrs.testing.driving import accept, plan, start_anew
 

@@ -27,7 +27,7 @@ from unity_programs import (
 )
 
 from pcmrs.client import Client
-from pcmrs.gateway.keys import new_key
+from pcmrs.gateway.signing import new_key
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import BodyPose, JointState, PoseMessage, Target

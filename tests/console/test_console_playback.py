@@ -25,7 +25,7 @@ from pcmrs.messages.health import Health
 from pcmrs.messages.setup import Gathered, LandmarkShown, StimulationShown
 from pcmrs.recording.file import RecordingFile, Topics
 from pcmrs.recording.series import recordings_in
-from pcmrs.service.health_report import report
+from pcmrs.service.health.report import report
 from pcmrs.workflows import read_workflow
 from pcmrs.workflows.data import as_message
 

@@ -20,7 +20,7 @@ from pcmrs.bus.serving import ANSWERS
 from pcmrs.bus.settings import STOPS
 from pcmrs.cli.fsm.verify import verify
 from pcmrs.console.geometry import FACES
-from pcmrs.dispatcher.lanes import MAX_WAITING
+from pcmrs.dispatcher.locks import MAX_WAITING
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.fsm.verify.space import Space

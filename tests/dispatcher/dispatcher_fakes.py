@@ -13,7 +13,7 @@ import pytest
 from ratms_oracle import BLUEPRINT, INITIAL, Joint, all_operations, expected
 
 from pcmrs.dispatcher import Activity, Dispatcher, ProcedureData, Registry, Run, Workflow
-from pcmrs.dispatcher.planner import Planner
+from pcmrs.dispatcher.execution import Planner
 from pcmrs.dispatcher.recorder import Recorded
 from pcmrs.errors import JournalError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import Blueprint, Effect, load_blueprint

@@ -9,7 +9,7 @@ from altered import with_operation
 from dispatcher_fakes import HELD, PLACED, RATMS, RETRACTED, STANDOFF, Bench
 from test_locks import code
 
-from pcmrs.dispatcher.lanes import MAX_WAITING
+from pcmrs.dispatcher.locks import MAX_WAITING
 from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceEvent
 from pcmrs.testing.clock import settle

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from contextlib import suppress
 
-from pcmrs.dispatcher.hold import Hold
+from pcmrs.dispatcher.stops import Hold
 from pcmrs.dispatcher.tasks import Tasks
 
 

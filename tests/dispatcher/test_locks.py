@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from ratms_oracle import USER_OPERATIONS
 
 from pcmrs.dispatcher import Run
-from pcmrs.dispatcher.attempt import Locks
-from pcmrs.dispatcher.lanes import MAX_WAITING
+from pcmrs.dispatcher.locks import MAX_WAITING, Locks
 from pcmrs.fsm import parse_blueprint
 from pcmrs.messages import Verdict
 from pcmrs.testing.clock import settle

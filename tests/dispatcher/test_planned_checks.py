@@ -11,7 +11,7 @@ import pytest
 from dispatcher_fakes import HELD, RETRACTED, STANDOFF, Bench, Notes
 
 from pcmrs.dispatcher import Run
-from pcmrs.dispatcher.checks import MOST_PLANS
+from pcmrs.dispatcher.execution import MOST_PLANS
 from pcmrs.messages import Reason, Verdict
 from pcmrs.testing.clock import settle
 

@@ -10,7 +10,7 @@ import pytest
 from dispatcher_fakes import HELD, Bench
 
 from pcmrs.dispatcher.events import PRESSED_AGAIN
-from pcmrs.dispatcher.presses import SOURCES
+from pcmrs.dispatcher.stops import SOURCES
 from pcmrs.messages import DeviceEvent, Verdict
 from pcmrs.service.core import GatewayCore
 from pcmrs.testing.clock import settle

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 from dispatcher_fakes import Bench, make_workflow
 
-from pcmrs.dispatcher import Dispatcher, rejections
-from pcmrs.dispatcher.clipping import CLIPPED, LONGEST, clipped
-from pcmrs.dispatcher.rejections import DROPPED, RATE_HZ, TOO_MANY, Rejections
+from pcmrs.dispatcher import Dispatcher, decisions
+from pcmrs.dispatcher.decisions import DROPPED, RATE_HZ, TOO_MANY, Rejections
+from pcmrs.dispatcher.recorder import CLIPPED, LONGEST, clipped
 from pcmrs.messages import DeviceEvent, Verdict
 from pcmrs.testing.clock import ManualClock, settle
 
@@ -41,7 +41,7 @@ class Limited(Bench):
 
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Limited:
-    monkeypatch.setattr(rejections, "BURST", BURST)
+    monkeypatch.setattr(decisions, "BURST", BURST)
     return Limited()
 
 

@@ -13,8 +13,7 @@ from ratms_oracle import INITIAL
 
 from pcmrs.clock import SystemClock
 from pcmrs.dispatcher import Run
-from pcmrs.dispatcher.hold import Hold
-from pcmrs.dispatcher.stops import STANDSTILL, YOUNG, Stops
+from pcmrs.dispatcher.stops import STANDSTILL, YOUNG, Hold, Stops
 from pcmrs.dispatcher.tasks import Tasks
 from pcmrs.errors import DeviceError, RefusalError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, Reason, Verdict

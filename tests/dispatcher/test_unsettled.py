@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pcmrs.dispatcher.unsettled import Unsettled
+from pcmrs.dispatcher.recovery import Unsettled
 from pcmrs.messages import UnknownOutcome
 from pcmrs.workflows.opening import open_workflow
 

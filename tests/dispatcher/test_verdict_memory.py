@@ -5,15 +5,15 @@ from __future__ import annotations
 import pytest
 from dispatcher_fakes import MemoryRecorder
 
-from pcmrs.dispatcher import memory
-from pcmrs.dispatcher.memory import Memory
+from pcmrs.dispatcher import verdict_cache
 from pcmrs.dispatcher.recorder import Recorded
+from pcmrs.dispatcher.verdict_cache import Memory
 from pcmrs.messages import Command, Verdict
 
 
 @pytest.fixture
 def remembered(monkeypatch: pytest.MonkeyPatch) -> Memory:
-    monkeypatch.setattr(memory, "MAX_REMEMBERED", 2)
+    monkeypatch.setattr(verdict_cache, "MAX_REMEMBERED", 2)
     return Memory(MemoryRecorder())
 
 
@@ -26,7 +26,7 @@ def verdict(name: str, sequence: int) -> Verdict:
 
 
 async def test_older_verdicts_are_those_of_the_journal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory, "MAX_REMEMBERED", 2)
+    monkeypatch.setattr(verdict_cache, "MAX_REMEMBERED", 2)
     recorder = MemoryRecorder()
     remembered = Memory(recorder)
     for number, name in enumerate(("c1", "c2", "c3")):

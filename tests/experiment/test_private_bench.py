@@ -7,7 +7,7 @@ from pathlib import Path
 from pcmrs.errors import CommandRefusedError
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, DeviceEvent
-from pcmrs.service.recorder import JournalRecorder
+from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.testing.clock import ManualClock
 from pcmrs.threads import Load
 from pcmrs_lab.experiment.private import explained

@@ -10,7 +10,7 @@ from typing import Any, Self, cast
 
 import numpy as np
 
-from pcmrs.gateway.refusals import PERIOD
+from pcmrs.gateway.rejection_log import PERIOD
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Snapshot, Verdict
 from pcmrs.spatial import Floats, Transform
 

@@ -12,10 +12,9 @@ from typing import Any
 
 from gateway_fakes import WITHIN, FakeCore, UdpClient
 
-from pcmrs.gateway.keys import new_key, read_key
 from pcmrs.gateway.links import Gateway, open_gateway
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig, PeerConfig
-from pcmrs.gateway.signing import Signer
+from pcmrs.gateway.signing import Signer, new_key, read_key
 from pcmrs.testing.clock import ManualClock, settle
 
 EVERYTHING = ("read", "stream", "record", "plan", "digitize", "register", "robot", "motion")

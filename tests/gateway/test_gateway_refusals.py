@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 import pytest
 from gateway_fakes import FakeCore
 
-from pcmrs.gateway.refusals import PERIOD, Refusals
+from pcmrs.gateway.rejection_log import PERIOD, Refusals
 from pcmrs.gateway.tasks import Tasks
 from pcmrs.testing.clock import ManualClock, settle
 

@@ -8,10 +8,9 @@ from typing import Any
 import pytest
 from gateway_fakes import UdpClient
 
-from pcmrs.gateway import intake, memory
+from pcmrs.gateway import intake, outcome
 from pcmrs.gateway.links import open_gateway
-from pcmrs.gateway.memory import Memory
-from pcmrs.gateway.outcome import Outcome
+from pcmrs.gateway.outcome import Memory, Outcome
 
 
 @pytest.fixture
@@ -21,7 +20,7 @@ def sessions_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def outcomes_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory, "MAX_REMEMBERED", 1)
+    monkeypatch.setattr(outcome, "MAX_REMEMBERED", 1)
 
 
 async def hear_from_another(cell: Any) -> None:

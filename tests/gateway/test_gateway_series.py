@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.commands import Plan
-from pcmrs.gateway.series import PAIR_WINDOW, LandmarkSeries, PlanLock, PosePair
+from pcmrs.gateway.handlers import PAIR_WINDOW, LandmarkSeries, PlanLock, PosePair
 
 
 @given(st.integers(1, 12), st.lists(st.integers(0, 13), max_size=16))

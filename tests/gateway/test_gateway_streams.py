@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from structlog.testing import capture_logs
 
 from pcmrs.errors import RefusalError
-from pcmrs.gateway.beats import beats_of, kernel_beats
+from pcmrs.gateway.periodic_timer import beats_of, kernel_beats
 from pcmrs.gateway.records import Records, placement_text
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from pcmrs.gateway.streams import Streams, point_message, pose_message, unity_message

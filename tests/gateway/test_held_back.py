@@ -11,9 +11,8 @@ from gateway_fakes import UdpClient
 from signed_room import Room, open_room, peer
 
 from pcmrs.errors import PayloadError
-from pcmrs.gateway.keys import read_key
 from pcmrs.gateway.links import COUNTERS
-from pcmrs.gateway.signing import Signer
+from pcmrs.gateway.signing import Signer, read_key
 
 FRESH = 2.0
 

@@ -19,8 +19,7 @@ from hypothesis import strategies as st
 from signed_room import config, open_room, peer, signer
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.gateway.counters import MOST_NAMES, CounterFile, check_room
-from pcmrs.gateway.keeper import CounterKeeper
+from pcmrs.gateway.auth.counters import MOST_NAMES, CounterFile, CounterKeeper, check_room
 from pcmrs.gateway.links import COUNTERS, open_gateway
 from pcmrs.gateway.settings import MAX_PEERS
 from pcmrs.testing.clock import ManualClock, settle
@@ -203,7 +202,7 @@ async def test_who_waits_for_the_disk_when_it_closes_is_cancelled(
         answers.wait(10.0)
         sync(descriptor)
 
-    monkeypatch.setattr("pcmrs.gateway.counters.os.fdatasync", hanging)
+    monkeypatch.setattr("pcmrs.gateway.auth.counters.os.fdatasync", hanging)
     keeper = CounterKeeper(file, errors.append)
     waits = keeper.keep("planner", 5)
     closing = asyncio.create_task(keeper.close())

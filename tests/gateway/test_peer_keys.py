@@ -15,11 +15,10 @@ from signed_room import config
 
 from pcmrs.cli import main
 from pcmrs.errors import ConfigurationError
-from pcmrs.gateway.commands import COMMANDS
-from pcmrs.gateway.keys import new_key, read_key
+from pcmrs.gateway.commands import COMMANDS, DEFAULT, GROUPS, STOP, allowed
 from pcmrs.gateway.links import open_gateway
-from pcmrs.gateway.permissions import DEFAULT, GROUPS, STOP, allowed
 from pcmrs.gateway.settings import MAX_PEERS, GatewayConfig, PeerConfig
+from pcmrs.gateway.signing import new_key, read_key
 from pcmrs.settings import read_settings
 from pcmrs.testing.clock import ManualClock
 

@@ -17,11 +17,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pcmrs.errors import PayloadError, RefusalError
-from pcmrs.gateway.authentication import SignedPeer, authenticate
+from pcmrs.gateway.auth.peers import SignedPeer, authenticate
 from pcmrs.gateway.grammar import MAX_BYTES, parse
-from pcmrs.gateway.keys import new_key, read_key
 from pcmrs.gateway.settings import PeerConfig
-from pcmrs.gateway.signing import Signer, sign_answer, split
+from pcmrs.gateway.signing import Signer, new_key, read_key, sign_answer, split
 from pcmrs.testing.clock import ManualClock
 
 CLIENTS = Path(__file__).parents[2] / "clients"

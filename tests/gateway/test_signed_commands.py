@@ -289,7 +289,7 @@ class Disk:
 @pytest.fixture
 async def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
     made = Disk()
-    monkeypatch.setattr("pcmrs.gateway.counters.os.fdatasync", made.fdatasync)
+    monkeypatch.setattr("pcmrs.gateway.auth.counters.os.fdatasync", made.fdatasync)
     return made
 
 

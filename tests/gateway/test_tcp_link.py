@@ -17,11 +17,10 @@ from signed_room import open_room, peer
 
 from pcmrs.errors import PayloadError
 from pcmrs.gateway.commands import COMMANDS
-from pcmrs.gateway.frames import Frames
 from pcmrs.gateway.grammar import MAX_BYTES
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
-from pcmrs.gateway.tcp import FIRST_WITHIN, MOST_OF_A_HOST
+from pcmrs.gateway.tcp import FIRST_WITHIN, MOST_OF_A_HOST, Frames
 from pcmrs.testing.clock import ManualClock, settle
 
 CONNECT = b"rob_conn_onxxxxx_#1;"

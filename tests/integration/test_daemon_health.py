@@ -26,8 +26,8 @@ def block(*_):
         time.sleep(0.01)
 
 def hang(*_):
-    import pcmrs.service.reference
-    pcmrs.service.reference.PERIOD = 1e9
+    import pcmrs.service.watches.reference
+    pcmrs.service.watches.reference.PERIOD = 1e9
 
 signal.signal(signal.SIGUSR1, block)
 signal.signal(signal.SIGUSR2, hang)

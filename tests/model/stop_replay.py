@@ -35,10 +35,10 @@ from pcmrs.messages import (
     JointTrajectory,
     MotionResult,
 )
-from pcmrs.service.gates import GateWatch
 from pcmrs.service.procedure import Clocks, open_cell
-from pcmrs.service.recorder import JournalRecorder
+from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.service.supervisor import Supervisor
+from pcmrs.service.watches.gates import GateWatch
 from pcmrs.settings import Settings
 from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.workflows.cell import Cell

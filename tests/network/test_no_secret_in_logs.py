@@ -13,8 +13,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from remote_cell import Loopback, remote_cell
 
-from pcmrs.gateway.keys import read_key
-from pcmrs.gateway.signing import Signer
+from pcmrs.gateway.signing import Signer, read_key
 
 
 def secrets(folder: Path) -> Iterator[bytes]:

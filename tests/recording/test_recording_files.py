@@ -42,7 +42,7 @@ from pcmrs.recording.shapes import json_schema
 from pcmrs.recording.sink import CountingFile
 from pcmrs.recording.topics import TOPICS, check_topics
 from pcmrs.recording.views import Views
-from pcmrs.service.health_report import report
+from pcmrs.service.health.report import report
 from pcmrs.spatial import Transform
 
 SNAPSHOT = Snapshot(

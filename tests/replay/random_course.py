@@ -20,7 +20,7 @@ from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Verdict
 from pcmrs.messages.roles import Role
 from pcmrs.replay.history import DaemonRun
 from pcmrs.replay.world import RowsClock
-from pcmrs.service.recorder import JournalRecorder
+from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.workflows.data import PlacementData
 
 RATMS = load_blueprint(BLUEPRINT)

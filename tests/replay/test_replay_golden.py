@@ -15,7 +15,7 @@ from ratms_oracle import BLUEPRINT
 
 from pcmrs.cli import main
 from pcmrs.clock import SystemClock
-from pcmrs.dispatcher.lanes import Lanes
+from pcmrs.dispatcher.locks import Lanes
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.fsm import load_blueprint
 from pcmrs.fsm.files.load import read_blueprint

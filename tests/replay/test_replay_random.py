@@ -12,7 +12,7 @@ from random_course import OPERATIONS, Course, is_event
 from trials import examples
 
 from pcmrs.clock import SystemClock
-from pcmrs.dispatcher.lanes import Lanes
+from pcmrs.dispatcher.locks import Lanes
 from pcmrs.replay.replay import Replayed, replay_runs
 from pcmrs.simulated_time.loop import SimulatedLoop
 

@@ -11,7 +11,7 @@ from structlog.testing import capture_logs
 
 from pcmrs.journal import Journal, JournalRow, verify
 from pcmrs.messages import BlueprintTag, DeviceEvent
-from pcmrs.service.audit import audit
+from pcmrs.service.restart.audit import audit
 
 ROW = JournalRow(
     kind="event",

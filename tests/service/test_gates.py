@@ -11,7 +11,7 @@ import pytest
 
 from pcmrs.devices.remote import ActingDevice
 from pcmrs.messages import DeviceEvent, GateState
-from pcmrs.service.gates import LATCHED, GateWatch
+from pcmrs.service.watches.gates import LATCHED, GateWatch
 
 RELEASED = GateState(node="n", epoch=1, latched=False, daemon="d", changes=2)
 

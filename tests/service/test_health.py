@@ -8,8 +8,8 @@ from structlog.testing import capture_logs
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceHealth
-from pcmrs.service.health import HealthWatch
-from pcmrs.service.hearing import Hearing
+from pcmrs.service.watches.devices import HealthWatch
+from pcmrs.service.watches.readiness import Hearing
 from pcmrs.testing.clock import ManualClock
 
 

@@ -20,8 +20,8 @@ from pcmrs.messages.health import (
     Room,
     TaskStanding,
 )
-from pcmrs.service.health_report import SILENCE, SLOW_DISK, STUCK_DISK, needs_restart, reasons, report
-from pcmrs.service.stall import STALL
+from pcmrs.service.health.report import SILENCE, SLOW_DISK, STUCK_DISK, needs_restart, reasons, report
+from pcmrs.service.watches.stall import STALL
 
 DOCS = Path(__file__).parents[2] / "docs" / "health.md"
 GONE = DeviceStatus(device="tracker", connected=False, text="Nothing listens there.", heard=0.1)

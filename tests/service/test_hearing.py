@@ -8,7 +8,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from pcmrs.errors import DeviceError
-from pcmrs.service.hearing import DEVICES_TIME, NOTED_AFTER, Hearing, awaited
+from pcmrs.service.watches.readiness import DEVICES_TIME, NOTED_AFTER, Hearing, awaited
 from pcmrs.settings import DeviceSettings, RobotSettings, Settings
 from pcmrs.testing.clock import ManualClock, settle
 

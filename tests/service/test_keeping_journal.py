@@ -15,8 +15,8 @@ from structlog.testing import capture_logs
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Reason
-from pcmrs.service.recorder import JournalRecorder
-from pcmrs.service.recovery import RETRY_AFTER, conclude, keep_journal
+from pcmrs.service.restart.recorder import JournalRecorder
+from pcmrs.service.restart.recovery import RETRY_AFTER, conclude, keep_journal
 from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.workflows.opening import open_workflow
 

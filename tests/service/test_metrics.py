@@ -17,8 +17,8 @@ from prometheus_client.parser import text_string_to_metric_families
 from structlog.testing import capture_logs
 
 from pcmrs.messages.health import Health, HealthReason
-from pcmrs.service.health_report import report
-from pcmrs.service.metrics import HOST, HealthCollector, MetricsServer, ask
+from pcmrs.service.health.metrics import HOST, HealthCollector, MetricsServer, ask
+from pcmrs.service.health.report import report
 
 DOCS = Path(__file__).parents[2] / "docs" / "health.md"
 REASON = HealthReason(severity="degraded", code="loop_late", text="Late.", remedy="Wait.")

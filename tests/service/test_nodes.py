@@ -14,7 +14,7 @@ import pytest
 from pcmrs.bus.seal import new_key
 from pcmrs.clock import SystemClock
 from pcmrs.messages import DeviceEvent
-from pcmrs.service.nodes import NodeProcesses
+from pcmrs.service.processes.nodes import NodeProcesses
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import Settings
 

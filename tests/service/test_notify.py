@@ -15,8 +15,8 @@ from msgspec.structs import replace
 from structlog.testing import capture_logs
 
 from pcmrs.messages.health import Health, HealthFacts, TaskStanding
-from pcmrs.service.health_report import report
-from pcmrs.service.notify import STATUS_PERIOD, ServiceManager, keep_informed
+from pcmrs.service.health.report import report
+from pcmrs.service.health.service_manager import STATUS_PERIOD, ServiceManager, keep_informed
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.testing.clock import ManualClock, settle
 

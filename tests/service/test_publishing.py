@@ -19,7 +19,7 @@ from pcmrs.journal import Journal, JournalReader, JournalRow
 from pcmrs.messages import BlueprintTag, JournalPage, JournalQuery
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import Gathered, Setup
-from pcmrs.service.health_report import report
+from pcmrs.service.health.report import report
 from pcmrs.service.publishing import HEALTH_PERIOD, LARGEST_PAGE, PAGE_BYTES, answer_queries, tell_health
 from pcmrs.testing.clock import ManualClock, settle
 

@@ -12,7 +12,7 @@ from pcmrs.dispatcher.recorder import Recorded
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalRow
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, PoseMessage, Verdict
-from pcmrs.service.recorder import JournalRecorder
+from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.testing.clock import ManualClock
 from pcmrs.workflows import read_workflow
 from pcmrs.workflows.data import Landmark, PlacementData, Registered

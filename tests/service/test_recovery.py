@@ -21,10 +21,10 @@ from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.journal import Journal, JournalRow, journal_files
 from pcmrs.journal import writer as writer_module
 from pcmrs.messages import BlueprintTag, Command, Decision, DeviceEvent, PoseMessage, Reason, Verdict
-from pcmrs.service import recorder as recorder_module
-from pcmrs.service.ledger import Kept, Ledger
-from pcmrs.service.recorder import JournalRecorder
-from pcmrs.service.recovery import keep_journal, recover
+from pcmrs.service.restart import recorder as recorder_module
+from pcmrs.service.restart.recorder import JournalRecorder
+from pcmrs.service.restart.recovery import keep_journal, recover
+from pcmrs.service.restart.state import Kept, Ledger
 from pcmrs.settings import Settings, read_settings
 from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.workflows.data import PlacementData, Planned

@@ -18,8 +18,8 @@ from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.journal import Journal, JournalRow
 from pcmrs.messages import BlueprintTag, DeviceEvent, Verdict
-from pcmrs.service.recorder import JournalRecorder
-from pcmrs.service.resume import migration_for
+from pcmrs.service.restart.recorder import JournalRecorder
+from pcmrs.service.restart.recovery import migration_for
 from pcmrs.testing.clock import ManualClock
 from pcmrs.workflows.data import PlacementData
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pcmrs.clock import SystemClock
 from pcmrs.messages import DeviceEvent, Reason
-from pcmrs.service.space import SpaceWatch
+from pcmrs.service.watches.space import SpaceWatch
 
 
 class Daemon:

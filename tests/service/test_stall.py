@@ -10,7 +10,7 @@ import pytest
 
 from pcmrs.clock import SystemClock
 from pcmrs.messages import DeviceEvent
-from pcmrs.service.stall import PERIOD, STALL, StallWatch
+from pcmrs.service.watches.stall import PERIOD, STALL, StallWatch
 
 
 class Bench:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pcmrs.messages import Command, DeviceEvent, Reason, Verdict
 from pcmrs.messages.decisions import Decision
-from pcmrs.service.tally import BOUNDS, RECENT, Tally
+from pcmrs.service.command_metrics import BOUNDS, RECENT, Tally
 from pcmrs.testing.clock import ManualClock
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from pcmrs.devices.deadman import DEADMAN, beat_period
 from pcmrs.messages import DeviceEvent
-from pcmrs.service.watch import BEATS_MISSED, HELD_UP, SILENCE, RobotWatch
+from pcmrs.service.watches.robot import BEATS_MISSED, HELD_UP, SILENCE, RobotWatch
 from pcmrs.testing.clock import ManualClock, settle
 
 BEAT_PERIOD = beat_period(DEADMAN)

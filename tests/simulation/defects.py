@@ -193,7 +193,7 @@ DEFECTS: dict[str, Defect] = {
             found_by=("dangers_are_decided_first", "no_event_is_turned_away"),
             put_back={
                 "pcmrs.dispatcher.dispatcher:Dispatcher.report": _submits_after_the_hold,
-                "pcmrs.dispatcher.lanes:Lanes.why_not_wait": _turns_events_away,
+                "pcmrs.dispatcher.locks:Lanes.why_not_wait": _turns_events_away,
                 "pcmrs.dispatcher.stops:Stops.objection": _waits_for_nothing_pending,
             },
         ),
@@ -210,7 +210,7 @@ DEFECTS: dict[str, Defect] = {
             name="a_reused_id_gets_another_verdict",
             harm="A command with an id that another one had gets the verdict on that one.",
             found_by=("answers_are_about_the_command",),
-            put_back={"pcmrs.dispatcher.memory:_check_same": _does_nothing},
+            put_back={"pcmrs.dispatcher.verdict_cache:_check_same": _does_nothing},
         ),
         Defect(
             name="motions_queue_in_the_gateway",
@@ -243,7 +243,7 @@ DEFECTS: dict[str, Defect] = {
             name="a_crash_while_following_starts_unlatched",
             harm="What moves the robot besides operations does not count as begun.",
             found_by=("a_crash_in_motion_latches",),
-            put_back={"pcmrs.service.ledger:Ledger._follow_activity": _does_nothing},
+            put_back={"pcmrs.service.restart.state:Ledger._follow_activity": _does_nothing},
         ),
         Defect(
             name="one_frame_ends_all_poses",

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from pcmrs.dispatcher import Dispatcher
-from pcmrs.dispatcher.memory import Memory
 from pcmrs.dispatcher.procedure import Procedure
+from pcmrs.dispatcher.verdict_cache import Memory
 from pcmrs_sim.deterministic.disk import SimulatedJournal
 
 Mutation = Callable[[pytest.MonkeyPatch], None]

@@ -17,7 +17,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.fsm import examine
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Verdict
-from pcmrs.service.recorder import JournalRecorder
+from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.testing.clock import ManualClock
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.cell import Cell

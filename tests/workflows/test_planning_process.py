@@ -22,10 +22,10 @@ from workflow_bench import POSES, WorkflowBench, open_bench, shipped_workflow
 from pcmrs.clock import SystemClock
 from pcmrs.dispatcher import Run
 from pcmrs.dispatcher.admission import read_payload
-from pcmrs.dispatcher.perform import refusal
+from pcmrs.dispatcher.execution import refusal
 from pcmrs.messages import Command, DeviceEvent, Reason
-from pcmrs.service import planner as planner_module
-from pcmrs.service.planner import PlanningProcess
+from pcmrs.service.processes import planner as planner_module
+from pcmrs.service.processes.planner import PlanningProcess
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.settings import Settings
 

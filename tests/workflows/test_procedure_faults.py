@@ -19,7 +19,7 @@ from pcmrs.devices.jumps import PoseLimits
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.dispatcher import Workflow
 from pcmrs.messages import Command, DeviceEvent
-from pcmrs.service.reference import ReferenceWatch
+from pcmrs.service.watches.reference import ReferenceWatch
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs_sim.robot import SimRobot

@@ -13,7 +13,7 @@ import pytest
 from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
 from pcmrs.messages import DeviceEvent
-from pcmrs.service.reference import ReferenceWatch
+from pcmrs.service.watches.reference import ReferenceWatch
 from pcmrs.workflows.reference import BODIES, LATELY, moved_by
 
 FEMUR: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "femoroplasty_plan.json").read_text())

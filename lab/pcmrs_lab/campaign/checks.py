@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from pcmrs.gateway.refusals import REFUSED
+from pcmrs.gateway.rejection_log import REFUSED
 from pcmrs.journal import JournalRow
 from pcmrs.messages import JointState, Snapshot, Verdict
 from pcmrs.testing.driving import PATIENCE, accept, said, until

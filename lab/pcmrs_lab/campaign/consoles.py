@@ -14,7 +14,7 @@ from typing import Final
 from pcmrs.console.guard import cookie_name
 from pcmrs.console.settings import HOST, UPLOADS
 from pcmrs.files import SECRET
-from pcmrs.service.children import end_child
+from pcmrs.service.processes.child import end_child
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.checks import expect

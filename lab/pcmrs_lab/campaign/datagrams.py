@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import msgspec
 
-from pcmrs.gateway.refusals import REFUSED
+from pcmrs.gateway.rejection_log import REFUSED
 from pcmrs.messages import Snapshot
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.errors import Unmet

@@ -16,7 +16,7 @@ from pcmrs.fsm.behaviour import joint_of
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Command, Verdict
-from pcmrs.service.recorder import JournalRecorder
+from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs_lab.campaign.sham import is_sham
 from pcmrs_lab.experiment.tours.rehearsal import LeapingClock, Script, scripted
 

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
-from pcmrs.service.children import end_child
+from pcmrs.service.processes.child import end_child
 
 DEVICES = ("robot", "tracker", "pointer", "scene")
 WITHOUT_NODES = tuple(f"{device}.driver=none" for device in (*DEVICES, "stimulator", "emg"))

@@ -12,8 +12,7 @@ from pathlib import Path
 from pcmrs.bus import BusSettings, Credentials
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
-from pcmrs.gateway.keys import new_key, read_key
-from pcmrs.gateway.signing import Signer
+from pcmrs.gateway.signing import Signer, new_key, read_key
 from pcmrs.messages.identity import EVERY_CELL
 from pcmrs.messages.roles import Role
 from pcmrs.pki import Authority

@@ -12,12 +12,12 @@ import structlog
 from pcmrs.clock import Clock
 from pcmrs.devices.plus.framing import MessageReader
 from pcmrs.errors import PayloadError
-from pcmrs.gateway.beats import kernel_beats
 from pcmrs.gateway.core import Core
 from pcmrs.gateway.intake import Intake, source_of
 from pcmrs.gateway.openigtlink.feed import Feed
 from pcmrs.gateway.openigtlink.peer import KINDS, Peer
 from pcmrs.gateway.openigtlink.planner import Answer, Planner
+from pcmrs.gateway.periodic_timer import kernel_beats
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.gateway.tasks import Repetition, Tasks
 from pcmrs.hosts import is_loopback

@@ -12,8 +12,8 @@ import structlog
 from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.gateway.commands import Plan
 from pcmrs.gateway.core import Core
-from pcmrs.gateway.refusals import Refusals
-from pcmrs.gateway.series import PlanLock
+from pcmrs.gateway.handlers import PlanLock
+from pcmrs.gateway.rejection_log import Refusals
 from pcmrs.gateway.tasks import Tasks
 from pcmrs.messages import Command, Verdict
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from pcmrs.dispatcher import Registry
-from pcmrs.dispatcher.perform import reason_of
+from pcmrs.dispatcher.execution import reason_of
 from pcmrs.errors import PcmrsError
 from pcmrs.tms.mep import Mep, judge_mep
 from pcmrs.workflows.cell import Cell

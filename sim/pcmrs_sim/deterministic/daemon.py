@@ -13,8 +13,8 @@ from pcmrs.dispatcher import Dispatcher, Workflow
 from pcmrs.journal import JournalReader
 from pcmrs.messages import Beat, BlueprintTag, Command, Verdict
 from pcmrs.service.procedure import Clocks, RunningProcedure
-from pcmrs.service.recorder import JournalRecorder
-from pcmrs.service.recovery import conclude, keep_journal, recover
+from pcmrs.service.restart.recorder import JournalRecorder
+from pcmrs.service.restart.recovery import conclude, keep_journal, recover
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.settings import Settings
 from pcmrs.simulated_time.clock import SimulatedClock

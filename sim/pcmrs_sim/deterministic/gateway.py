@@ -7,11 +7,11 @@ from pathlib import Path
 from uuid import uuid4
 
 from pcmrs.clock import Clock
-from pcmrs.gateway.actions import Services
-from pcmrs.gateway.beats import beats_of
+from pcmrs.gateway.handlers import Services
 from pcmrs.gateway.intake import Intake
+from pcmrs.gateway.periodic_timer import beats_of
 from pcmrs.gateway.records import Records
-from pcmrs.gateway.refusals import Refusals
+from pcmrs.gateway.rejection_log import Refusals
 from pcmrs.gateway.session import Answer
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.gateway.streams import Streams

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pcmrs.clock import Clock
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.dispatcher import Workflow
-from pcmrs.dispatcher.perform import refusal
+from pcmrs.dispatcher.execution import refusal
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import Reason
@@ -20,7 +20,7 @@ Run = AnyRun[Cell, PlacementData]
 
 
 class SimulatedPlanner:
-    """Implements `pcmrs.dispatcher.planner.Planner`.
+    """Implements `pcmrs.dispatcher.execution.Planner`.
 
     Args:
         workflow: With the checks.

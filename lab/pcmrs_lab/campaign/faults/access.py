@@ -17,8 +17,7 @@ from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.errors import BusError, ConfigurationError
-from pcmrs.gateway.keys import read_key
-from pcmrs.gateway.signing import Signer
+from pcmrs.gateway.signing import Signer, read_key
 from pcmrs.messages import Verdict
 from pcmrs.pki import read_credentials
 from pcmrs.testing.cell import RunningCell

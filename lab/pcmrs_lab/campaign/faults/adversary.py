@@ -16,9 +16,8 @@ import msgspec
 
 from pcmrs.console.planning.importer import PointsRequest, Refused
 from pcmrs.dispatcher.events import PRESSED_AGAIN
-from pcmrs.gateway.authentication import FRESH_FOR
-from pcmrs.gateway.keys import new_key, read_key
-from pcmrs.gateway.signing import Signer
+from pcmrs.gateway.auth.peers import FRESH_FOR
+from pcmrs.gateway.signing import Signer, new_key, read_key
 from pcmrs.gateway.tcp import MOST_OF_A_HOST
 from pcmrs.journal import JournalReader, verify
 from pcmrs.testing.cell import RunningCell

@@ -7,9 +7,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from pcmrs.dispatcher.clipping import CLIPPED
+from pcmrs.dispatcher.decisions import BURST, DROPPED, TOO_MANY
 from pcmrs.dispatcher.events import FAIL_STOP, PRESSED_AGAIN
-from pcmrs.dispatcher.rejections import BURST, DROPPED, TOO_MANY
+from pcmrs.dispatcher.recorder import CLIPPED
 from pcmrs.errors import PcmrsError
 from pcmrs.journal.files import journal_files
 from pcmrs.messages import JournalQuery

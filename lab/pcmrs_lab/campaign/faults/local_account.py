@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
-from pcmrs.gateway.keys import new_key
+from pcmrs.gateway.signing import new_key
 from pcmrs.testing.driving import accept
 from pcmrs_lab.campaign.checks import expect
 from pcmrs_lab.campaign.fault import Evidence, fault

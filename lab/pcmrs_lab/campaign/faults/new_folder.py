@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from pcmrs.gateway.keys import new_key, read_key
 from pcmrs.gateway.links import RESET
-from pcmrs.gateway.signing import Signer
+from pcmrs.gateway.signing import Signer, new_key, read_key
 from pcmrs.testing.cell import RunningCell
 from pcmrs_lab.campaign.checks import expect
 from pcmrs_lab.campaign.datagrams import raw_socket, refusals_after, taken

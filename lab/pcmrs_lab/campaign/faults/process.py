@@ -19,7 +19,7 @@ from pcmrs.journal import JournalReader
 from pcmrs.journal.schema import HEADLESS
 from pcmrs.journal.verification import verify
 from pcmrs.replay.replay import replay
-from pcmrs.service import stall
+from pcmrs.service.watches import stall
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.daemon import descendants
 from pcmrs.testing.driving import PATIENCE, accept, moving, register, start_anew, tool_pose, until

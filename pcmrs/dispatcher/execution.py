@@ -1,0 +1,234 @@
+"""What operations are executed with; their checks, asked here or by a planner; their steps under a deadline."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+from collections.abc import Awaitable, Callable, Sequence
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import Generic, Literal, Protocol
+
+import structlog
+
+from pcmrs.clock import Clock
+from pcmrs.dispatcher.locks import Attempt
+from pcmrs.dispatcher.procedure import Procedure
+from pcmrs.dispatcher.run import C, D, Run
+from pcmrs.dispatcher.stops import Hold
+from pcmrs.dispatcher.tasks import Tasks
+from pcmrs.dispatcher.workflow import Registry, Workflow
+from pcmrs.errors import DeviceError, PcmrsError, RefusalError, UnknownOutcomeError
+from pcmrs.fsm import START_OUTCOME, Change, Closure, OperationSpec
+from pcmrs.messages import Decision, Reason
+
+performing: ContextVar[int | None] = ContextVar("performing", default=None)
+"""Id of the procedure on behalf of which the present task runs checks, steps or an activity."""
+
+
+@dataclass(frozen=True)
+class Stage(Generic[C, D]):
+    """The parts of one dispatcher that those who perform share.
+
+    Attributes:
+        workflow: The procedure as it was written.
+        procedure: Where it stands.
+        cell: The devices and frames that operations and activities use.
+        clock: The cell's clock.
+        hold: Holds the robot.
+        tasks: What is under way.
+        show: Publishes a snapshot.
+        release: Releases what Stop has latched; see `Dispatcher`.
+    """
+
+    workflow: Workflow[C, D]
+    procedure: Procedure[C, D]
+    cell: C
+    clock: Clock
+    hold: Hold
+    tasks: Tasks
+    show: Callable[[], None]
+    release: Callable[[bool], Awaitable[Sequence[str]]] | None
+
+
+class Planner(Protocol[C, D]):
+    """Asks the checks of operations that plan motions."""
+
+    async def check(self, run: Run[C, D]) -> Reason | None:
+        """Ask the checks of the run's operation, and leave in the run what they have found.
+
+        Returns:
+            The first refusal, or why the planner has no answer; None when all agree.
+        """
+
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How the steps ended: ``done`` with an outcome, ``failed`` or ``unknown`` with a reason."""
+
+    kind: Literal["done", "failed", "unknown"]
+    outcome: str = START_OUTCOME
+    reason: Reason | None = None
+
+
+def refusal(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> Reason | None:
+    """Runs the operation's checks; returns the first refusal, or None when all agree."""
+    for name in spec.checks:
+        try:
+            registry.checks[name](run)
+        except PcmrsError as error:
+            return reason_of(error, check=name)
+        except Exception:
+            log.exception("check_raised", check=name, command=run.command.id)
+            return Reason(code="check_raised", text=f"Check {name} could not be completed.", fields={"check": name})
+    return None
+
+
+async def take_steps(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> Ending:
+    """Takes the operation's steps in order and in time; cancellation passes through to the caller."""
+    step = ""
+    try:
+        async with run.clock.timeout(spec.timeout_s):
+            for step in spec.steps:
+                taken = registry.steps[step](run)
+                if inspect.isawaitable(taken):
+                    await taken
+                _heed_cancellation()
+    except TimeoutError:
+        text = f"Step {step} did not end within {spec.timeout_s} s."
+        fields = {"step": step, "timeout": spec.timeout_s}
+        return Ending("failed", reason=Reason(code="deadline_passed", text=text, fields=fields))
+    except Exception as error:
+        return _ending_by(error, step, run)
+    return Ending("done", outcome=run.outcome or START_OUTCOME)
+
+
+def take_steps_at_once(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> Ending:
+    """Takes the steps of an operation that touches nothing outside: there is nothing to wait for."""
+    step = ""
+    try:
+        for step in spec.steps:
+            registry.steps[step](run)
+    except Exception as error:
+        return _ending_by(error, step, run)
+    return Ending("done", outcome=run.outcome or START_OUTCOME)
+
+
+def _ending_by(error: Exception, step: str, run: Run[C, D]) -> Ending:
+    if isinstance(error, UnknownOutcomeError):
+        return Ending("unknown", reason=reason_of(error, step=step))
+    if isinstance(error, PcmrsError):
+        return Ending("failed", reason=reason_of(error, step=step))
+    log.error("step_raised", step=step, command=run.command.id, exc_info=error)
+    text = f"Step {step} raised an error; the log has it."
+    return Ending("failed", reason=Reason(code="step_raised", text=text, fields={"step": step}))
+
+
+def _heed_cancellation() -> None:
+    """Ends the steps although the one before has swallowed the cancellation of Stop or the deadline."""
+    task = asyncio.current_task()
+    if task is not None and task.cancelling():
+        raise asyncio.CancelledError
+
+
+def consequence(closure: Closure, ending: Ending, name: str) -> tuple[Decision, Change | None, Reason | None]:
+    """The decision, the change to commit and the reason that an ending leads to."""
+    if ending.kind == "unknown":
+        return "unknown", closure.unknown, ending.reason
+    if ending.kind == "failed":
+        return "failed", closure.failure, ending.reason
+    if ending.outcome not in closure.outcomes:
+        text = f"{name} ended as {ending.outcome!r}; only {list(closure.outcomes)} can be taken now."
+        return "failed", closure.failure, Reason(code="undeclared_outcome", text=text)
+    return "accepted", closure.outcomes[ending.outcome], None
+
+
+def reason_of(error: PcmrsError, **where: str) -> Reason:
+    """The reason that a verdict gives for an error."""
+    code = error.refusal_code if isinstance(error, RefusalError) else error.code
+    if isinstance(error, DeviceError) and "code" in error.fields:
+        code = str(error.fields["code"])
+    return Reason(code=code, text=error.text, fields={**error.fields, **where})
+
+
+MOST_PLANS = 3
+"""So often a motion is planned where what it rests on changes meanwhile; then the command is rejected."""
+
+
+class Checks(Generic[C, D]):
+    """Asks checks, and once more what must not have changed while a planner was asked.
+
+    Args:
+        stage: What operations are performed with.
+        planner: Asks checks that plan a motion; None to ask all of them here, in the loop.
+        objection: Why an attempt is not allowed now, if it is not: latch, lease, failure and states.
+    """
+
+    def __init__(
+        self,
+        stage: Stage[C, D],
+        planner: Planner[C, D] | None,
+        objection: Callable[[Attempt], Reason | None],
+    ) -> None:
+        self._stage = stage
+        self._planner = planner
+        self._objection = objection
+        self._registry = stage.workflow.registry
+
+    def take_time(self, spec: OperationSpec) -> bool:
+        """Whether the checks of an operation are asked by the planner, so that they have to be waited for."""
+        return self._planner is not None and not self._registry.lasting.isdisjoint(spec.checks)
+
+    def ask_at_once(self, spec: OperationSpec, run: Run[C, D]) -> Reason | None:
+        """Return the first refusal of the checks, asked here; None when all agree."""
+        return refusal(self._registry, spec, run)
+
+    async def ask(self, attempt: Attempt, run_of: Callable[[], Run[C, D]]) -> tuple[Run[C, D], Reason | None]:
+        """Return a run with what its checks have found, and why it is refused, if it is.
+
+        Args:
+            attempt: Whose checks.
+            run_of: Makes a run of it by the present states and data.
+        """
+        run = run_of()
+        if self._planner is None or not self.take_time(attempt.spec):
+            return run, self.ask_at_once(attempt.spec, run)
+        for _ in range(MOST_PLANS):
+            refused = attempt.stopped or await self._plan(attempt, run)
+            objection = attempt.stopped or self._objection(attempt)
+            if objection is not None or self._still_true(run):
+                return run, objection or refused
+            run = run_of()
+        text = f"What {attempt.name} rests on changed {MOST_PLANS} times while it was planned: ask again."
+        return run, Reason(code="changed_while_planning", text=text, fields={"limit": MOST_PLANS})
+
+    async def ask_again(self, spec: OperationSpec, run: Run[C, D]) -> Reason | None:
+        """Asks the checks of a run that is under way by what is known now; its branches are locked."""
+        if self._planner is None or not self.take_time(spec):
+            return self.ask_at_once(spec, run)
+        try:
+            return await self._planner.check(run)
+        except Exception:
+            log.exception("planner_raised", command=run.command.id)
+            return Reason(
+                code="check_raised", text="Its checks could not be completed by the planner; the log has why."
+            )
+
+    async def _plan(self, attempt: Attempt, run: Run[C, D]) -> Reason | None:
+        attempt.planning = asyncio.ensure_future(self.ask_again(attempt.spec, run))
+        try:
+            await asyncio.wait([attempt.planning])
+            if attempt.planning.cancelled():
+                text = f"The planning of {attempt.name} was cancelled."
+                return attempt.stopped or Reason(code="step_cancelled", text=text)
+            return attempt.planning.result()
+        finally:
+            attempt.planning.cancel()
+            attempt.planning = None
+
+    def _still_true(self, run: Run[C, D]) -> bool:
+        procedure = self._stage.procedure
+        return run.states == procedure.joint() and run.data == procedure.data

@@ -1,0 +1,198 @@
+"""Commands on their way through the dispatcher: which ones run, which wait, and which are turned away."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from pcmrs.fsm import Blueprint, Closure, Denial, OperationSpec
+from pcmrs.messages import Command, Reason, Running, Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Locks:
+    """Branches an operation may change, and branches that must not change under it."""
+
+    writes: frozenset[str]
+    reads: frozenset[str]
+
+    def conflicts(self, other: Locks) -> bool:
+        """Whether the two cannot be held together."""
+        return bool(self.writes & (other.writes | other.reads) or self.reads & other.writes)
+
+
+@dataclass(eq=False)
+class Attempt:
+    """One accepted-for-consideration command until its verdict.
+
+    Attributes:
+        arrived: When it arrived, s of the event loop's clock.
+        worldly: It takes steps in the world.
+        since: Number of the newest commit that its checks and steps have seen.
+        begun: Its steps have begun, so that cancelling its task reaches them.
+        ending: Its steps have ended and it is being committed: too late to stop.
+        committing: It waits for nothing but its commit.
+        stopped: Why it was stopped by Stop or a danger event.
+        planning: What its checks wait for, where a planner asks them.
+        patience: Ends its wait, where that is limited.
+    """
+
+    command: Command
+    spec: OperationSpec
+    payload: Any
+    verdict: asyncio.Future[Verdict]
+    locks: Locks
+    arrived: float
+    worldly: bool
+    since: int = 0
+    task: asyncio.Task[None] | None = None
+    progress: float = 0.0
+    begun: bool = False
+    ending: bool = False
+    committing: bool = False
+    stopped: Reason | None = None
+    planning: asyncio.Future[Reason | None] | None = None
+    patience: asyncio.TimerHandle | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves the robot."""
+        return self.spec.moves
+
+    @property
+    def acts(self) -> bool:
+        """Whether it moves the robot or acts on the patient otherwise."""
+        return self.spec.moves or self.spec.affects_patient
+
+    @property
+    def name(self) -> str:
+        """Branch and operation, as users write it."""
+        return f"{self.command.branch}.{self.command.operation}"
+
+    @property
+    def shown(self) -> Running:
+        """What the snapshot shows of it."""
+        command = self.command
+        return Running(branch=command.branch, operation=command.operation, id=command.id, progress=self.progress)
+
+    def replaces(self, other: Attempt) -> bool:
+        """Whether both report the same event: the newer one says all that the other does."""
+        mine, theirs = self.command, other.command
+        return self.spec.event and (mine.source, self.name, mine.arguments) == (
+            theirs.source,
+            other.name,
+            theirs.arguments,
+        )
+
+    def end_wait(self) -> None:
+        """It waits no longer: it starts, or is turned away."""
+        if self.patience is not None:
+            self.patience.cancel()
+
+    def stop(self, reason: Reason) -> None:
+        """Cancels its planning or its steps; harmless once they have ended."""
+        if self.stopped is not None:
+            return
+        self.stopped = reason
+        if self.planning is not None:
+            self.planning.cancel()
+        if self.begun and not self.ending and self.task is not None:
+            self.task.cancel()
+
+    def end_steps(self) -> None:
+        """Its steps have ended: what follows is not cancelled, nor mistaken for cancelled by a timeout."""
+        self.ending = True
+        if self.task is not None and self.task.cancelling():
+            self.task.uncancel()
+
+
+def locks_for(blueprint: Blueprint, command: Command, answer: Closure | Denial) -> Locks:
+    """Locks of an allowed command; of a denied one, the branches that might change the answer."""
+    if isinstance(answer, Closure):
+        return Locks(answer.writes, answer.reads)
+    examined = {command.branch}
+    parent = blueprint.branches[command.branch].parent
+    while parent is not None:
+        examined.add(parent.branch)
+        parent = blueprint.branches[parent.branch].parent
+    spec = blueprint.branches[command.branch].operations[command.operation]
+    return Locks(frozenset(examined), frozenset(spec.requires) - examined)
+
+
+MAX_WAITING = 32
+"""Commands that may wait for locks; one more is rejected. Events are not counted: each waits once at most."""
+
+
+class Lanes:
+    """Locks are taken all at once, first come first served; events go ahead of commands.
+
+    Attributes:
+        running: Attempts that hold their locks.
+        waiting: Attempts that will be asked again when others end, in order of arrival.
+    """
+
+    def __init__(self, revokers: frozenset[str]) -> None:
+        self.running: list[Attempt] = []
+        self.waiting: list[Attempt] = []
+        self._revokers = revokers
+
+    @property
+    def moving(self) -> bool:
+        """Whether a motion runs, or waits to run."""
+        return any(attempt.moves for attempt in (*self.running, *self.waiting))
+
+    def blocked(self, attempt: Attempt) -> bool:
+        """Whether it is in the way of what runs, or of what goes ahead of it."""
+        return any(self._in_the_way_of(attempt))
+
+    def why_not_wait(self, attempt: Attempt) -> Reason | None:
+        """Why a blocked attempt is turned away; events never are.
+
+        Nothing that moves or acts on the patient waits, nor does a plan change while something moves. A motion waits
+        for events that take no step in the world: they end as soon as the disk has them.
+        """
+        if attempt.spec.event or (attempt.moves and self._may_wait(attempt)):
+            return None
+        changes_plan = attempt.locks.writes & self._revokers
+        if attempt.spec.blocked_when_latched or (changes_plan and self.moving):
+            return self.busy(attempt)
+        if sum(not other.spec.event for other in self.waiting) >= MAX_WAITING:
+            text = f"{MAX_WAITING} commands wait already, which is the limit: ask again later."
+            return Reason(code="queue_full", text=text, fields={"limit": MAX_WAITING})
+        return None
+
+    def busy(self, attempt: Attempt) -> Reason:
+        """Says that an attempt does not wait for the others."""
+        busy = [other.name for other in self.running]
+        text = f"{attempt.name} does not wait for {' and '.join(busy) or 'others'}: ask again when it has ended."
+        return Reason(code="busy", text=text, fields={"running": busy})
+
+    def wait(self, attempt: Attempt) -> Attempt | None:
+        """Has an attempt wait; returns the one of the same event that it replaces, if any: the newest counts."""
+        replaced = next((other for other in self.waiting if attempt.replaces(other)), None)
+        if replaced is not None:
+            self.waiting.remove(replaced)
+        self.waiting.append(attempt)
+        return replaced
+
+    def take_waiting(self) -> list[Attempt]:
+        """Empties the queue and returns what was in it, events first."""
+        waiting, self.waiting = self.waiting, []
+        return sorted(waiting, key=lambda attempt: not attempt.spec.event)
+
+    def turn_away(self) -> list[Attempt]:
+        """Empties the queue but for events, which say what has happened already, and returns what was taken out."""
+        taken = [attempt for attempt in self.waiting if not attempt.spec.event]
+        self.waiting = [attempt for attempt in self.waiting if attempt.spec.event]
+        return taken
+
+    def _may_wait(self, motion: Attempt) -> bool:
+        if any(other.moves for other in self.waiting):
+            return False
+        return all(other.spec.event and not other.worldly for other in self._in_the_way_of(motion))
+
+    def _in_the_way_of(self, attempt: Attempt) -> Iterable[Attempt]:
+        ahead = (other for other in self.waiting if other.spec.event or not attempt.spec.event)
+        return (other for other in (*self.running, *ahead) if attempt.locks.conflicts(other.locks))

@@ -1,0 +1,1 @@
+"""Who a signed command is from, and that it is not sent twice."""

@@ -1,0 +1,86 @@
+"""The way in for commands of signed peers: none begins before the disk has its counter, except Stop."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+
+from pcmrs.clock import Clock
+from pcmrs.errors import RefusalError
+from pcmrs.gateway.auth.counters import CounterKeeper
+from pcmrs.gateway.auth.peers import SignedPeer, authenticate
+from pcmrs.gateway.session import MAX_WAITING, QUEUE_FULL
+from pcmrs.gateway.signing import Signed
+from pcmrs.gateway.tasks import Tasks
+
+KEPT_WITHIN = 1.0
+"""Seconds that a command waits for the disk; then it is refused, and never begins late."""
+NOT_KEPT = "counter_not_kept"
+
+Enter = Callable[[RefusalError | None], None]
+"""Begins a command, or has it rejected."""
+
+
+class Admission:
+    """Lets commands in, those of one peer in the order of their arrival.
+
+    Args:
+        peers: The configured peers by name.
+        keeper: Has their counters written.
+        clock: The machine's clock.
+        tasks: Owns the waiting.
+    """
+
+    def __init__(self, peers: Mapping[str, SignedPeer], keeper: CounterKeeper, clock: Clock, tasks: Tasks) -> None:
+        self._peers = peers
+        self._keeper = keeper
+        self._clock = clock
+        self._tasks = tasks
+        self._stops = 0
+
+    def identify(self, signed: Signed) -> SignedPeer:
+        """The peer that a datagram is from. Raises `RefusalError`."""
+        return authenticate(self._peers, signed)
+
+    def enter_at_once(self, peer: SignedPeer, enter: Enter, refusal: RefusalError | None = None) -> None:
+        """Lets Stop in, or has a command rejected; neither waits for the disk, which gets the counter all the same."""
+        self._keeper.note(peer.name, peer.newest)
+        enter(refusal)
+
+    def enter_when_kept(self, peer: SignedPeer, enter: Enter) -> None:
+        """Lets a command in once its counter is kept; it is rejected when that fails, or when Stop comes before."""
+        if peer.waiting >= MAX_WAITING:
+            text = f"{peer.waiting} commands of {peer.name!r} wait for the disk, the limit is {MAX_WAITING}; send less."
+            self.enter_at_once(peer, enter, RefusalError(QUEUE_FULL, text))
+            return
+        stops = self._stops
+        kept = self._keeper.keep(peer.name, peer.newest)
+
+        def decide(_: asyncio.Future[None]) -> None:
+            peer.waiting -= 1
+            if not kept.cancelled():  # or else the gateway closes
+                enter(self._objection(kept.exception(), stops))
+
+        peer.waiting += 1
+        kept.add_done_callback(decide)
+        self._tasks.spawn(self._give_up(kept))
+
+    def halt(self) -> None:
+        """Lets nothing begin that waits now, as Stop demands."""
+        self._stops += 1
+
+    def _objection(self, error: BaseException | None, stops: int) -> RefusalError | None:
+        if error is not None:
+            text = f"Its counter cannot be kept, so it could be replayed: {error}. Look at the disk, then send it anew."
+            return RefusalError(NOT_KEPT, text)
+        if stops != self._stops:
+            return RefusalError("stopped", "Stop came before it began.")
+        return None
+
+    async def _give_up(self, kept: asyncio.Future[None]) -> None:
+        with suppress(TimeoutError):
+            async with self._clock.timeout(KEPT_WITHIN):
+                await asyncio.wait([kept])
+        if not kept.done():
+            kept.set_exception(TimeoutError(f"the disk has not answered within {KEPT_WITHIN:g} s"))

@@ -1,0 +1,183 @@
+"""The newest counter of each signed peer, on disk: what was sent once is refused for ever, across restarts too."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import os
+import struct
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from pcmrs.errors import ConfigurationError
+from pcmrs.files import write_durably
+
+MOST_NAMES: Final = 128
+"""Peers that are remembered, those that are no longer configured too: whoever comes back must not be replayed."""
+
+_MAGIC: Final = b"PCMRSPC1"
+_HEADER: Final = struct.Struct(">8sQI")
+"""Magic, number of the write and length of the table, which follows as JSON, and then the hash of all."""
+_HASH: Final = hashlib.sha256().digest_size
+_SLOT: Final = 8192
+"""A torn write of one of the two slots leaves the other whole."""
+
+_table = msgspec.json.Decoder(dict[str, int])
+
+
+class CounterFile:
+    """The file; written by one thread at a time.
+
+    Args:
+        path: Made where there is none.
+
+    Attributes:
+        kept: Newest counter of each peer when it was opened.
+        made: Whether it was made now, so that every peer begins at 0.
+
+    Raises:
+        ConfigurationError: It cannot be made, read or written, or no slot of it is whole.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self.made = not path.exists()
+            if self.made:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_durably(path, b"".join(_slot(number, {}) for number in range(2)), mode=0o600)
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+            slots = [_read(os.pread(self._descriptor, _SLOT, start)) for start in (0, _SLOT)]
+        except OSError as error:
+            text = f"The counters of signed peers, {path}, cannot be used: {error.strerror}."
+            raise ConfigurationError(text, file=str(path)) from None
+        whole = [slot for slot in slots if slot is not None]
+        if not whole:
+            os.close(self._descriptor)
+            raise ConfigurationError(
+                f"{path} is damaged, so old datagrams cannot be told from new ones. Remove it, and give every peer a "
+                "new key: pcmrs peers new NAME.",
+                file=str(path),
+            )
+        self._number, self.kept = max(whole, key=lambda slot: slot[0])
+
+    def write(self, counters: Mapping[str, int]) -> None:
+        """Replaces the table, in the slot that is older; returns when the disk has it. Raises `OSError`."""
+        slot = _slot(self._number + 1, counters)
+        if os.pwrite(self._descriptor, slot, (self._number + 1) % 2 * _SLOT) != len(slot):
+            raise OSError(f"only a part of the counters was written to {self._path}")
+        os.fdatasync(self._descriptor)
+        self._number += 1
+
+    def close(self) -> None:
+        """Closes the file."""
+        os.close(self._descriptor)
+
+
+def check_room(kept: Mapping[str, int], peers: Mapping[str, object], path: Path) -> None:
+    """Raises `ConfigurationError` when the file cannot remember these peers beside those it knows."""
+    names = kept.keys() | peers.keys()
+    if len(names) > MOST_NAMES:
+        raise ConfigurationError(
+            f"{path} would remember {len(names)} peers with those of earlier times, the limit is {MOST_NAMES}. Remove "
+            "it, and give every peer a new key: pcmrs peers new NAME.",
+            count=len(names),
+            limit=MOST_NAMES,
+        )
+
+
+def _slot(number: int, counters: Mapping[str, int]) -> bytes:
+    table = msgspec.json.encode(counters)
+    content = _HEADER.pack(_MAGIC, number, len(table)) + table
+    return (content + hashlib.sha256(content).digest()).ljust(_SLOT, b"\0")
+
+
+def _read(slot: bytes) -> tuple[int, dict[str, int]] | None:
+    """Number and table of a slot; None when it is not whole."""
+    if len(slot) < _SLOT:
+        return None
+    magic, number, length = _HEADER.unpack_from(slot)
+    end = _HEADER.size + length
+    if magic != _MAGIC or slot[end : end + _HASH] != hashlib.sha256(slot[:end]).digest():
+        return None
+    return number, _table.decode(slot[_HEADER.size : end])
+
+
+class CounterKeeper:
+    """Writes whatever waits, with one wait for the disk; newer counters of a peer stand for older ones.
+
+    Args:
+        file: Used by the thread only from now on, until this is closed.
+        failed: Called in the event loop with the error of every write that failed.
+    """
+
+    def __init__(self, file: CounterFile, failed: Callable[[OSError], None]) -> None:
+        self._file = file
+        self._failed = failed
+        self._loop = asyncio.get_running_loop()
+        self._newest = dict(file.kept)
+        self._waiting: list[asyncio.Future[None]] = []
+        self._due = False
+        self._closing = False
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._run, name="pcmrs-peer-counters", daemon=True)
+        self._thread.start()
+
+    def note(self, peer: str, counter: int) -> None:
+        """Has a peer's newest counter written; nobody waits for it."""
+        with self._changed:
+            self._note(peer, counter)
+
+    def keep(self, peer: str, counter: int) -> asyncio.Future[None]:
+        """The same; the future is done when the disk has it, in the order of the calls, or has the `OSError`."""
+        kept: asyncio.Future[None] = self._loop.create_future()
+        with self._changed:
+            self._note(peer, counter)
+            self._waiting.append(kept)
+        return kept
+
+    async def close(self) -> None:
+        """Ends when what was noted is written; who waits still is cancelled."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        await asyncio.to_thread(self._thread.join)
+
+    def _note(self, peer: str, counter: int) -> None:
+        self._newest[peer] = counter
+        self._due = True
+        self._changed.notify()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._due or self._closing)
+                if not self._due:
+                    return
+                newest, waiting = dict(self._newest), self._waiting
+                self._waiting, self._due = [], False
+            self._loop.call_soon_threadsafe(self._tell, waiting, self._write(newest))
+
+    def _write(self, newest: dict[str, int]) -> OSError | None:
+        try:
+            self._file.write(newest)
+        except OSError as error:
+            return error
+        return None
+
+    def _tell(self, waiting: list[asyncio.Future[None]], error: OSError | None) -> None:
+        if error is not None:
+            self._failed(error)
+        for kept in waiting:
+            if kept.done():
+                continue  # its time was up
+            if self._closing:
+                kept.cancel()
+            elif error is None:
+                kept.set_result(None)
+            else:
+                kept.set_exception(error)

@@ -1,0 +1,1 @@
+"""Processes beside the daemon: its nodes, heart, planner, recorder and console."""

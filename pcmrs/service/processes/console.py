@@ -1,0 +1,29 @@
+"""The page of the cell, served by a child process on this machine."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from importlib.util import find_spec
+
+from pcmrs.console.settings import TOKEN
+from pcmrs.files import SECRET, write_durably
+from pcmrs.service.processes.child import open_child
+from pcmrs.settings import Settings
+
+
+def is_served(settings: Settings) -> bool:
+    """Whether the daemon serves the page: it is to, and what serves it is installed."""
+    return settings.console.enabled and find_spec("nicegui") is not None
+
+
+async def open_console(settings: Settings) -> asyncio.subprocess.Process:
+    """Serves the page; its token lies in the cell's folder, and is made when there is none.
+
+    Raises:
+        OSError: The token cannot be written, or the process not started.
+    """
+    token = settings.cell.path() / TOKEN
+    if not token.exists():
+        write_durably(token, secrets.token_urlsafe(24).encode(), mode=SECRET)
+    return await open_child("console", "--lifeline", settings=settings, stdout=asyncio.subprocess.DEVNULL)

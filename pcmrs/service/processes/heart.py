@@ -1,0 +1,167 @@
+"""The daemon's heart: what sends the signs of life of its loop to the device nodes."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+import uuid
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Protocol
+
+import msgspec
+import structlog
+
+from pcmrs.bus import BusSettings
+from pcmrs.bus.heart import SIGN, HeartSettings
+from pcmrs.clock import Clock
+from pcmrs.devices.node import DAEMON_BEAT
+from pcmrs.messages import Beat, DeviceEvent
+from pcmrs.service.processes.child import end_child
+from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
+
+log = structlog.get_logger(__name__)
+
+STARTING_TIME = 120.0
+"""It sends its first beat within this, or hangs, s: on a busy machine a process takes long to start."""
+ANSWER_TIME = 2.0
+"""Later ones are heard within this, or it hangs, s."""
+ENDING_TIME = 2.0
+"""Its process is killed when it has not ended so long after the last sign of life, s."""
+
+
+class Heart(Protocol):
+    """Sends beats.
+
+    Attributes:
+        session: Of this start of the daemon, random; in every beat.
+    """
+
+    session: str
+
+    def sign(self, alive: float) -> None:
+        """Takes a sign of life of the loop, s of the machine's monotonic clock; never blocks."""
+
+    def hear(self) -> None:
+        """One of its beats has come by the bus."""
+
+
+class LoopHeart:
+    """Sends each sign of life from the loop itself, as in simulated time.
+
+    Args:
+        publish: `Bus.publish`.
+        clock: The machine's.
+
+    Attributes:
+        session: See `Heart`.
+    """
+
+    def __init__(self, publish: Callable[[str, Beat], None], clock: Clock) -> None:
+        self.session = uuid.uuid4().hex
+        self._publish, self._clock = publish, clock
+        self._number = 0
+
+    def sign(self, alive: float) -> None:
+        self._number += 1
+        sent = self._clock.monotonic()
+        self._publish(DAEMON_BEAT, Beat(number=self._number, session=self.session, alive=alive, sent=sent))
+
+    def hear(self) -> None:
+        """Of itself it hears nothing."""
+
+
+class HeartProcess:
+    """Sends the signs of life from a small process, which waits for nobody; see `pcmrs.bus.heart`.
+
+    When that ends by itself, or hangs and is killed, no beats are sent, so that the nodes hold; it is restarted, but
+    not for ever.
+
+    Args:
+        settings: Of the bus, as a client.
+        clock: The machine's.
+        device_key: With which daemon and nodes seal what they send.
+
+    Attributes:
+        session: See `Heart`.
+        report: Gets the event when the process has ended by itself.
+    """
+
+    def __init__(self, settings: BusSettings, clock: Clock, device_key: bytes) -> None:
+        self.session = uuid.uuid4().hex
+        self._device_key = device_key
+        self.report: Callable[[DeviceEvent], None] = lambda _: None
+        self._settings, self._clock = settings, clock
+        self._number = 0
+        self._patience = STARTING_TIME
+        self._unheard: float | None = None
+        self._pipe: int | None = None
+        self._process: asyncio.subprocess.Process | None = None
+
+    def sign(self, alive: float) -> None:
+        self._number += 1
+        if self._pipe is not None:
+            # A pipe that is full or broken: the process is not there, and so nothing is sent.
+            with suppress(BlockingIOError, BrokenPipeError):
+                os.write(self._pipe, SIGN.pack(self._number, alive))
+        self._unheard = alive if self._unheard is None else self._unheard
+        if self._process is not None and alive - self._unheard > self._patience:
+            self._unheard = None
+            with suppress(ProcessLookupError):
+                self._process.kill()  # what follows is as when it ends by itself
+
+    def hear(self) -> None:
+        self._patience, self._unheard = ANSWER_TIME, None
+
+    def start(self, supervisor: Supervisor) -> None:
+        """Starts the process, and keeps it running."""
+        supervisor.start("heart", self._keep)
+
+    async def stop(self) -> None:
+        """Sends no more signs, and waits until the process has ended."""
+        self._close_pipe()
+        if self._process is not None and not await end_child(self._process, ENDING_TIME):
+            log.warning("heart_killed")
+
+    async def _keep(self) -> None:
+        limit = RestartLimit(RESTARTS, WITHIN, self._clock)
+        while True:
+            self._patience, self._unheard = STARTING_TIME, None
+            process = self._process = await self._begin()
+            status = await process.wait()
+            self._close_pipe()
+            given_up = limit.reached()
+            log.error("heart_ended", status=status, given_up=given_up)
+            self.report(_ended(status, given_up=given_up))
+            if given_up:
+                await asyncio.Event().wait()
+
+    async def _begin(self) -> asyncio.subprocess.Process:
+        reading, self._pipe = os.pipe()
+        os.set_blocking(self._pipe, False)
+        settings = HeartSettings(bus=self._settings, key=DAEMON_BEAT, session=self.session, device_key=self._device_key)
+        os.write(self._pipe, msgspec.json.encode(settings) + b"\n")
+        try:
+            command = (sys.executable, "-m", "pcmrs.bus.heart")
+            # A Ctrl-C at the terminal is the daemon's to handle.
+            return await asyncio.create_subprocess_exec(*command, stdin=reading, start_new_session=True)
+        finally:
+            os.close(reading)
+
+    def _close_pipe(self) -> None:
+        pipe, self._pipe = self._pipe, None
+        if pipe is not None:
+            os.close(pipe)
+
+
+def _ended(status: int, *, given_up: bool) -> DeviceEvent:
+    text = f"The process that sends the daemon's heartbeats ended by itself (status {status})"
+    if given_up:
+        text += f" more than {RESTARTS} times within {WITHIN:g} s and is not restarted: nothing can move any more. "
+        text += "The log says why it ends; restart the daemon when that is mended."
+    else:
+        text += " and is restarted. What moved was held."
+    fields = {"status": status}
+    code = "heart_failed" if given_up else "heart_restarted"
+    return DeviceEvent(device="daemon", code=code, text=text, danger=given_up, fields=fields)

@@ -1,0 +1,97 @@
+"""The device nodes of this machine, as child processes of the daemon."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+
+import structlog
+
+from pcmrs.clock import Clock
+from pcmrs.messages import DeviceEvent
+from pcmrs.service.processes.child import end_child, open_child
+from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
+from pcmrs.settings import Settings
+
+log = structlog.get_logger(__name__)
+
+TERMINATION_TIME = 3.0
+"""A node that has not ended so long after SIGTERM is killed, s."""
+
+
+class NodeProcesses:
+    """Starts one process per driver, begins one that ends by itself anew, and ends them all.
+
+    A driver whose node ends more often than `RESTARTS` times within `WITHIN` is given up: its devices are gone until
+    the daemon is started again.
+
+    Args:
+        settings: Handed to every node on its standard input.
+        device_key: Likewise: with which daemon and nodes seal what they send each other.
+        on_end: Called with the names of the devices whose node has ended by itself; whether to begin it anew.
+        report: Told of every restart, and as danger of a driver that is given up.
+        clock: The machine's.
+
+    Attributes:
+        restarts: Driver to how often its node was begun anew.
+        given_up: Drivers whose nodes are not begun anew any more.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        device_key: bytes,
+        on_end: Callable[[list[str]], bool],
+        report: Callable[[DeviceEvent], None],
+        clock: Clock,
+    ) -> None:
+        self._settings, self._device_key = settings, device_key
+        self._on_end = on_end
+        self._report = report
+        self._clock = clock
+        self._processes: dict[str, asyncio.subprocess.Process] = {}
+        self.restarts: dict[str, int] = {}
+        self.given_up: set[str] = set()
+
+    def start(self, supervisor: Supervisor) -> None:
+        """Starts the nodes of all configured drivers."""
+        for driver, devices in self._settings.drivers().items():
+            supervisor.start(f"node {driver}", partial(self._keep, driver, devices))
+
+    async def stop(self) -> None:
+        """Ends all nodes: SIGTERM, then SIGKILL."""
+        for process in self._processes.values():
+            with suppress(ProcessLookupError):
+                process.terminate()
+        for driver, process in self._processes.items():
+            if not await end_child(process, TERMINATION_TIME):
+                log.warning("node_killed", driver=driver)
+
+    async def _keep(self, driver: str, devices: list[str]) -> None:
+        limit = RestartLimit(RESTARTS, WITHIN, self._clock)
+        while True:
+            process = await open_child("node", driver, *devices, settings=self._settings, device_key=self._device_key)
+            self._processes[driver] = process
+            status = await process.wait()
+            log.error("node_ended", driver=driver, devices=devices, status=status)
+            wanted = self._on_end(devices)
+            if not wanted or limit.reached():
+                if wanted:
+                    self.given_up.add(driver)
+                    self._report(_given_up(driver, devices))
+                await asyncio.Event().wait()
+            self.restarts[driver] = self.restarts.get(driver, 0) + 1
+            text = f"The node of {', '.join(devices)} ended by itself (status {status}) and is begun anew."
+            fields = {"driver": driver, "devices": devices, "status": status}
+            self._report(DeviceEvent(device="daemon", code="node_restarted", text=text, fields=fields))
+
+
+def _given_up(driver: str, devices: list[str]) -> DeviceEvent:
+    text = (
+        f"The node of {', '.join(devices)} has ended more than {RESTARTS} times within {WITHIN:g} s and is not begun "
+        "anew. The log says why it ends; start the daemon again when that is mended."
+    )
+    fields = {"driver": driver, "devices": devices}
+    return DeviceEvent(device="daemon", code="node_failed", text=text, danger=True, fields=fields)

@@ -1,0 +1,173 @@
+"""Plans motions in a process beside the daemon, so that the loop goes on meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+import pickle
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+
+import structlog
+
+from pcmrs.clock import Clock
+from pcmrs.dispatcher import Run
+from pcmrs.dispatcher.execution import reason_of
+from pcmrs.errors import RefusalError
+from pcmrs.formats.mesh import Mesh
+from pcmrs.killing import killed
+from pcmrs.messages import DeviceEvent, Reason
+from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
+from pcmrs.settings import Settings
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.planning import PlanAnswer, PlanningSettings, PlanRequest, request_of, take_answer
+from pcmrs.workflows.planning_process import HEAD, framed
+
+log = structlog.get_logger(__name__)
+
+PLANNING_TIME = 5.0
+"""A motion is planned within this, or rejected, s of the machine; a process that takes longer is restarted."""
+STARTING_TIME = 120.0
+"""The daemon waits so long for the process to be ready, s; without it motions are rejected."""
+PAUSE = 10.0
+"""Between two starts of a process that ends again and again, s."""
+
+
+class PlanningProcess:
+    """Asks the checks that take long in a child process; implements `pcmrs.dispatcher.execution.Planner`.
+
+    A process that has ended, or does not answer in time, is restarted. Until the new one is ready, and for those who
+    waited for the old one, the answer is a refusal: ``planner_lost`` or ``planner_late``.
+
+    Args:
+        settings: Of the daemon.
+        clock: The machine's.
+
+    Attributes:
+        report: Gets the event when the process has ended by itself.
+    """
+
+    def __init__(self, settings: Settings, clock: Clock) -> None:
+        self.report: Callable[[DeviceEvent], None] = lambda _: None
+        self._settings = settings
+        self._clock = clock
+        self._start = b""
+        self._number = 0
+        self._pending: dict[int, asyncio.Future[PlanAnswer]] = {}
+        self._ready = asyncio.Event()
+        self._process: asyncio.subprocess.Process | None = None
+
+    async def check(self, run: Run[Cell, PlacementData]) -> Reason | None:
+        """See `Planner`; the joints are compared with those that were planned for."""
+        request = request_of(run)
+        try:
+            answer = await self._ask(request, f"{request.command.branch}.{request.command.operation}")
+        except RefusalError as refusal:
+            return reason_of(refusal)
+        return take_answer(run, request, answer)
+
+    def start(self, supervisor: Supervisor, surface: Mesh | None) -> None:
+        """Starts the process, and keeps it running.
+
+        Args:
+            supervisor: Restarts what keeps it running.
+            surface: Of the body, as the daemon has read it.
+        """
+        settings = self._settings
+        procedure = settings.procedure.in_cell_time(settings.cell.rate)
+        start = PlanningSettings(settings.workflow, procedure, settings.robot.model, surface)
+        self._start = framed(0, pickle.dumps(start, pickle.HIGHEST_PROTOCOL))
+        supervisor.start("planner", self._keep)
+
+    async def wait(self) -> None:
+        """Returns when the process is ready, or has not become so in time."""
+        try:
+            async with self._clock.timeout(STARTING_TIME):
+                await self._ready.wait()
+        except TimeoutError:
+            log.warning("planner_not_ready", after=STARTING_TIME)
+
+    async def stop(self) -> None:
+        """Kills the process, which has nothing to lose and may be planning, and waits for its end."""
+        process = self._process
+        if process is not None:
+            await killed(process)
+
+    async def _ask(self, request: PlanRequest, name: str) -> PlanAnswer:
+        """Raises `RefusalError` where no answer comes."""
+        process = self._process
+        if process is None or process.stdin is None or not self._ready.is_set():
+            text = f"The process that plans motions does not run yet, so {name} was not planned: ask again in a moment."
+            raise RefusalError("planner_lost", text)
+        self._number += 1
+        number, answered = self._number, asyncio.get_running_loop().create_future()
+        self._pending[number] = answered
+        process.stdin.write(framed(number, pickle.dumps(request, pickle.HIGHEST_PROTOCOL)))
+        try:
+            async with self._clock.timeout(PLANNING_TIME):
+                answer: PlanAnswer = await answered
+        except TimeoutError:
+            with suppress(ProcessLookupError):
+                process.kill()
+            text = f"{name} was not planned within {PLANNING_TIME:g} s: ask again; look at what else the machine does."
+            raise RefusalError("planner_late", text, limit=PLANNING_TIME) from None
+        finally:
+            self._pending.pop(number, None)
+        return answer
+
+    async def _keep(self) -> None:
+        limit = RestartLimit(RESTARTS, WITHIN, self._clock)
+        while True:
+            process = self._process = await self._begin()
+            await self._take_answers(process)
+            status = await process.wait()
+            self._lose(status)
+            if limit.reached():
+                await self._clock.sleep(PAUSE)
+
+    async def _begin(self) -> asyncio.subprocess.Process:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            "pcmrs.workflows.planning_process",
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            start_new_session=True,  # a Ctrl-C at the terminal is the daemon's to handle
+        )
+        if process.stdin is not None:
+            process.stdin.write(self._start)
+        return process
+
+    async def _take_answers(self, process: asyncio.subprocess.Process) -> None:
+        """Until the process ends."""
+        answers = process.stdout
+        while answers is not None:
+            try:
+                number, length = HEAD.unpack(await answers.readexactly(HEAD.size))
+                content = await answers.readexactly(length)
+            except asyncio.IncompleteReadError:
+                return
+            if number == 0:
+                self._ready.set()
+            elif number in self._pending and not self._pending[number].done():
+                _give(self._pending[number], content)
+
+    def _lose(self, status: int) -> None:
+        self._process = None
+        self._ready.clear()
+        text = f"The process that plans motions ended by itself (status {status}) and is restarted."
+        for answered in self._pending.values():
+            if not answered.done():
+                answered.set_exception(RefusalError("planner_lost", f"{text} Ask again.", status=status))
+        log.error("planner_ended", status=status)
+        text += " What moves goes on; until it is ready, motions are rejected."
+        self.report(DeviceEvent(device="daemon", code="planner_restarted", text=text, fields={"status": status}))
+
+
+def _give(answered: asyncio.Future[PlanAnswer], content: bytes) -> None:
+    """An answer that cannot be read is one too: what a user's check has found may not be fit to be sent."""
+    try:
+        answered.set_result(pickle.loads(content))  # noqa: S301  # of our own child, which reads no file
+    except Exception as error:
+        answered.set_exception(error)

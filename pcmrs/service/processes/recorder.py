@@ -1,0 +1,33 @@
+"""The recorder of the daemon's session, as a child process."""
+
+from __future__ import annotations
+
+import asyncio
+import datetime
+
+from pcmrs.clock import Clock
+from pcmrs.recording.settings import FOLDER
+from pcmrs.service.processes.child import open_child
+from pcmrs.settings import Settings
+
+
+async def open_recorder(
+    settings: Settings, session: str, clock: Clock, device_key: bytes
+) -> asyncio.subprocess.Process:
+    """Records the session into the cell's folder, in a new file.
+
+    Args:
+        settings: Of the daemon.
+        session: Id of the session, as the journal has it.
+        clock: The machine's.
+        device_key: With which it seals what it reports to the daemon.
+
+    Raises:
+        OSError: The folder cannot be made, or the process not started.
+    """
+    folder = settings.cell.path() / FOLDER
+    folder.mkdir(exist_ok=True)
+    begun = datetime.datetime.fromtimestamp(clock.wall(), datetime.UTC)
+    name = f"{begun:%Y%m%dT%H%M%SZ}-{session[:8]}.mcap"
+    words = ("record", str(folder / name), "--lifeline", "--session", session)
+    return await open_child(*words, settings=settings, device_key=device_key, stdout=asyncio.subprocess.DEVNULL)

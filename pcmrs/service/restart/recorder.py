@@ -1,0 +1,289 @@
+"""The dispatcher's recorder on the journal of the cell."""
+
+from __future__ import annotations
+
+import asyncio
+import platform
+from array import array
+from bisect import bisect_left
+from collections.abc import Awaitable, Iterable, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from pcmrs.clock import Clock
+from pcmrs.dispatcher.events import DAEMON
+from pcmrs.dispatcher.procedure import Procedure
+from pcmrs.dispatcher.recorder import Recorded, clipped
+from pcmrs.errors import JournalError
+from pcmrs.fsm import Blueprint
+from pcmrs.fsm.blueprint import MigrationSpec
+from pcmrs.journal import Journal, JournalRow, Kind
+from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Verdict
+from pcmrs.service.restart.state import ENDED, TAKEN_BACK, Begun, Kept, Ledger
+from pcmrs.workflows.data import PlacementData
+
+
+class DecidedKeys:
+    """Hashes of the keys of commands, 8 bytes for each that an earlier run has decided: journals hold many.
+
+    What is not in it was never decided. What is in it most probably was: only the journal can say.
+
+    Args:
+        earlier: Source and id of the commands that earlier runs have decided.
+    """
+
+    def __init__(self, earlier: Iterable[tuple[str, str]]) -> None:
+        self._earlier = array("q", sorted(map(hash, earlier)))
+        self._since: set[int] = set()
+
+    def add(self, source: str, command_id: str) -> None:
+        """Adds a command that is about to be journalled."""
+        self._since.add(hash((source, command_id)))
+
+    def __contains__(self, key: tuple[str, str]) -> bool:
+        wanted = hash(key)
+        place = bisect_left(self._earlier, wanted)
+        return wanted in self._since or (place < len(self._earlier) and self._earlier[place] == wanted)
+
+
+AT_ONCE = 100
+"""Rows of what had begun that are written in one commit."""
+SNAPSHOT_EVERY = 1000
+"""Rows after which the journal gets one from which the next start reads on."""
+
+
+class JournalRecorder:
+    """Writes intents, decisions and events of one daemon run.
+
+    Args:
+        journal: The cell's journal.
+        clock: The cell's clock.
+        session: Id of this run.
+        blueprint: The workflow that is decided under.
+
+    Raises:
+        JournalError: The journal cannot be read.
+    """
+
+    def __init__(self, journal: Journal, clock: Clock, session: str, blueprint: BlueprintTag) -> None:
+        self._journal = journal
+        self._clock = clock
+        self._common: dict[str, Any] = {"session_id": session, "boot_id": _boot_id(), "blueprint": blueprint}
+        self._decided = DecidedKeys(journal.reader.decided())
+        self._ledger: Ledger | None = None
+        self._procedure: Procedure[Any, Any] | None = None
+        self._since_snapshot = 0
+
+    def intent(self, command: Command, states: Mapping[str, str]) -> Awaitable[Any]:
+        """See `Recorder.intent`."""
+        return self._append([self._of_command("intent", command, states)])
+
+    def decision(
+        self,
+        command: Command,
+        verdict: Verdict,
+        states: Mapping[str, str],
+        changes: Mapping[str, Any],
+        *,
+        with_intent: bool,
+    ) -> Awaitable[Any]:
+        """See `Recorder.decision`."""
+        result = msgspec.to_builtins(dict(changes)) if changes else None
+        intent = [self._of_command("intent", command, states)] if with_intent else []
+        if verdict.decision == "rejected":
+            command = msgspec.structs.replace(command, arguments=dict(clipped(command.arguments)))
+        outcome = self._of_command("outcome", command, states, verdict=verdict, result=result)
+        return self._append([*intent, outcome])
+
+    def event(self, event: DeviceEvent, states: Mapping[str, str]) -> Awaitable[Any]:
+        """See `Recorder.event`."""
+        row = self._row(
+            "device",
+            source=event.device,
+            operation=event.code,
+            states=dict(states),
+            result={"text": event.text, "danger": event.danger, "fields": msgspec.to_builtins(event.fields)},
+        )
+        return self._append([row])
+
+    def recall(self, source: str, command_id: str) -> Recorded | None:
+        """See `Recorder.recall`."""
+        if (source, command_id) not in self._decided:
+            return None
+        reader = self._journal.reader
+        outcome = reader.outcome_of(source, command_id)
+        if outcome is None or outcome.verdict is None:
+            return None
+        # What an earlier run left unfinished was closed by a row that repeats no arguments.
+        asked = outcome if outcome.arguments is not None else reader.intent_of(source, command_id)
+        return Recorded(outcome.verdict, {} if asked is None else asked.arguments or {})
+
+    def read_back(self, blueprint: Blueprint) -> Kept:
+        """Reads what earlier rows leave, from the last snapshot on; from now on every thousandth row is one.
+
+        Args:
+            blueprint: The workflow.
+
+        Raises:
+            JournalError: The journal cannot be read, or its snapshot is not of the types that this program knows.
+        """
+        reader = self._journal.reader
+        snapshot = next(reader.read(kind="snapshot", last=1), None)
+        kept = Kept() if snapshot is None else self._kept_in(snapshot.row)
+        ledger, rows = Ledger(blueprint, kept), 0
+        for stored in reader.read(after=0 if snapshot is None else snapshot.sequence):
+            ledger.take(stored.row)
+            rows += 1
+        self._ledger, self._since_snapshot = ledger, rows
+        return ledger.kept
+
+    @property
+    def kept(self) -> Kept:
+        """What a run that begins now would take over."""
+        return Kept() if self._ledger is None else self._ledger.kept
+
+    def attach(self, procedure: Procedure[Any, Any]) -> None:
+        """Snapshots show the states, data and sequence of this procedure from now on."""
+        self._procedure = procedure
+
+    async def started(self, settings: Mapping[str, Any], calibration: str) -> int:
+        """Journals under which configuration, versions and calibration the daemon runs; returns the row's sequence."""
+        versions = {"pcmrs": version("pcmrs"), "python": platform.python_version()}
+        result = {"settings": dict(settings), "versions": versions, "calibration": calibration}
+        return await self._append([self._row("config", source=DAEMON, operation="started", result=result)])
+
+    async def taken_up(self, migration: MigrationSpec) -> None:
+        """Journals that what an older blueprint has written is taken up under the present one, and why."""
+        text = f"Taken up from {migration.version} {migration.hash} because {migration.why}"
+        result = {"text": text, **msgspec.to_builtins(migration)}
+        await self._append([self._row("event", source=DAEMON, operation="taken_up", result=result)])
+
+    async def close_unfinished(self, begun: Iterable[Begun]) -> list[Verdict]:
+        """Journals ``unknown`` for what had begun when an earlier run ended; returns those verdicts."""
+        rows = [self._unknown(each) for each in begun]
+        for start in range(0, len(rows), AT_ONCE):
+            await self._append(rows[start : start + AT_ONCE])
+        return [row.verdict for row in rows if row.verdict is not None]
+
+    async def conclude(self) -> None:
+        """The daemon ends in order: the next start need read nothing but this snapshot.
+
+        Raises:
+            JournalError: It cannot be written.
+        """
+        if self._ledger is not None:
+            await self._journal.append([self._snapshot()])
+
+    def previous(self, kept: Kept, initial: PlacementData) -> PlacementData:
+        """The initial data, with what earlier runs have left for explicit operations to take back.
+
+        Raises:
+            JournalError: What an earlier run has left is not of the types that this program knows.
+        """
+        try:
+            previous = msgspec.convert(kept.taken_back, PlacementData)
+        except msgspec.ValidationError as error:
+            path = self._journal.reader.path
+            text = f"{path} holds registrations that this version cannot read ({error}): give another cell.folder."
+            raise JournalError(text, path=str(path)) from None
+        return msgspec.structs.replace(initial, **{field: getattr(previous, field) for field in TAKEN_BACK})
+
+    def _append(self, rows: list[JournalRow]) -> Awaitable[int]:
+        """Appends rows, and a snapshot in the same commit when it is time for one.
+
+        After a failure the ledger may hold what the disk does not: there is no snapshot before it has been read back.
+        """
+        for row in rows:
+            if row.kind == "outcome":
+                self._decided.add(row.source or "", row.command_id or "")
+        if self._ledger is not None:
+            rows = self._followed(rows, self._ledger)
+        try:
+            written = self._journal.append(rows)
+        except JournalError:
+            self._ledger = None
+            raise
+        if written.done():
+            self._check(written)
+        else:
+            written.add_done_callback(self._check)
+        return written
+
+    def _followed(self, rows: list[JournalRow], ledger: Ledger) -> list[JournalRow]:
+        for row in rows:
+            ledger.take(row)
+        self._since_snapshot += len(rows)
+        if self._since_snapshot < SNAPSHOT_EVERY:
+            return rows
+        self._since_snapshot = 0
+        return [*rows, self._snapshot()]
+
+    def _check(self, written: asyncio.Future[int]) -> None:
+        if written.cancelled() or written.exception() is not None:
+            self._ledger = None
+
+    def _snapshot(self) -> JournalRow:
+        procedure = self._procedure
+        shown: dict[str, Any] = {"data": {}, "sequence": 0}
+        if procedure is not None:
+            shown = {"data": msgspec.to_builtins(procedure.data), "sequence": procedure.sequence}
+        return self._row(
+            "snapshot",
+            source=DAEMON,
+            operation="snapshot",
+            states=None if procedure is None else procedure.promised(),
+            result={**shown, **msgspec.to_builtins(self.kept)},
+        )
+
+    def _kept_in(self, row: JournalRow) -> Kept:
+        try:
+            return msgspec.convert(row.result or {}, Kept)
+        except msgspec.ValidationError as error:
+            path = self._journal.reader.path
+            text = f"{path} holds a snapshot that this version cannot read ({error}): give another cell.folder."
+            raise JournalError(text, path=str(path)) from None
+
+    def _unknown(self, begun: Begun) -> JournalRow:
+        verdict = Verdict(
+            id=begun.command,
+            branch=begun.branch,
+            operation=begun.operation,
+            decision="unknown",
+            state=begun.state,
+            sequence=0,
+            reason=ENDED,
+        )
+        return self._row(
+            "outcome",
+            command_id=begun.command,
+            source=begun.source,
+            branch=begun.branch,
+            operation=begun.operation,
+            verdict=verdict,
+        )
+
+    def _of_command(self, kind: Kind, command: Command, states: Mapping[str, str], **more: Any) -> JournalRow:
+        return self._row(
+            kind,
+            command_id=command.id,
+            source=command.source,
+            user=command.user,
+            role=command.role,
+            branch=command.branch,
+            operation=command.operation,
+            arguments=command.arguments,
+            parent=command.parent,
+            states=dict(states),
+            **more,
+        )
+
+    def _row(self, kind: Kind, **fields: Any) -> JournalRow:
+        wall, monotonic = self._clock.wall(), self._clock.monotonic()
+        return JournalRow(kind=kind, wall=wall, monotonic=monotonic, **self._common, **fields)
+
+
+def _boot_id() -> str:
+    return Path("/proc/sys/kernel/random/boot_id").read_text().strip()

@@ -1,0 +1,157 @@
+"""What a daemon takes over from the journal of earlier runs, and how it goes on with a journal that failed."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import structlog
+import tomli_w
+
+from pcmrs.clock import Clock
+from pcmrs.dispatcher import Dispatcher, Workflow
+from pcmrs.dispatcher.decisions import reason_for
+from pcmrs.errors import ConfigurationError, JournalError, PcmrsError
+from pcmrs.fsm import Blueprint
+from pcmrs.fsm.blueprint import MigrationSpec
+from pcmrs.journal import Journal, JournalReader
+from pcmrs.messages import BlueprintTag, UnknownOutcome
+from pcmrs.service.restart.recorder import JournalRecorder
+from pcmrs.settings import Settings
+from pcmrs.workflows import find_workflow
+from pcmrs.workflows.cell import Cell, calibration_id_of
+from pcmrs.workflows.data import PlacementData
+
+
+def migration_for(journal: JournalReader, blueprint: Blueprint, file: Path) -> MigrationSpec | None:
+    """The declared migration by which a journal of another blueprint is taken up; None where none is needed.
+
+    Args:
+        journal: Of the cell.
+        blueprint: The workflow that is to write it.
+        file: Where that was read from, for the text.
+
+    Raises:
+        ConfigurationError: The journal is of another blueprint, and the present one declares no migration from it;
+            the text has the table that does.
+    """
+    last = next((stored.row.blueprint for stored in journal.read(last=1)), None)
+    if last is None or (last.version, last.hash) == (blueprint.version, blueprint.hash):
+        return None
+    for known in blueprint.migrations:
+        if (known.version, known.hash) == (last.version, last.hash):
+            return known
+    text = (
+        f"{journal.path} was last written under {_named(last)}, and {file} is now {_named(blueprint)}. "
+        f"Review the change with `pcmrs fsm diff OLD {file}`; then add to {file}:\n\n{_migration(last)}\n"
+        "or begin anew in another cell.folder."
+    )
+    raise ConfigurationError(text, journal=str(journal.path), version=last.version, hash=last.hash)
+
+
+def _named(of: BlueprintTag | Blueprint) -> str:
+    return f"{of.id} {of.version} (hash {of.hash})"
+
+
+def _migration(last: BlueprintTag) -> str:
+    table = {"version": last.version, "hash": last.hash, "why": "what makes it safe"}
+    return tomli_w.dumps({"migrations": [table]})
+
+
+log = structlog.get_logger(__name__)
+
+RETRY_AFTER = 1.0
+"""Between attempts to reopen a journal that has failed, s of the machine."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """What a run begins with; states, connection and motion are never restored.
+
+    Attributes:
+        workflow: Its initial data hold what explicit operations may take back.
+        latched: A Stop or danger was not acknowledged, or a motion, an activity that moves the robot or a pulse was
+            under way when the last run ended.
+        unknown: What nobody knows the outcome of, until an operator has settled it.
+        start: Sequence of the row of this start.
+    """
+
+    workflow: Workflow[Cell, PlacementData]
+    latched: bool
+    unknown: tuple[UnknownOutcome, ...]
+    start: int
+
+    def give_to(self, dispatcher: Dispatcher[Cell, PlacementData], journal: Journal) -> None:
+        """Has the dispatcher begin with it, and fail with its journal; before anything is submitted."""
+        dispatcher.take_up(latched=self.latched, unknown=self.unknown, start=self.start)
+        journal.on_failure(lambda error: dispatcher.fail(reason_for(error)))
+
+
+async def recover(
+    journal: Journal, recorder: JournalRecorder, workflow: Workflow[Cell, PlacementData], settings: Settings
+) -> Recovered:
+    """Begins a run of the daemon on its journal: everything is checked before the first row of it is written.
+
+    Raises:
+        ConfigurationError: The journal is of another version of the workflow, or a calibration cannot be used.
+        JournalError: It cannot be read or written, or holds what this version does not know.
+    """
+    blueprint = workflow.blueprint
+    migration = migration_for(journal.reader, blueprint, find_workflow(settings.workflow).blueprint)
+    calibration = calibration_id_of(settings.procedure)
+    before = recorder.read_back(blueprint)
+    initial = recorder.previous(before, workflow.initial)
+    start = await recorder.started(msgspec.to_builtins(settings), calibration)
+    if migration is not None:
+        await recorder.taken_up(migration)
+    await recorder.close_unfinished(before.begun)
+    kept = recorder.kept
+    for outcome in kept.unknown:
+        log.warning("unknown_outcome", command=outcome.command, operation=f"{outcome.branch}.{outcome.operation}")
+    log.info("recovered", latched=kept.latched, can_be_taken_back=sorted(kept.taken_back))
+    return Recovered(replace(workflow, initial=initial), kept.latched, kept.unknown, start)
+
+
+async def conclude(recorder: JournalRecorder) -> None:
+    """The daemon ends in order. A journal that cannot be written then is only logged: nothing more is decided."""
+    try:
+        await recorder.conclude()
+    except JournalError as error:
+        log.warning("no_last_snapshot", reason=error.text)
+
+
+async def keep_journal(
+    journal: Journal, recorder: JournalRecorder, dispatcher: Dispatcher[Any, Any], machine: Clock
+) -> None:
+    """Waits for the journal to fail, and takes it up again as soon as the disk lets it; goes on until cancelled.
+
+    Meanwhile nothing is accepted but Stop. Afterwards the robot is held and latched until an operator acknowledges it.
+    """
+    failed = asyncio.Event()
+    dispatcher.on_break(failed.set)
+    if dispatcher.broken is not None:
+        failed.set()
+    while True:
+        await failed.wait()
+        failed.clear()
+        while dispatcher.broken is not None and dispatcher.broken.code == JournalError.code:
+            try:
+                await _take_up_again(journal, recorder, dispatcher)
+            except PcmrsError as error:
+                log.warning("journal_still_failing", reason=error.text)
+                await machine.sleep(RETRY_AFTER)
+
+
+async def _take_up_again(journal: Journal, recorder: JournalRecorder, dispatcher: Dispatcher[Any, Any]) -> None:
+    """Reopens, reads again, and has the dispatcher go on.
+
+    Raises:
+        JournalError: It cannot be written yet, or acknowledged rows are lost.
+        PcmrsError: The dispatcher cannot go on yet.
+    """
+    await journal.reopen()
+    kept = recorder.read_back(dispatcher.procedure.blueprint)
+    await dispatcher.resume({(each.source, each.command) for each in kept.begun})

@@ -1,0 +1,173 @@
+"""What a run of the daemon takes over from the journal, kept up to date with every row that is appended."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from pcmrs.dispatcher.events import ACTIVITY_ENDED, ACTIVITY_STARTED, NOT_CONFIRMED, SHUTDOWN
+from pcmrs.dispatcher.recovery import Unsettled
+from pcmrs.fsm import Blueprint
+from pcmrs.fsm.blueprint import OperationSpec
+from pcmrs.journal import JournalRow
+from pcmrs.messages import Reason, UnknownOutcome
+
+TAKEN_BACK = ("previous", "noise", "previous_digitization", "previous_plan")
+"""Data that outlives a run of the daemon: what only explicit operations use, after their checks, and how noisy each
+pointer has been found."""
+ENDED = Reason(code="daemon_ended", text="The daemon ended while it ran; nobody knows how it ended.")
+
+
+class Begun(UnknownOutcome, frozen=True, kw_only=True, omit_defaults=False):
+    """A command that has begun and not ended; `state` of its branch is the one it began in."""
+
+    state: str
+
+
+class Kept(msgspec.Struct, frozen=True, kw_only=True):
+    """A ledger as a row of the journal has it.
+
+    Attributes:
+        taken_back: Field of the procedure's data to its value.
+        latched: Nobody has acknowledged the last Stop or danger; the Stop with which a daemon ends does not count.
+        begun: Commands under way.
+        moving: Activities under way that move the robot; `operation` is the name of the activity.
+        unknown: Outcomes that nobody knows and no operator has settled.
+    """
+
+    taken_back: dict[str, Any] = {}
+    latched: bool = False
+    begun: tuple[Begun, ...] = ()
+    moving: tuple[Begun, ...] = ()
+    unknown: tuple[UnknownOutcome, ...] = ()
+
+
+class Ledger:
+    """Follows the rows of a journal in their order; where it begins does not matter, only what was kept there.
+
+    Args:
+        blueprint: The workflow.
+        kept: As of the row where it begins.
+    """
+
+    def __init__(self, blueprint: Blueprint, kept: Kept) -> None:
+        self._blueprint = blueprint
+        self._taken_back = dict(kept.taken_back)
+        self._latched = kept.latched
+        self._begun = {(each.source, each.command): each for each in kept.begun}
+        self._moving = {(each.source, each.command): each for each in kept.moving}
+        self._unsettled = Unsettled(blueprint, kept.unknown)
+
+    @property
+    def kept(self) -> Kept:
+        """What it says now."""
+        return Kept(
+            taken_back=dict(self._taken_back),
+            latched=self._latched,
+            begun=tuple(self._begun.values()),
+            moving=tuple(self._moving.values()),
+            unknown=tuple(self._unsettled.shown()),
+        )
+
+    def take(self, row: JournalRow) -> None:
+        """One more row."""
+        if row.kind == "intent":
+            self._begin(row)
+        elif row.kind == "outcome":
+            self._end(row)
+        elif row.kind == "config":
+            self._leave_moving()
+        elif row.kind == "device":
+            self._follow_activity(row)
+            if (row.result or {}).get("danger"):
+                self._latched = self._latched or row.source != SHUTDOWN or _left_in_doubt(row)
+
+    def _begin(self, row: JournalRow) -> None:
+        source, command, branch = row.source or "", row.command_id or "", row.branch or ""
+        self._begun[source, command] = Begun(
+            command=command,
+            source=source,
+            branch=branch,
+            operation=row.operation or "",
+            since=row.wall,
+            state=(row.states or {}).get(branch, ""),
+        )
+
+    def _end(self, row: JournalRow) -> None:
+        began = self._begun.pop((row.source or "", row.command_id or ""), None)
+        decision = row.verdict.decision if row.verdict is not None else None
+        if decision == "accepted":
+            self._accept(row)
+        elif decision == "unknown":
+            self._doubt(row, row.wall if began is None else began.since)
+
+    def _follow_activity(self, row: JournalRow) -> None:
+        """An activity that moves the robot has begun, or has ended with the robot at rest or a motion in its place."""
+        fields = (row.result or {}).get("fields") or {}
+        key = row.source or "", str(fields.get("command", ""))
+        if row.operation == ACTIVITY_ENDED:
+            self._moving.pop(key, None)
+        elif row.operation == ACTIVITY_STARTED and self._moves(fields["branch"], fields["state"]):
+            self._moving[key] = Begun(
+                command=key[1],
+                source=key[0],
+                branch=fields["branch"],
+                operation=key[0].partition(":")[2],
+                since=row.wall,
+                state=fields["state"],
+            )
+
+    def _leave_moving(self) -> None:
+        """A daemon starts: what moved the robot under the one before has not ended, as a motion that was under way."""
+        for each in self._moving.values():
+            self._latched = True
+            self._unsettled.add(
+                UnknownOutcome(
+                    command=each.command,
+                    source=each.source,
+                    branch=each.branch,
+                    operation=each.operation,
+                    since=each.since,
+                )
+            )
+        self._moving.clear()
+
+    def _moves(self, branch: str, state: str) -> bool:
+        """Whether the activity of a state moves the robot; of one that this version does not have, nobody knows."""
+        declared = self._blueprint.branches.get(branch)
+        activity = None if declared is None else declared.activities.get(state)
+        return activity is None or activity.moves
+
+    def _accept(self, row: JournalRow) -> None:
+        changes = row.result or {}
+        self._taken_back |= {field: changes[field] for field in TAKEN_BACK if changes.get(field)}
+        self._unsettled.settle_by(row.branch or "", row.operation or "")
+        spec = self._spec(row)
+        if self._latched and spec is not None and spec.unlatches:
+            self._latched = False
+            self._moving.clear()  # Stop has ended them all, also where the journal failed before it had that
+
+    def _doubt(self, row: JournalRow, since: float) -> None:
+        self._unsettled.add(
+            UnknownOutcome(
+                command=row.command_id or "",
+                source=row.source or "",
+                branch=row.branch or "",
+                operation=row.operation or "",
+                since=since,
+            )
+        )
+        spec, reason = self._spec(row), row.verdict.reason if row.verdict is not None else None
+        if reason is not None and reason.code == ENDED.code and (spec is None or spec.blocked_when_latched):
+            self._latched = True
+
+    def _spec(self, row: JournalRow) -> OperationSpec | None:
+        """None of an operation that this version of the workflow does not have."""
+        branch = self._blueprint.branches.get(row.branch or "")
+        return None if branch is None else branch.operations.get(row.operation or "")
+
+
+def _left_in_doubt(row: JournalRow) -> bool:
+    """Whether a connected robot had not confirmed that it stood when its daemon ended."""
+    return row.operation == NOT_CONFIRMED and (row.states or {}).get("robot") == "1"

@@ -1,0 +1,1 @@
+"""What the daemon watches: nodes, poses, the lease, its own loop and its disk."""
