@@ -45,7 +45,7 @@ from pcmrs.bus.settings import open_session
 from pcmrs.client import Client
 from pcmrs.errors import BusError, PcmrsError
 from pcmrs.messages import JointSetpoint, JointState, TeleopSetpoint, TeleopStatus, Verdict
-from pcmrs.messages.roles import PEOPLE, Role
+from pcmrs.messages.identity import PEOPLE, Role
 from pcmrs.messages.teleop import Twist
 from pcmrs.pki import Authority, read_credentials, read_register
 from pcmrs.testing.cell import QUICK, REAL_TIME

@@ -19,8 +19,7 @@ from fuzz.running import instrumented, run
 with instrumented("pcmrs.journal", "pcmrs.report.reading", "pcmrs.report.source"):
     from pcmrs.errors import JournalError
     from pcmrs.journal import JournalReader, StoredRow, verify
-    from pcmrs.journal.copy import copy_journal
-    from pcmrs.journal.export import csv_lines, json_lines
+    from pcmrs.journal.export import copy_journal, csv_lines, json_lines
     from pcmrs.journal.head import head_path
     from pcmrs.journal.keys import PUBLIC
     from pcmrs.journal.rows import GENESIS, chain_hash

@@ -12,9 +12,8 @@ from fuzz.running import instrumented, pieces, run
 
 with instrumented("pcmrs.devices.kst", "pcmrs_sim.kst"):
     from pcmrs.clock import SystemClock
-    from pcmrs.devices.kst.lines import LONGEST, LineBuffer
     from pcmrs.devices.kst.link import KstLink
-    from pcmrs.devices.kst.values import parse_values
+    from pcmrs.devices.kst.wire import LONGEST, LineBuffer, parse_values
     from pcmrs.devices.motion.force import ForceSettings
     from pcmrs.errors import PayloadError, PcmrsError
     from pcmrs.kinematics.arms import ARMS

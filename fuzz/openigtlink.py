@@ -15,9 +15,8 @@ from fuzz.running import instrumented, pieces, run
 with instrumented("pcmrs.devices.plus", "pcmrs.gateway.openigtlink", "pyigtl"):
     from pyigtl.messages import CRC64
 
-    from pcmrs.devices.plus.frames import Frames
-    from pcmrs.devices.plus.framing import MessageReader
-    from pcmrs.devices.plus.readings import readings
+    from pcmrs.devices.plus.frames import Frames, MessageReader
+    from pcmrs.devices.plus.messages import readings
     from pcmrs.errors import PayloadError, RefusalError
     from pcmrs.gateway.openigtlink import plans
 

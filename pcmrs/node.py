@@ -14,8 +14,8 @@ from pcmrs.bus import Bus
 from pcmrs.bus.seal import Seal
 from pcmrs.bus.stop import StopLane
 from pcmrs.clock import SystemClock
-from pcmrs.devices.conformity import check_conformity
 from pcmrs.devices.node import DeviceNode
+from pcmrs.devices.opening import check_conformity
 from pcmrs.settings import Settings
 from pcmrs.threads import Priority, RealTime, Threads, keep_pauses_short
 

@@ -12,9 +12,8 @@ import numpy as np
 from pcmrs.analysis.plots import ORANGE, new_figure
 from pcmrs.formats.mesh import Mesh
 from pcmrs.spatial import Floats, Transform
-from pcmrs.tms.chart import as_transform
 from pcmrs.tms.hotspot import HotspotSearch
-from pcmrs.tms.scalp import heading
+from pcmrs.tms.scalp import as_transform, heading
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

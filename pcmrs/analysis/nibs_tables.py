@@ -14,7 +14,7 @@ from pcmrs.analysis.bids import VERSION, Column, label, write_json, write_table
 from pcmrs.analysis.session import PulseRecord, SessionRecord
 from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Floats
-from pcmrs.tms.chart import as_transform
+from pcmrs.tms.scalp import as_transform
 
 TASK = "rmt"
 PERCENT = "% Maximum Stimulator Output"

@@ -8,11 +8,9 @@ import msgspec
 
 from pcmrs.messages import BlueprintTag, Epoch, PoseMessage
 from pcmrs.tms.hotspot import HotspotSearch
-from pcmrs.tms.hotspot_settings import Hotspot
 from pcmrs.tms.mep import Mep
-from pcmrs.tms.mep_settings import MepSettings
+from pcmrs.tms.settings import Estimate, Hotspot, MepSettings
 from pcmrs.tms.threshold import ThresholdHunt
-from pcmrs.tms.threshold_settings import Estimate
 
 Phase = Literal["intensity", "hotspot", "threshold"]
 """What a pulse was given for: to find an intensity for the search, in the search, in the hunt."""

@@ -2,6 +2,8 @@
 
 Zenoh looks at every message that passes a router: from a peer (ingress) and to it (egress). Somebody who subscribes
 to more than is theirs gets nothing, for a rule has to include the whole key expression.
+
+The table of roles and keys for people, from the one that the access control is made of.
 """
 
 from __future__ import annotations
@@ -13,8 +15,28 @@ from typing import Any, Final, NamedTuple
 
 from pcmrs.bus.keys import KEYS, KeyInfo
 from pcmrs.bus.qos import class_of
-from pcmrs.messages.identity import EVERY_CELL, LOCAL, Identity, shared_cells
-from pcmrs.messages.roles import PEOPLE, Role
+from pcmrs.messages.identity import EVERY_CELL, LOCAL, PEOPLE, ROLES, Identity, Role, shared_cells
+
+
+def roles_as_markdown() -> str:
+    """One row for each key, one column for each role but the router's: what it does there."""
+    columns = [role for role in ROLES if role != "router"]
+    head = ["| key | " + " | ".join(columns) + " |", "| --- " * (len(columns) + 1) + "|"]
+    rows = [f"| `{row.key}` | " + " | ".join(_cell(row, role) for role in columns) + " |" for row in KEYS]
+    return "\n".join([*head, *rows]) + "\n"
+
+
+def _cell(row: KeyInfo, role: Role) -> str:
+    return ", ".join(_doings(row, role))
+
+
+def _doings(row: KeyInfo, role: Role) -> Iterator[str]:
+    is_stream, is_token = row.use == "subscribe", row.key.startswith("alive/")
+    if role in row.owners:
+        yield "is there" if is_token else "sends" if is_stream else "answers" if "query" in row.use else "hears"
+    if role in row.users:
+        yield "sees" if is_token else "hears" if is_stream else "asks" if "query" in row.use else "sends"
+
 
 ROLES_ON_SITE: Final[tuple[Role, ...]] = ("operator", "device", "daemon")
 """What runs on the cell's own machine, without certificates: consoles, device nodes, the daemon's own helpers."""

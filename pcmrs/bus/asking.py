@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import zenoh
 
+from pcmrs.bus.codec import error_from
 from pcmrs.bus.qos import DataClass
-from pcmrs.bus.reasons import error_from
 from pcmrs.bus.seal import Kind, Seal, Taken
 from pcmrs.bus.serving import attached_to, payload_of
 from pcmrs.errors import PcmrsError, SealError, UnknownOutcomeError

@@ -8,9 +8,9 @@ from typing import Protocol
 
 from pcmrs.bucket import TokenBucket
 from pcmrs.bus.bridge import ARRIVED
+from pcmrs.bus.codec import busy
 from pcmrs.bus.envelope import Envelope, command_from, refusal
 from pcmrs.bus.keys import named_in
-from pcmrs.bus.reasons import busy
 from pcmrs.bus.serving import ANSWERS
 from pcmrs.bus.session import Bus
 from pcmrs.bus.stop import Stop, StopLane

@@ -8,11 +8,11 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta, field
 
+from pcmrs.bus.codec import reason_from
 from pcmrs.bus.keys import split_command_key
-from pcmrs.bus.reasons import reason_from
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import Command, Message, Verdict
-from pcmrs.messages.roles import Role
+from pcmrs.messages.identity import Role
 
 
 class Envelope(Message, frozen=True, kw_only=True, forbid_unknown_fields=True):

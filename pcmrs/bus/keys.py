@@ -11,7 +11,7 @@ from typing import Final, Literal
 
 from pcmrs.errors import PayloadError
 from pcmrs.messages import Message
-from pcmrs.messages.roles import COMMANDING, HOLDING, Role
+from pcmrs.messages.identity import COMMANDING, HOLDING, Role
 
 _CHUNK = re.compile(r"[a-z0-9][a-z0-9._-]*")
 

@@ -14,9 +14,8 @@ import msgspec
 import zenoh
 
 from pcmrs.bus.bridge import CAPACITY, Call
-from pcmrs.bus.codec import is_text, pack, pack_text, unpack
+from pcmrs.bus.codec import busy, is_text, pack, pack_text, reason_from, unpack
 from pcmrs.bus.keys import named_in
-from pcmrs.bus.reasons import busy, reason_from
 from pcmrs.bus.seal import Kind, Seal, Taken
 from pcmrs.bus.turns import WAITING, Turns
 from pcmrs.errors import AccessError, PayloadError, PcmrsError, SealError

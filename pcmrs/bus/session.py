@@ -15,12 +15,11 @@ from zenoh import Locality, ext
 
 from pcmrs.bus.asking import Sealing, ask
 from pcmrs.bus.bridge import CAPACITY, Bridge
-from pcmrs.bus.codec import pack, unpack
+from pcmrs.bus.codec import busy, pack, unpack
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
 from pcmrs.bus.ignored import Ignored
 from pcmrs.bus.keys import cell_prefix, is_signed, named_in
 from pcmrs.bus.qos import COMMANDS, REQUESTS, class_of
-from pcmrs.bus.reasons import busy
 from pcmrs.bus.seal import Seal, Taken, is_sealed
 from pcmrs.bus.serving import Refuse, Service, attached_to, payload_of
 from pcmrs.bus.settings import BusSettings, open_session

@@ -13,8 +13,7 @@ from pcmrs.bus.codec import MAX_BYTES
 from pcmrs.clock import SystemClock
 from pcmrs.errors import AccessError, BusError, ConfigurationError
 from pcmrs.hosts import is_loopback
-from pcmrs.messages.identity import LOCAL, ON_SITE, Identity
-from pcmrs.messages.roles import Role
+from pcmrs.messages.identity import LOCAL, ON_SITE, Identity, Role
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 SECURED: Final = "tls/"

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from pcmrs.errors import GeometryError
+from pcmrs.formats.grid import METRES
 from pcmrs.formats.reading import read_table, read_text, refuse
-from pcmrs.formats.units import METRES
 from pcmrs.spatial import Transform
 
 PIVOT = ("tracker_from_pointer",)

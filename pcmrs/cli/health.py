@@ -1,19 +1,118 @@
-"""`pcmrs health`: how the daemon of a cell is, why it is not well, and what to do."""
+"""`pcmrs health`: how the daemon of a cell is, why it is not well, and what to do.
+
+The health of a daemon, as a table for people.
+"""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 
 import click
+from rich.box import SIMPLE_HEAD
+from rich.console import Group, RenderableType
 from rich.live import Live
+from rich.table import Table
+from rich.text import Text
 
-from pcmrs.cli.health_table import health_table
 from pcmrs.cli.options import Address, address_options, json_option
 from pcmrs.cli.printing import NARROWEST, Terminal, say_json
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
 from pcmrs.clock import SystemClock
-from pcmrs.messages.health import Health
+from pcmrs.messages.health import Health, LatencyStatus
+
+COLOURS = {"ok": "green", "degraded": "yellow", "failed": "red"}
+
+
+def health_table(health: Health) -> Group:
+    """The verdict and its reasons, then what was found."""
+    shown: list[RenderableType] = [Text(_title(health), style=f"bold {COLOURS[health.status]}")]
+    for reason in health.reasons:
+        shown += [Text(f"{reason.severity}: {reason.code}: {reason.text}"), Text(f"  → {reason.remedy}")]
+    return Group(*shown, _overview(health), _devices(health), _tasks(health))
+
+
+def _title(health: Health) -> str:
+    tag = health.blueprint
+    return (
+        f"{health.status}: {tag.id} {tag.version} ({tag.hash[:12]}), pcmrs {health.versions['pcmrs']}, "
+        f"up {_duration(health.uptime)}"
+    )
+
+
+def _overview(health: Health) -> Table:
+    table = Table(box=SIMPLE_HEAD, show_header=False)
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    journal, loop = health.journal, health.loop
+    rejected = f"; rejected for {_listed(health.rejections)}" if health.rejections else ""
+    _add(table, "stop", "latched" if health.latched else "not latched")
+    _add(table, "decisions", _listed(health.decisions) + rejected)
+    for latency in health.latencies:
+        _add(table, f"until {latency.decision}", _latency(latency))
+    waiting = f"{journal.waiting} rows wait, the oldest for {journal.oldest_wait:.3f} s"
+    _add(table, "journal", journal.failure or waiting)
+    if journal.free is not None:
+        _add(table, "disk", f"{journal.free / 1e9:.1f} GB free")
+    _add(table, "loop", f"{loop.lag:.3f} s late, {loop.stalls} stalls, the longest {loop.longest:.2f} s")
+    queues = ", ".join(f"{each.queue} {each.depth} of {each.limit}" for each in health.queues)
+    _add(table, "queues", queues)
+    refused = {each.queue: each.refused or 0 for each in health.queues}
+    _add(table, "dropped", _listed({name: many for name, many in (refused | health.dropped).items() if many}))
+    return table
+
+
+def _devices(health: Health) -> Table:
+    table = Table(box=SIMPLE_HEAD)
+    for name in ("device", "connected", "heard s ago", "data s ago", "dropped", "node", "restarts"):
+        table.add_column(name, no_wrap=True)
+    nodes = {device: node for node in health.nodes for device in node.devices}
+    for each in health.devices:
+        node = nodes.get(each.device)
+        _add(
+            table,
+            each.device,
+            "yes" if each.connected else "NO",
+            _age(each.heard),
+            _age(each.data),
+            _listed(each.dropped),
+            "elsewhere" if node is None else node.driver + (" GIVEN UP" if node.given_up else ""),
+            "" if node is None else str(node.restarts),
+        )
+    return table
+
+
+def _tasks(health: Health) -> Table:
+    table = Table(box=SIMPLE_HEAD)
+    for name in ("task", "answers", "restarts"):
+        table.add_column(name, no_wrap=True)
+    for task in health.tasks:
+        _add(table, task.name, "yes" if task.answers else "NO", str(task.restarts))
+    return table
+
+
+def _add(table: Table, *cells: str) -> None:
+    """Adds a row of plain text: what stands in brackets is no markup."""
+    table.add_row(*map(Text, cells))
+
+
+def _latency(latency: LatencyStatus) -> str:
+    return f"{latency.count} commands: p50 {latency.p50 * 1000:.1f} ms, p99 {latency.p99 * 1000:.1f} ms"
+
+
+def _listed(many: Mapping[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in many.items()) or "none"
+
+
+def _age(seconds: float | None) -> str:
+    return "-" if seconds is None else f"{seconds:.3f}"
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(int(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}"
+
 
 WATCHING = 1.0
 """Between two looks at a daemon that is watched, s."""

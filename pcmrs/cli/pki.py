@@ -12,7 +12,7 @@ from pcmrs.cli.lazy import LazyGroup
 from pcmrs.cli.options import json_option
 from pcmrs.cli.printing import Terminal, say, say_json
 from pcmrs.cli.running import readable_errors
-from pcmrs.messages.roles import ROLES, Role
+from pcmrs.messages.identity import ROLES, Role
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load a library for certificates.
@@ -189,8 +189,8 @@ def list_(folder: Path, as_json: bool) -> None:
 @readable_errors
 def roles(as_json: bool) -> None:
     """Say what each role may do on the bus: the table from which the access control of routers and daemons is made."""
+    from pcmrs.bus.access import roles_as_markdown
     from pcmrs.bus.keys import KEYS
-    from pcmrs.bus.roles import roles_as_markdown
 
     if as_json:
         say_json(KEYS)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcmrs.cli.number import Finite
 from pcmrs.cli.options import json_option, plot_option
 from pcmrs.cli.printing import print_report
 from pcmrs.cli.running import readable_errors
+from pcmrs.cli.values import Finite
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the analysis.
@@ -86,8 +86,7 @@ def _recorded(path: Path, standoff_mm: float | None) -> list[Recorded]:
 
 
 def _show_placements(path: Path, standoff_mm: float | None, plot: Path | None, *, as_json: bool) -> None:
-    from pcmrs.analysis.placement_plot import placement_figure
-    from pcmrs.analysis.plots import save_png
+    from pcmrs.analysis.plots import placement_figure, save_png
     from pcmrs.cli.recorded import placements_report
     from pcmrs.cli.recorded_tables import placements_tables
 
@@ -99,8 +98,7 @@ def _show_placements(path: Path, standoff_mm: float | None, plot: Path | None, *
 
 
 def _show_pose_log(path: Path, plot: Path | None, *, as_json: bool) -> None:
-    from pcmrs.analysis.plots import save_png
-    from pcmrs.analysis.pose_log_plot import pose_log_figure
+    from pcmrs.analysis.plots import pose_log_figure, save_png
     from pcmrs.cli.recorded import pose_log_report
     from pcmrs.cli.recorded_tables import pose_log_table
     from pcmrs.formats.pose_log import read_pose_log

@@ -8,9 +8,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from pcmrs.analysis.placements import Recorded
+from pcmrs.analysis.placements import Recorded, Summary, summarize
 from pcmrs.analysis.pose_log import Track, analyse_track, check_loop
-from pcmrs.analysis.summary import Summary, summarize
 from pcmrs.formats.pose_log import PoseLog
 from pcmrs.spatial import Floats
 

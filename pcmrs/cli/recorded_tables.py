@@ -7,7 +7,7 @@ from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
-from pcmrs.analysis.summary import Summary
+from pcmrs.analysis.placements import Summary
 from pcmrs.cli.recorded import Axes, PlacementsReport, PoseLogReport
 
 

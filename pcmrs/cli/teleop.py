@@ -1,7 +1,11 @@
-"""pcmrs teleop: guides the tool by hand, from wherever the cell's bus can be reached."""
+"""pcmrs teleop: guides the tool by hand, from wherever the cell's bus can be reached.
+
+How the guiding of a tool goes, for people.
+"""
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, nullcontext
@@ -10,18 +14,60 @@ from pathlib import Path
 import click
 import msgspec
 from rich.live import Live
+from rich.text import Text
 
 from pcmrs.background import meanwhile
 from pcmrs.cli.options import Address, address_options, json_option
 from pcmrs.cli.printing import Terminal, say, say_json
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
-from pcmrs.cli.teleop_line import line_of, told_line
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.errors import CommandRefusedError
+from pcmrs.messages import TeleopStatus, Verdict
 from pcmrs.teleop.demand import Mapping
 from pcmrs.teleop.devices import DEVICES, open_device
+from pcmrs.teleop.keyboard import HELP
 from pcmrs.teleop.session import TeleopSession, Told
+
+LIMITS = {
+    "height": "at the planned contact",
+    "range": "as far as allowed",
+    "turn": "turned as far as allowed",
+    "zone": "too near to a zone",
+    "reach": "at the end of a joint",
+}
+
+
+def line_of(status: TeleopStatus | None, *, keys: bool) -> Text:
+    """The newest status, with the keys where they are what is moved."""
+    text = Text(", ".join(_parts(status)) if status is not None else "waiting for the cell")
+    return text.append(f"\n{HELP}", style="dim") if keys else text
+
+
+def told_line(told: Told) -> str:
+    """A refusal, or a danger."""
+    if isinstance(told, Verdict):
+        why = told.reason.text if told.reason is not None else "no reason"
+        return f"{told.branch}.{told.operation} was {told.decision}: {why}"
+    return f"{told.code}: {told.text}"
+
+
+def _parts(status: TeleopStatus) -> list[str]:
+    parts = ["clutch open" if status.user is None else f"engaged by {status.user}"]
+    if status.round_trip is not None and status.jitter is not None:
+        parts.append(f"{status.round_trip * 1000:.0f} ms ± {status.jitter * 1000:.0f}")
+        parts.append("held: too late, let go once" if status.held else f"speed {status.scale * 100:.0f} %")
+    if status.distance is not None and status.height is not None and status.turn is not None:
+        distance_mm, height_mm = status.distance * 1000, status.height * 1000
+        parts.append(
+            f"{distance_mm:.1f} mm and {math.degrees(status.turn):.1f}° from the plan, {height_mm:.1f} mm above"
+        )
+    if status.limit is not None:
+        parts.append(LIMITS[status.limit])
+    if status.refused:
+        parts.append(f"{sum(status.refused.values())} refused")
+    return parts
+
 
 SHOW_EVERY = 0.1
 """Between two statuses shown, s."""

@@ -8,12 +8,12 @@ from nicegui.elements.scene.scene_object3d import Object3D
 
 from pcmrs.console.body import BodyShown
 from pcmrs.console.geometry import Sight, along
+from pcmrs.console.residuals import gradient
 from pcmrs.console.scene import ARM, BACKGROUND, BOX, MEASURED, PLANNED, fit, put, show, tool
 from pcmrs.console.surfaces import Surfaces
 from pcmrs.console.texts import Texts
 from pcmrs.console.told import Told
 from pcmrs.console.tracking import TrackingShown, VisibilityRow
-from pcmrs.console.tre import gradient
 from pcmrs.messages.setup import Setup
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.data import as_transform

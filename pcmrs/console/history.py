@@ -11,7 +11,7 @@ from typing import Any
 from pcmrs.client import Client
 from pcmrs.messages import JournalQuery, Verdict
 from pcmrs.messages.device import DeviceEvent
-from pcmrs.messages.roles import Role
+from pcmrs.messages.identity import Role
 
 HISTORIANS: tuple[Role, ...] = ("operator", "viewer")
 """Who may ask for the journal."""

@@ -1,13 +1,90 @@
-"""How well the registration in force fits: the mean of its landmarks and each of them, against the limit, in words."""
+"""How well the registration in force fits: the mean of its landmarks and each of them, against the limit, in words.
+
+How far a registration is predicted to be off, as a colour on the body's surface. Pure.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
 from nicegui import ui
 
-from pcmrs.console.geometry import residuals
+from pcmrs.console.geometry import lighter, residuals, vertices_of
 from pcmrs.console.texts import Texts
 from pcmrs.console.told import NOTHING, Told
-from pcmrs.messages.setup import Gathered, Setup
+from pcmrs.errors import GeometryError
+from pcmrs.messages.setup import Gathered, Setup, SurfaceShown
+from pcmrs.spatial import Floats
+from pcmrs.workflows.accuracy import tre_over
+from pcmrs.workflows.data import as_transform
+
+STOPS = 9
+"""Of the legend's colours."""
+
+
+def predicted(data: Gathered, points: Floats) -> Floats | None:
+    """Rms error at points in the image (M, 3), m, (M,); None while nothing is registered.
+
+    Args:
+        data: With the registration in force.
+        points: m.
+    """
+    if data.body_ref_from_image is None or data.sigma is None:
+        return None
+    landmarks = np.array([each.planned for each in data.landmarks]).reshape(-1, 3)
+    try:
+        return tre_over(landmarks, as_transform(data.body_ref_from_image), data.covariance, data.sigma, points)
+    except GeometryError:  # landmarks that no registration in force can be of: they are being planned anew
+        return None
+
+
+def coloured(surface: SurfaceShown, data: Gathered, limit: float) -> bytes | None:
+    """The lighter surface as GLB, its corners coloured from no error to `limit`, m, and beyond; None as `predicted`."""
+    vertices, faces = vertices_of(lighter(surface))
+    errors = predicted(data, vertices)
+    if errors is None:
+        return None
+    from trimesh import Scene, Trimesh  # takes long to load
+    from trimesh.exchange.gltf import export_glb
+
+    mesh = Trimesh(vertices, faces, process=False, vertex_colors=_linear(colours(errors / limit)))
+    export: Callable[..., bytes] = export_glb
+    return export(Scene(mesh), include_normals=True, tree_postprocessor=_dull)
+
+
+def colours(shares: Floats) -> Floats:
+    """Cividis, which looks the same to everybody: sRGB of shares from 0 to 1, (M, 3)."""
+    found: Floats = np.asarray(_cividis()(np.clip(shares, 0.0, 1.0)))[:, :3]
+    return found
+
+
+def gradient() -> str:
+    """The legend, left to right, as CSS."""
+    stops = (f"rgb({r:.0f}, {g:.0f}, {b:.0f})" for r, g, b in 255.0 * colours(np.linspace(0.0, 1.0, STOPS)))
+    return f"linear-gradient(to right, {', '.join(stops)})"
+
+
+@cache
+def _cividis() -> Any:
+    from matplotlib import colormaps  # takes long to load
+
+    return colormaps["cividis"]
+
+
+def _linear(srgb: Floats) -> Any:
+    """As GLB has colours: linear, 8 bits, opaque, (M, 4). IEC 61966-2-1."""
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    return np.column_stack((np.round(255.0 * linear), np.full(len(srgb), 255.0))).astype(np.uint8)
+
+
+def _dull(tree: dict[str, Any]) -> None:
+    """Without a material the format means metal, which is black where it mirrors nothing."""
+    tree["materials"] = [{"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}]
+    for primitive in (each for mesh in tree["meshes"] for each in mesh["primitives"]):
+        primitive["material"] = 0
 
 
 class ResidualsShown:

@@ -21,9 +21,8 @@ from pcmrs.console.playback import Playback
 from pcmrs.console.recordings import Recordings
 from pcmrs.console.replaying import refuse_recording, wait_for_recording
 from pcmrs.console.surfaces import Surfaces
-from pcmrs.console.temporary import keep_temporary_files
 from pcmrs.console.texts import Texts
-from pcmrs.console.upload_limit import UploadLimit
+from pcmrs.console.uploads import UploadLimit, keep_temporary_files
 from pcmrs.errors import BusError, PcmrsError
 from pcmrs.fsm import Blueprint, parse_blueprint
 

@@ -12,8 +12,8 @@ from fastapi import FastAPI, Response
 
 from pcmrs.console.feed import Feed
 from pcmrs.console.geometry import as_stl, as_zone, lighter, vertices_of
+from pcmrs.console.residuals import coloured
 from pcmrs.console.scene import SURFACE
-from pcmrs.console.tre import coloured
 from pcmrs.messages.setup import Gathered, Setup, SurfaceShown
 
 KEPT = 4

@@ -15,13 +15,21 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.devices.calls import call_method, methods_of
-from pcmrs.devices.deadman import ALWAYS_SERVED, DEADMAN, Deadman, Scheduling, Silence, beat_period
+from pcmrs.devices.deadman import (
+    ALWAYS_SERVED,
+    DEADMAN,
+    Deadman,
+    Scheduling,
+    Silence,
+    beat_period,
+    daemon_silent,
+    node_held_up,
+)
 from pcmrs.devices.frame_sessions import FrameSessions
 from pcmrs.devices.gate import ACTS, HOLDS, RELEASE, Gate
 from pcmrs.devices.link import Link
 from pcmrs.devices.protocols import RobotDriver, StimulatorDriver, TrackerDriver
 from pcmrs.devices.remote import HOLD_TIME
-from pcmrs.devices.silences import daemon_silent, node_held_up
 from pcmrs.devices.standstill import Standstill
 from pcmrs.errors import DeviceError, PcmrsError
 from pcmrs.messages import (

@@ -26,7 +26,7 @@ from pcmrs.errors import JournalError, PcmrsError
 from pcmrs.failpoints import failpoint
 from pcmrs.fsm import Change
 from pcmrs.messages import Command, Decision, DeviceEvent, Reason, Verdict
-from pcmrs.messages.roles import PEOPLE
+from pcmrs.messages.identity import PEOPLE
 
 RATE_HZ: Final = 10.0
 """Rejections of one user per second that get a row each, in the long run."""

@@ -12,8 +12,7 @@ from typing import Final
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.admission import EVENT_SOURCES
 from pcmrs.messages import Command, DeviceEvent, LeaseState, Reason
-from pcmrs.messages.identity import LOCAL
-from pcmrs.messages.roles import HOLDING
+from pcmrs.messages.identity import HOLDING, LOCAL
 
 LEASE: Final = "lease"
 """The branch of its commands, and the source of its events."""

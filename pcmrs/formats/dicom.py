@@ -11,9 +11,8 @@ from pydicom.errors import InvalidDicomError
 from pydicom.filereader import read_file_meta_info
 from pydicom.uid import ExplicitVRBigEndian, ExplicitVRLittleEndian, ImplicitVRLittleEndian
 
-from pcmrs.formats.grid import Volume, check_grid, check_size
+from pcmrs.formats.grid import Volume, as_ras, check_grid, check_size
 from pcmrs.formats.reading import refuse
-from pcmrs.formats.units import as_ras
 from pcmrs.spatial import Floats
 
 MAX_FILES = 2000

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from pcmrs.errors import GeometryError
+from pcmrs.formats.grid import Named, Role
 from pcmrs.formats.reading import read_yaml, refuse
-from pcmrs.formats.units import Named, Role
 from pcmrs.spatial import Transform
 
 LISTS: dict[str, Role] = {"PLANNED": "planned", "DIGITIZED": "digitized"}

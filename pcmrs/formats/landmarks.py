@@ -10,12 +10,12 @@ from typing import Literal
 import numpy as np
 
 from pcmrs.errors import GeometryError
+from pcmrs.formats.grid import Named, Role, Unit
 from pcmrs.formats.lab_yaml import read_lab_landmarks
 from pcmrs.formats.plan_json import read_plan_landmarks
 from pcmrs.formats.points_csv import read_points_csv
 from pcmrs.formats.reading import refuse
 from pcmrs.formats.slicer_markups import read_fcsv, read_markups
-from pcmrs.formats.units import Named, Role, Unit
 from pcmrs.spatial import Floats
 
 

@@ -11,9 +11,8 @@ from typing import Any
 import nibabel
 import numpy as np
 
-from pcmrs.formats.grid import Volume, check_grid, check_size
+from pcmrs.formats.grid import METRES, Volume, check_grid, check_size
 from pcmrs.formats.reading import refuse
-from pcmrs.formats.units import METRES
 
 LARGEST_HEADER = 16 * 1024 * 1024
 """Header and extensions before the data, bytes."""

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import msgspec
 
+from pcmrs.formats.grid import Named, Role
 from pcmrs.formats.reading import read_text, refuse
-from pcmrs.formats.units import Named, Role
 
 
 class _Landmark(msgspec.Struct, frozen=True):

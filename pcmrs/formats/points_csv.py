@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from pcmrs.formats.grid import Named, Unit, as_ras
 from pcmrs.formats.reading import read_table, refuse
-from pcmrs.formats.units import Named, Unit, as_ras
 
 EXAMPLE = "name,x_mm,y_mm,z_mm"
 

@@ -11,8 +11,8 @@ from typing import Literal
 
 import msgspec
 
+from pcmrs.formats.grid import Named, as_ras
 from pcmrs.formats.reading import read_text, refuse
-from pcmrs.formats.units import Named, as_ras
 
 FCSV_SPACES = {"RAS": "RAS", "LPS": "LPS", "0": "RAS", "1": "LPS"}
 """Slicer wrote numbers until 4.10."""

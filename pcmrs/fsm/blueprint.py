@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from pcmrs.messages.roles import COMMANDING, Role
+from pcmrs.messages.identity import COMMANDING, Role
 
 Motion = Literal["none", "approach", "retreat"]
 

@@ -1,9 +1,8 @@
 """The durable decision log: what was asked, decided and reported, in order and without gaps."""
 
-from pcmrs.journal.copy import copy_journal
-from pcmrs.journal.files import journal_files
+from pcmrs.journal.export import copy_journal
 from pcmrs.journal.journal import Journal
-from pcmrs.journal.reader import JournalReader
+from pcmrs.journal.reader import JournalReader, journal_files
 from pcmrs.journal.rows import JournalRow, Kind, StoredRow
 from pcmrs.journal.verification import Verification, verify
 

@@ -1,16 +1,83 @@
-"""Rows as lines of other formats."""
+"""Rows as lines of other formats.
+
+Copying a journal as database files without logs, with the head that belongs to it and the key that proves it.
+"""
 
 from __future__ import annotations
 
 import csv
 import datetime
 import io
+import shutil
+import sqlite3
 from collections.abc import Iterable, Iterator
+from contextlib import closing
+from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
+from pcmrs.errors import JournalError
+from pcmrs.journal.head import head_path, read_head
+from pcmrs.journal.keys import PUBLIC, public_key
+from pcmrs.journal.reader import journal_files, numbered
 from pcmrs.journal.rows import StoredRow
+from pcmrs.journal.schema import DATABASE_ERRORS, HEADLESS, last_sequence, open_for_reading, version_of
+
+_TRIES: Final = 20
+
+
+def copy_journal(source: Path, target: Path) -> None:
+    """Copies a journal with all its files so that `verify` finds the copy as good as the original.
+
+    It may be written meanwhile.
+
+    Args:
+        source: The journal.
+        target: Of the copy; the head and `journal.pub` are put beside it.
+
+    Raises:
+        JournalError: It cannot be read or copied, or was written too fast for its head to be copied with it.
+        OSError: The copy cannot be written.
+    """
+    for _ in range(_TRIES):
+        before = _head_bytes(source)
+        version, last = _copy_database(source, target)
+        if version == HEADLESS and before is None:
+            return
+        if before is None:
+            raise JournalError(f"{head_path(source)} is missing: `pcmrs journal verify {source}`.", path=str(source))
+        after = _head_bytes(source)
+        shutil.copyfile(source.parent / PUBLIC, target.parent / PUBLIC)
+        for head in (before, after or before):
+            head_path(target).write_bytes(head)
+            state = read_head(head_path(target), public_key(target.parent / PUBLIC))
+            named = state.head.place.sequence if state is not None and state.head is not None else None
+            # Where nobody writes, the two may differ as far as a crash has left them.
+            if named == last or before == after:
+                return
+    raise JournalError(f"{source} is written too fast to be copied with its head: try again.", path=str(source))
+
+
+def _head_bytes(journal: Path) -> bytes | None:
+    path = head_path(journal)
+    return path.read_bytes() if path.exists() else None
+
+
+def _copy_database(source: Path, target: Path) -> tuple[int, int]:
+    """Returns the version and the last sequence of the copy."""
+    version = last = 0
+    try:
+        for number, file in enumerate(journal_files(source), start=1):
+            path = numbered(target, number)
+            with closing(open_for_reading(file)) as written, closing(sqlite3.connect(path)) as copy:
+                written.backup(copy)
+                copy.execute("PRAGMA journal_mode = DELETE")  # no log beside it, since nobody writes it any more
+                version, last = version_of(copy), last_sequence(copy, path)
+        return version, last
+    except DATABASE_ERRORS as error:
+        raise JournalError(f"{source} cannot be copied to {target}: {error}.", path=str(source)) from error
+
 
 CSV_COLUMNS: Final = (
     "sequence",

@@ -9,9 +9,8 @@ from pathlib import Path
 
 from pcmrs.errors import JournalError
 from pcmrs.failpoints import failpoint
-from pcmrs.journal.files import LARGEST
 from pcmrs.journal.group import GroupCommit
-from pcmrs.journal.reader import JournalReader
+from pcmrs.journal.reader import LARGEST, JournalReader
 from pcmrs.journal.rows import JournalRow, encode_row
 from pcmrs.journal.soundness import LARGEST_GROUP
 from pcmrs.journal.writer import JournalWriter

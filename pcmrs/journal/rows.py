@@ -10,7 +10,7 @@ import msgspec
 
 from pcmrs.errors import JournalError
 from pcmrs.messages import BlueprintTag, Message, Verdict
-from pcmrs.messages.roles import Role
+from pcmrs.messages.identity import Role
 
 Kind = Literal["intent", "outcome", "event", "device", "snapshot", "config"]
 

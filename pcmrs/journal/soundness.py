@@ -11,11 +11,10 @@ from typing import Final
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from pcmrs.errors import JournalError
-from pcmrs.journal.chain import REMEDY, follow_files, starts_of
-from pcmrs.journal.files import journal_files
+from pcmrs.journal.chain import REMEDY, first_without_mac, follow_files, mac_key, starts_of
 from pcmrs.journal.head import Head, HeadState, head_path, read_head
 from pcmrs.journal.keys import signing_key
-from pcmrs.journal.mac import first_without_mac, mac_key
+from pcmrs.journal.reader import journal_files
 from pcmrs.journal.rows import START, Place, StoredRow
 from pcmrs.journal.schema import HEADLESS, WITHOUT_MAC, check_schema, last_sequence, open_for_reading, version_of
 

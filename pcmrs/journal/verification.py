@@ -12,9 +12,9 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from pcmrs.errors import JournalError
 from pcmrs.journal.chain import follow_chain
-from pcmrs.journal.files import journal_files
 from pcmrs.journal.head import HeadState, head_path, read_head
 from pcmrs.journal.keys import PUBLIC, public_key
+from pcmrs.journal.reader import journal_files
 from pcmrs.journal.rows import START, Place
 from pcmrs.journal.schema import DATABASE_ERRORS, HEADLESS, check_schema, last_sequence, open_for_reading, version_of
 from pcmrs.journal.soundness import another_row, require_head, require_named, require_rows

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from pcmrs.errors import UnreachableError
 from pcmrs.kinematics import numeric, srs
-from pcmrs.kinematics.joints import joint_array
+from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.posture import spheres
 from pcmrs.spatial import Floats, Transform

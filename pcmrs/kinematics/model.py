@@ -10,7 +10,7 @@ import pinocchio
 
 from pcmrs.errors import UnreachableError
 from pcmrs.kinematics.arms import ArmFacts
-from pcmrs.kinematics.joints import joint_array
+from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.urdf import urdf
 from pcmrs.spatial import Floats, Transform, trusted_transform
 

@@ -8,12 +8,18 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.errors import UnreachableError
-from pcmrs.kinematics.joints import joint_array
-from pcmrs.kinematics.limits import MotionLimits
+from pcmrs.kinematics.limits import MotionLimits, joint_array
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.pace import Allowed, Derivatives, paced, speeds_at, tool_way
-from pcmrs.kinematics.profile import PERIOD, sample_times
-from pcmrs.kinematics.spline import CubicSpline
+from pcmrs.kinematics.time_parameterization import (
+    PERIOD,
+    Allowed,
+    CubicSpline,
+    Derivatives,
+    paced,
+    sample_times,
+    speeds_at,
+    tool_way,
+)
 from pcmrs.kinematics.track import track
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.errors import UnreachableError
-from pcmrs.kinematics.joints import joint_array
+from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
 

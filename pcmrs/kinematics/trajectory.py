@@ -13,12 +13,20 @@ import numpy.typing as npt
 from ruckig import ControlInterface, Synchronization
 
 from pcmrs.errors import GeometryError
-from pcmrs.kinematics.joints import joint_array
-from pcmrs.kinematics.limits import MotionLimits
+from pcmrs.kinematics.limits import MotionLimits, joint_array
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.pace import Allowed, Derivatives, paced, speeds_at, tool_way
-from pcmrs.kinematics.profile import PERIOD, joint_request, sample_times, solve
 from pcmrs.kinematics.straight import straight_motion
+from pcmrs.kinematics.time_parameterization import (
+    PERIOD,
+    Allowed,
+    Derivatives,
+    joint_request,
+    paced,
+    sample_times,
+    solve,
+    speeds_at,
+    tool_way,
+)
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
 

@@ -17,7 +17,7 @@ import pinocchio
 
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.collision import Solid, capsule, cylinder, pose_between, se3
-from pcmrs.kinematics.joints import joint_array
+from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.urdf import urdf
 from pcmrs.spatial import Floats, Transform
 

@@ -5,7 +5,7 @@ that an age is (sent - captured) at the sender plus (now - received) at the rece
 """
 
 from pcmrs.messages.base import Message
-from pcmrs.messages.decisions import Command, Decision, Prospect, Question, Reason, Verdict
+from pcmrs.messages.decisions import Command, Decision, JournalPage, JournalQuery, Prospect, Question, Reason, Verdict
 from pcmrs.messages.device import (
     ActToken,
     Beat,
@@ -16,9 +16,7 @@ from pcmrs.messages.device import (
     GateState,
     NodeBeat,
 )
-from pcmrs.messages.journal import JournalPage, JournalQuery
-from pcmrs.messages.pointer import LandmarkPrompt
-from pcmrs.messages.poses import BodyPose, PoseMessage, Target
+from pcmrs.messages.poses import BodyPose, LandmarkPrompt, PoseMessage, Target
 from pcmrs.messages.robot import (
     JointSetpoint,
     JointState,

@@ -1,12 +1,14 @@
-"""Commands, and what was decided about them."""
+"""Commands, and what was decided about them.
+
+Reading the journal over the bus.
+"""
 
 from __future__ import annotations
 
 from typing import Any, ClassVar, Literal
 
 from pcmrs.messages.base import Message
-from pcmrs.messages.identity import ON_SITE
-from pcmrs.messages.roles import Role
+from pcmrs.messages.identity import ON_SITE, Role
 
 Decision = Literal["accepted", "rejected", "failed", "unknown"]
 
@@ -87,3 +89,23 @@ class Prospect(Message, frozen=True, kw_only=True, omit_defaults=False):
     reason: Reason | None = None
     undecided: list[str] = []
     result: dict[str, Any] = {}
+
+
+class JournalQuery(Message, frozen=True, kw_only=True):
+    """Asks for rows of the journal.
+
+    Attributes:
+        after: Only those with a larger sequence.
+        before: Only those with a smaller one, and of these the last ones; None for the first ones of all.
+        limit: At most so many. A page may have fewer, since it has a largest size; where it has none there are no more.
+    """
+
+    after: int = 0
+    before: int | None = None
+    limit: int = 100
+
+
+class JournalPage(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Rows of the journal as plain data, oldest first."""
+
+    rows: list[dict[str, Any]]

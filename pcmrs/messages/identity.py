@@ -1,16 +1,31 @@
-"""Identities: a name that is never given twice, the role that it has, and the cells in which it has it."""
+"""Identities: a name that is never given twice, the role that it has, and the cells in which it has it.
+
+Roles: what somebody on the bus may do, wherever that is decided.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable
 from fnmatch import fnmatchcase
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple, get_args
 
 import msgspec
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.messages.roles import Role
+
+Role = Literal["operator", "planner", "viewer", "device", "teleoperator", "daemon", "router"]
+
+ROLES: tuple[Role, ...] = get_args(Role)
+PEOPLE: tuple[Role, ...] = ("operator", "planner", "viewer", "teleoperator")
+"""Roles of whoever sits at a console, or of the program that does it for them."""
+COMMANDING: tuple[Role, ...] = ("operator", "planner", "teleoperator")
+"""Roles that may ask for operations at all; a blueprint may say that some of them may not ask for one."""
+HOLDING: tuple[Role, ...] = ("operator", "teleoperator")
+"""Roles that may hold the lease of a cell."""
+INFRASTRUCTURE: tuple[Role, ...] = ("daemon", "router")
+"""Roles of processes that others dial."""
+
 
 LOCAL: Final = "local"
 """Whoever comes over loopback on the cell's own machine; nobody else has this name."""

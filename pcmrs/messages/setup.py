@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from pcmrs.messages.base import Message
+from pcmrs.messages.identity import Role
 from pcmrs.messages.poses import PoseMessage
-from pcmrs.messages.roles import Role
 
 Point = tuple[float, float, float]
 

@@ -13,10 +13,8 @@ from cryptography.hazmat.primitives.serialization import Encoding
 
 from pcmrs.errors import ConfigurationError
 from pcmrs.files import SECRET, write_durably
-from pcmrs.messages.identity import EVERY_CELL, Identity, check_cells, check_name
-from pcmrs.messages.roles import INFRASTRUCTURE, PEOPLE, ROLES, Role
-from pcmrs.pki.certificates import CLOCKS_DIFFER, authority_certificate, certificate
-from pcmrs.pki.keyfile import key_bytes, new_key, read_key
+from pcmrs.messages.identity import EVERY_CELL, INFRASTRUCTURE, PEOPLE, ROLES, Identity, Role, check_cells, check_name
+from pcmrs.pki.certificates import CLOCKS_DIFFER, authority_certificate, certificate, key_bytes, new_key, read_key
 from pcmrs.pki.register import read_register
 
 KEY: Final = "ca.key"

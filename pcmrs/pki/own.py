@@ -12,11 +12,9 @@ from cryptography.x509.oid import NameOID
 
 from pcmrs.bus import Credentials
 from pcmrs.errors import ConfigurationError
-from pcmrs.messages.identity import Identity
-from pcmrs.messages.roles import Role
+from pcmrs.messages.identity import Identity, Role
 from pcmrs.pki.authority import CERTIFICATE
-from pcmrs.pki.certificates import CELL, CLOCKS_DIFFER
-from pcmrs.pki.keyfile import read_key
+from pcmrs.pki.certificates import CELL, CLOCKS_DIFFER, read_key
 
 
 def read_credentials(folder: Path, now: float) -> Credentials:

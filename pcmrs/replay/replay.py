@@ -17,8 +17,7 @@ from pcmrs.fsm import Blueprint, load_blueprint
 from pcmrs.messages import BlueprintTag
 from pcmrs.replay.differences import Difference, added, compared, missing, reported_already
 from pcmrs.replay.feeding import Feeding
-from pcmrs.replay.heritage import Heritage
-from pcmrs.replay.history import DaemonRun, read_runs
+from pcmrs.replay.history import DaemonRun, Heritage, read_runs
 from pcmrs.replay.world import RecordedCell
 from pcmrs.settings import read_settings
 from pcmrs.simulated_time.loop import SimulatedLoop

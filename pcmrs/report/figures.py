@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from pcmrs.analysis.placement_plot import placement_figure
 from pcmrs.analysis.placements import Recorded
-from pcmrs.analysis.plots import BLUE, GREEN, ORANGE, new_figure
+from pcmrs.analysis.plots import BLUE, GREEN, ORANGE, new_figure, placement_figure
 from pcmrs.formats.pose_file import Placement as Poses
 from pcmrs.report.record import Branch, Placement, Registration, SessionReport
 from pcmrs.workflows.data import as_transform

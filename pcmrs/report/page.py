@@ -9,7 +9,7 @@ from typing import Final
 
 import msgspec
 
-from pcmrs.analysis.summary import Summary, summarize
+from pcmrs.analysis.placements import Summary, summarize
 from pcmrs.pages import fixed, render
 from pcmrs.report.record import Placement, Refusal, Registration, SessionReport
 

@@ -12,7 +12,7 @@ import structlog
 from pcmrs.bus import Bus
 from pcmrs.clock import Clock
 from pcmrs.devices.plus.frames import Frames
-from pcmrs.devices.plus.readings import Reading
+from pcmrs.devices.plus.messages import Reading
 from pcmrs.devices.stream import Stream
 from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.messages import BodyPose

@@ -11,7 +11,7 @@ from pcmrs.clock import Clock
 from pcmrs.messages import BodyPose, JointState, PoseMessage, Snapshot, Target
 from pcmrs.recording.chain import Chain, Link, Mounting
 from pcmrs.ros2 import cdr
-from pcmrs.ros2.stamps import Stamps
+from pcmrs.ros2.poses import Stamps
 from pcmrs.ros2.topics import JOINT_STATES, STATE, TF, TF_STATIC, Topic, pose_topic
 from pcmrs.spatial import Frame, Transform
 

@@ -3,18 +3,38 @@
 For the loop of the daemon, the process that owns the link to a device, and their threads of Zenoh; never for planning,
 physics, rendering, recording or the console. Threads and processes that they start begin without it
 (SCHED_RESET_ON_FORK).
+
+What Python does by itself, at times that nobody has chosen: it must not keep an event loop waiting.
 """
 
 from __future__ import annotations
 
 import asyncio
+import gc
 import os
+import sys
 import threading
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from enum import IntEnum
 
 from pcmrs.threads.figures import Threads
+
+SWITCH = 0.0005
+"""A thread that holds the interpreter's lock gives it to one that waits after this, s; Python's own value is 0.005."""
+
+
+def keep_pauses_short() -> None:
+    """Let neither other threads of this process nor the garbage collector keep its event loop waiting for long.
+
+    Call it once, when the process has started. The real-time policy does not help against either: a thread that waits
+    for the lock does not run, whatever its priority is, and the collector runs in the thread that needs memory. A full
+    collection of all that a daemon loads takes about 60 ms; what exists now is not looked at again.
+    """
+    sys.setswitchinterval(SWITCH)
+    gc.collect()
+    gc.freeze()
+
 
 ZENOH = ("app-", "net-", "acc-", "rx-", "tx-")
 """Names of Zenoh's own threads begin so, as the kernel knows them."""

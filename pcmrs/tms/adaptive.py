@@ -21,8 +21,8 @@ from scipy.spatial.distance import cdist
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 from pcmrs.spatial import Floats, Transform
-from pcmrs.tms.chart import Chart, as_message, as_transform
-from pcmrs.tms.hotspot_settings import Hotspot, MapPulse
+from pcmrs.tms.scalp import Chart, as_message, as_transform
+from pcmrs.tms.settings import Hotspot, MapPulse
 
 LENGTH = 0.018
 """How far away a place is half as good as unrelated, m: the field of a figure-of-eight coil falls like

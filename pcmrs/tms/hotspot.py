@@ -11,10 +11,9 @@ from pcmrs.errors import RefusalError
 from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Floats, Transform
 from pcmrs.tms import adaptive, mapping
-from pcmrs.tms.chart import Chart, as_message, as_transform, chart_of
 from pcmrs.tms.grid import grid_on_scalp
-from pcmrs.tms.hotspot_settings import Hotspot, HotspotSettings, MapPulse
-from pcmrs.tms.scalp import Closest
+from pcmrs.tms.scalp import Chart, Closest, as_message, as_transform, chart_of
+from pcmrs.tms.settings import Hotspot, HotspotSettings, MapPulse
 
 MOST_AMPLITUDE = 0.1
 """V: no muscle evokes a tenth of it."""

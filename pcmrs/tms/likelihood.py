@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
 from pcmrs.spatial import Floats
-from pcmrs.tms.threshold_settings import Estimate, Pulse, Standing, ThresholdSettings
+from pcmrs.tms.settings import Estimate, Pulse, Standing, ThresholdSettings
 
 SPREAD = 0.07
 """Of the threshold: Awiszus 2003."""

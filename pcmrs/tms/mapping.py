@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from pcmrs.spatial import Floats, Transform
-from pcmrs.tms.chart import Chart, as_message, as_transform
-from pcmrs.tms.hotspot_settings import Hotspot, MapPulse
+from pcmrs.tms.scalp import Chart, as_message, as_transform
+from pcmrs.tms.settings import Hotspot, MapPulse
 
 
 def total(chart: Chart) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from pcmrs.errors import RefusalError
 from pcmrs.messages import Epoch
 from pcmrs.spatial import Floats
-from pcmrs.tms.mep_settings import MepSettings
+from pcmrs.tms.settings import MepSettings
 
 LEAST_RATE_HZ = 1000.0
 """Surface electromyograms reach up to 500 Hz: Merletti, J. Electromyogr. Kinesiol. 9 (1999), standards of ISEK."""

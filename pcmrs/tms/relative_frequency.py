@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Sequence
 
-from pcmrs.tms.threshold_settings import Estimate, Pulse, Standing, ThresholdSettings
+from pcmrs.tms.settings import Estimate, Pulse, Standing, ThresholdSettings
 
 RISE = 5
 """Percent of the maximum stimulator output, upwards."""

@@ -10,7 +10,7 @@ import msgspec
 
 from pcmrs.errors import RefusalError
 from pcmrs.tms import likelihood, relative_frequency
-from pcmrs.tms.threshold_settings import Estimate, Pulse, Standing, ThresholdSettings
+from pcmrs.tms.settings import Estimate, Pulse, Standing, ThresholdSettings
 
 METHODS: dict[str, Callable[[ThresholdSettings, tuple[Pulse, ...]], Standing]] = {
     "ml": likelihood.standing,

@@ -11,12 +11,12 @@ from pcmrs.errors import RefusalError
 from pcmrs.messages import JointTrajectory, MotionResult, PressRequest
 from pcmrs.spatial import Frame
 from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.collision_checks import check_towards, straight_way
 from pcmrs.workflows.data import PlacementData, Point, as_point
 from pcmrs.workflows.guard import guarded
 from pcmrs.workflows.paths import along_axis
 from pcmrs.workflows.placement import check_at_present_plan, check_nudges, nudge_of, planned
 from pcmrs.workflows.settings import PressForce
-from pcmrs.workflows.ways import check_towards, straight_way
 
 Run = AnyRun[Cell, PlacementData]
 

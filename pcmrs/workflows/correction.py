@@ -11,11 +11,11 @@ from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
 from pcmrs.spatial import Transform
 from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.collision_checks import straight_way
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.motion import follow, measure_coil
 from pcmrs.workflows.placement import target
 from pcmrs.workflows.settings import PlacementSettings
-from pcmrs.workflows.ways import straight_way
 
 Run = AnyRun[Cell, PlacementData]
 

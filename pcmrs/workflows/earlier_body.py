@@ -11,11 +11,11 @@ import numpy as np
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
 from pcmrs.messages import JointTrajectory
+from pcmrs.workflows.arguments import Retreat
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Registered
 from pcmrs.workflows.landmarks import check_same_head
 from pcmrs.workflows.reference import LATELY, check_reference
-from pcmrs.workflows.retreat import Retreat
 
 STANDING = 0.01
 """A way on which no joint goes farther leads nowhere, rad."""

@@ -14,14 +14,13 @@ from pcmrs.errors import RefusalError
 from pcmrs.fsm import Effect
 from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Floats, Transform
+from pcmrs.workflows.arguments import PersonName, check_metres
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, as_message, as_transform
 from pcmrs.workflows.data import settle as settle_placement
 from pcmrs.workflows.motion import as_result, errors_of, measure_coil
-from pcmrs.workflows.names import PersonName
 from pcmrs.workflows.placement import planned
 from pcmrs.workflows.toolplan import accept_pose
-from pcmrs.workflows.units import check_metres
 
 SHORTEST_TRAJECTORY = 0.005
 """Entry and target nearer than this (m) give no direction worth drilling along."""

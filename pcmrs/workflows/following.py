@@ -1,17 +1,170 @@
-"""Following the body: the tool keeps its planned pose on a body that moves."""
+"""Following the body: the tool keeps its planned pose on a body that moves.
+
+Where the joints shall be next, for the tool to keep its planned pose on a body that moves.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
 
 from pcmrs.dispatcher import Activity as AnyActivity
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
-from pcmrs.spatial import Frame
-from pcmrs.workflows.alignment import BODIES, AlignmentWatch
+from pcmrs.errors import RefusalError
+from pcmrs.kinematics.track import track
+from pcmrs.spatial import Floats, Frame, Transform
+from pcmrs.workflows.alignment import BODIES, AlignmentWatch, Exposure, desired_in_body_ref, measured_from_desired
+from pcmrs.workflows.body_track import BodyTrack
 from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.collision_checks import Floors, arrange, place_body
 from pcmrs.workflows.correction import check_correctable
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.follower import Follower
 from pcmrs.workflows.placement import confirm_possible, target
+from pcmrs.workflows.setpoints import within
+
+LARGEST_ERROR, LARGEST_TURN = 5e-4, float(np.radians(0.25))
+"""A tool that is farther behind a quick body errs no more than this by the arm's fault, m and rad."""
+
+BESIDE_TIME = 0.3
+"""A tool that is seen too far from its place for so long, s, though nothing limits it, is not where it is seen: longer
+than what was seen while it caught up is on its way."""
+
+
+class Follower:
+    """Works out where the joints shall be next; moves nothing itself.
+
+    The tracker is taken to be where it makes the tool's pose by the joints agree with the one it sees: that takes in
+    the error of the arm's geometry, as it is at the start. What is left, and what comes as the arm moves on, is
+    integrated slowly from the tool's error against the body in the same exposure.
+
+    Args:
+        cell: With the arm at rest.
+        data: Of the procedure, with a registration and a plan in force.
+        frames: The newest ones, of a body that may move.
+
+    Attributes:
+        positions: Where the joints shall be, rad, (n,).
+        moved: How far the body is from where it was at first, m.
+
+    Raises:
+        RefusalError: Tool or body are not seen, or the tool is too far from its place to go there by itself.
+    """
+
+    def __init__(self, cell: Cell, data: PlacementData, frames: Sequence[Exposure]) -> None:
+        self._cell, self._settings = cell, cell.settings.following
+        desired = desired_in_body_ref(cell, data)
+        if desired is None or data.registered is None:
+            raise RefusalError("not_registered", "There is no registration and plan to follow the body by.")
+        self._desired = desired
+        graph = cell.frames(data)
+        arrange(cell, data)
+        self._base_from_tracker = graph.get(Frame.ROBOT_BASE, Frame.TRACKER)
+        self._base_from_coil = graph.get(Frame.ROBOT_BASE, Frame.COIL)
+        self._begun = graph.get(Frame.TRACKER, Frame.BODY_REF).translation
+        self._body = BodyTrack(self._settings)
+        for frame in frames:
+            self._body.take(frame)
+            check_correctable(measured_from_desired(frame, desired), cell.settings.placement)
+        self._correction = Transform.identity()
+        self._velocity: Floats = np.zeros(6)
+        self._lags = False
+        self._beside = 0.0
+        self.positions = cell.posture()
+        self.moved = 0.0
+        self._floors = Floors.at(cell, self.positions)
+
+    def take(self, frame: Exposure) -> Transform:
+        """Takes a frame, and returns the tool's error in it, ``measured_from_desired``.
+
+        Raises:
+            RefusalError: The body jumped, the tool did, or what the arm errs by is too much to be believed.
+        """
+        passed = self._body.take(frame)
+        error = measured_from_desired(frame, self._desired)
+        self._check_beside(error, passed)
+        if not self._lags:  # a tool that is limited in its speed is behind, not beside
+            gain = passed / self._settings.correction_time
+            step = gain * within(_twist(error), LARGEST_ERROR, LARGEST_TURN)
+            self._correction = self._correction @ Transform.from_rotvec(step[:3], step[3:])
+            check_correctable(self._correction, self._cell.settings.placement)
+        return error
+
+    def advance(self, time: float, passed: float) -> Floats:
+        """Goes on to where the tool shall be at `time`, s of the cell; returns the joint velocities to it, rad/s, (n,).
+
+        Args:
+            time: Now.
+            passed: Since the last call, s.
+
+        Raises:
+            RefusalError: The body is not seen, has gone too far, or an arm that follows it would be in a zone.
+            UnreachableError: The arm cannot follow any farther.
+        """
+        stamp = self._body.stamp(time)
+        tracker_from_body_ref = self._body.pose(stamp)
+        self._check_range(tracker_from_body_ref)
+        base_from_body_ref = self._base_from_tracker @ tracker_from_body_ref
+        earlier = self._base_from_tracker @ self._body.pose(stamp - passed)
+        self._go_on(self._goal(earlier), self._goal(base_from_body_ref), passed)
+        before, self.positions = self.positions, self._joints()
+        self._keep_out(base_from_body_ref)
+        velocities: Floats = (self.positions - before) / passed
+        return velocities
+
+    def _check_beside(self, error: Transform, passed: float) -> None:
+        """Refuses a tool that stays seen elsewhere: by then it has been corrected by much less than a millimetre."""
+        try:
+            check_correctable(error, self._cell.settings.placement)
+        except RefusalError:
+            self._beside = 0.0 if self._lags else self._beside + passed
+            if self._beside > BESIDE_TIME:
+                raise
+        else:
+            self._beside = 0.0
+
+    def _check_range(self, tracker_from_body_ref: Transform) -> None:
+        self.moved = float(np.linalg.norm(tracker_from_body_ref.translation - self._begun))
+        if self.moved > self._settings.range:
+            text = (
+                f"The body has moved by {self.moved * 1000:.0f} mm since the tool began to follow it; the limit is "
+                f"{self._settings.range * 1000:g} mm. Back off, and approach anew."
+            )
+            raise RefusalError("body_moved_far", text, moved=self.moved, limit=self._settings.range)
+
+    def _goal(self, base_from_body_ref: Transform) -> Transform:
+        """``base_from_coil`` to tell the arm, for the tool to be at its place on the body."""
+        return base_from_body_ref @ self._desired @ self._correction
+
+    def _go_on(self, earlier: Transform, goal: Transform, passed: float) -> None:
+        """Moves the tool as the body moves, and smoothly on to its place there, within the limits of its motion."""
+        settings = self._settings
+        with_body = _twist(earlier.inverse() @ goal) / passed
+        catching_up = _twist(self._base_from_coil.inverse() @ earlier) / max(settings.smoothing_time, passed)
+        asked = with_body + catching_up
+        wanted = within(asked, settings.linear_velocity, settings.angular_velocity)
+        most = settings.linear_acceleration * passed, settings.angular_acceleration * passed
+        self._velocity = self._velocity + within(wanted - self._velocity, *most)
+        self._lags = not np.allclose(self._velocity, asked)
+        step = self._velocity * passed
+        self._base_from_coil = self._base_from_coil @ Transform.from_rotvec(step[:3], step[3:])
+
+    def _joints(self) -> Floats:
+        return track(self._cell.arm, self._cell.flange_for(self._base_from_coil), self.positions)
+
+    def _keep_out(self, base_from_body_ref: Transform) -> None:
+        """Places what moves with the body, and raises `RefusalError` where the arm would come too near to a zone."""
+        place_body(self._cell, self._base_from_tracker, base_from_body_ref)
+        entered = self._floors.passed(self.positions)
+        if entered is not None:
+            raise entered
+
+
+def _twist(way: Transform) -> Floats:
+    """Translation (m) before rotation vector (rad), (6,)."""
+    return np.concatenate((way.translation, way.rotvec))
+
 
 Activity = AnyActivity[Cell, PlacementData]
 Run = AnyRun[Cell, PlacementData]

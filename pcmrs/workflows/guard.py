@@ -10,7 +10,7 @@ from contextlib import asynccontextmanager, suppress
 from pcmrs.errors import RefusalError
 from pcmrs.messages import JointState, JointTrajectory, MotionResult
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.floors import Floors
+from pcmrs.workflows.collision_checks import Floors
 
 BODY = "body_ref"
 

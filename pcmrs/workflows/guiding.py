@@ -1,23 +1,141 @@
-"""What is known of a tool that a teleoperator guides: who is heard, where the body is, how it goes."""
+"""What is known of a tool that a teleoperator guides: who is heard, where the body is, how it goes.
+
+Where the joints shall be next, for the tool to move as a teleoperator asks, within limits.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from pcmrs.dispatcher import Activity as AnyActivity
-from pcmrs.errors import RefusalError
+from pcmrs.errors import RefusalError, UnreachableError
+from pcmrs.kinematics.track import track
+from pcmrs.kinematics.zones import MOUNT, TOOL
 from pcmrs.messages import TeleopSetpoint, TeleopStatus
+from pcmrs.messages.teleop import Limit
 from pcmrs.spatial import Floats, Frame, Transform
 from pcmrs.workflows.alignment import BODIES, desired_in_body_ref
 from pcmrs.workflows.body_track import BodyTrack
 from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.collision_checks import arrange, place_body
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.following import FIRST_FRAMES
-from pcmrs.workflows.guide import Guide
-from pcmrs.workflows.setpoints import Admission
-from pcmrs.workflows.ways import arrange, place_body
+from pcmrs.workflows.setpoints import Admission, within
+from pcmrs.workflows.toolplan import PlanLimits
+from pcmrs.workflows.zones import BODY
+
+
+class Guide:
+    """Integrates twists into a pose of the tool, and follows that with the joints; moves nothing itself.
+
+    A step that would lead over a limit is not made: the tool stands, and may go back. Zones are kept as on any other
+    way; where the tool may touch the body, it comes no nearer to it than at the planned contact. What is already
+    nearer may only go away.
+
+    Args:
+        cell: With the arm at rest and its zones arranged.
+        base_from_plan: Where the planned pose is, nudges included.
+
+    Attributes:
+        positions: Where the joints shall be, rad, (n,).
+        limit: What has kept the tool from its last step, if anything.
+
+    Raises:
+        UnreachableError: The arm cannot go from here to the planned contact.
+    """
+
+    def __init__(self, cell: Cell, base_from_plan: Transform) -> None:
+        self._cell, self._settings = cell, cell.settings.teleoperation
+        self._limits = PlanLimits(self._settings)
+        self.positions = cell.posture()
+        self._base_from_tool = cell.arm.forward(self.positions) @ cell.flange_from_coil
+        contact = track(cell.arm, cell.flange_for(base_from_plan), self.positions)
+        self._at_contact = cell.zones.model.distances(contact)
+        self._touching = np.array([pair in ((TOOL, BODY), (MOUNT, BODY)) for pair in cell.zones.model.pairs])
+        self._velocity: Floats = np.zeros(6)
+        self._base_from_plan = base_from_plan
+        self.limit: Limit | None = None
+
+    @property
+    def plan_from_tool(self) -> Transform:
+        """Where the tool is by its planned pose."""
+        return self._base_from_plan.inverse() @ self._base_from_tool
+
+    def begin(self) -> None:
+        """Takes the arm as it stands."""
+        self.positions = self._cell.posture()
+        self._base_from_tool = self._cell.arm.forward(self.positions) @ self._cell.flange_from_coil
+        self._velocity = np.zeros(6)
+
+    def see(self, base_from_plan: Transform) -> None:
+        """Takes where the planned pose is now; the zones are placed alike."""
+        self._base_from_plan = base_from_plan
+
+    def advance(self, twist: Floats, scale: float, passed: float) -> Floats:
+        """Goes on towards a twist.
+
+        Args:
+            twist: In the tool's frame, m/s and rad/s, (6,); what is over the limits of speed is shortened.
+            scale: Part of that speed that is left, 0 to 1.
+            passed: Since the last call, s.
+
+        Returns:
+            The joint velocities that lead there, rad/s, (n,).
+        """
+        settings, pose = self._settings, self.plan_from_tool
+        wanted = scale * within(twist, settings.linear_velocity, settings.angular_velocity)
+        wanted = self._limits.bounded(pose, wanted, passed)
+        most = settings.linear_acceleration * passed, settings.angular_acceleration * passed
+        changed = self._velocity + within(wanted - self._velocity, *most)
+        self._velocity = self._limits.bounded(pose, changed, passed)
+        self.limit = self._limits.met(pose) if np.any(twist) else None
+        before = self.positions
+        if np.any(self._velocity):
+            self._step(self._velocity * passed)
+        return np.asarray((self.positions - before) / passed)
+
+    def _step(self, way: Floats) -> None:
+        """Goes a way (6,), m and rad, where nothing is against it; stands otherwise."""
+        base_from_tool = self._base_from_tool @ Transform.from_rotvec(way[:3], way[3:])
+        positions, against = self._look_at(base_from_tool)
+        if against is None:
+            self._base_from_tool, self.positions = base_from_tool, positions
+        else:
+            self._velocity, self.limit = np.zeros(6), self.limit or against
+
+    def _look_at(self, base_from_tool: Transform) -> tuple[Floats, Limit | None]:
+        """The joints for a pose of the tool, and what is against it."""
+        plan_from_tool = self._base_from_plan.inverse() @ base_from_tool
+        if not self._limits.allow(self.plan_from_tool, plan_from_tool):
+            return self.positions, self._limits.met(plan_from_tool) or "range"
+        try:
+            positions = track(self._cell.arm, self._cell.flange_for(base_from_tool), self.positions)
+        except UnreachableError:
+            return self.positions, "reach"
+        return positions, self._zone_against(positions, base_from_tool)
+
+    def _zone_against(self, positions: Floats, base_from_tool: Transform) -> Literal["zone"] | None:
+        zones = self._cell.zones
+        limits = zones.limits_towards(self._base_from_plan, base_from_tool.translation[None])[0]
+        limits = self._with_contact(limits)
+        here, there = zones.model.distances(self.positions), zones.model.distances(positions)
+        nearer = bool(np.any((there < limits) & (there < here)))
+        return "zone" if nearer or self._leaves_cone(base_from_tool) else None
+
+    def _leaves_cone(self, base_from_tool: Transform) -> bool:
+        """Whether the tool point goes out of the cone in which alone it comes to the body, or farther out of it."""
+        points = np.array((self._base_from_tool.translation, base_from_tool.translation))
+        here, there = self._cell.zones.cone.excess(self._base_from_plan, points).tolist()
+        return bool(there > 0.0 and there > here)
+
+    def _with_contact(self, limits: npt.NDArray[np.float64]) -> Floats:
+        """The limits of all pairs, m, (P,); what may touch the body comes as near as at the planned contact."""
+        return np.where(self._touching & np.isinf(limits), self._at_contact, limits)
+
 
 Activity = AnyActivity[Cell, PlacementData]
 

@@ -10,11 +10,11 @@ from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
 from pcmrs.messages import LandmarkPrompt
 from pcmrs.registration import register_points
+from pcmrs.workflows.arguments import check_metres
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import Digitized, Landmark, PlacementData, Planned, Point, Registered, as_point
 from pcmrs.workflows.reference import LATELY, check_reference, see_witness
 from pcmrs.workflows.touching import touch
-from pcmrs.workflows.units import check_metres
 
 Run = AnyRun[Cell, PlacementData]
 

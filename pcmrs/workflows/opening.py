@@ -9,10 +9,9 @@ from pcmrs.dispatcher import Registry, Workflow
 from pcmrs.errors import BlueprintError, ConfigurationError
 from pcmrs.fsm import load_blueprint
 from pcmrs.workflows.alignment import register_alignment
-from pcmrs.workflows.calibration import register_calibration_checks
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.code import Code, load_code, told_with_line
-from pcmrs.workflows.connection import register_connection_operations
+from pcmrs.workflows.connection import register_calibration_checks, register_connection_operations
 from pcmrs.workflows.contact import register_contact_operations
 from pcmrs.workflows.correction import register_correction_steps
 from pcmrs.workflows.data import PlacementData

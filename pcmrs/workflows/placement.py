@@ -16,7 +16,9 @@ from pcmrs.kinematics.trajectory import concatenate
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Frame, Transform
 from pcmrs.workflows.accuracy import check_tre
+from pcmrs.workflows.arguments import Retreat
 from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.collision_checks import check_away, check_towards, joint_way, straight_way
 from pcmrs.workflows.data import PlacementData, Point, as_transform
 from pcmrs.workflows.earlier_body import check_confirmed
 from pcmrs.workflows.paths import (
@@ -26,9 +28,7 @@ from pcmrs.workflows.paths import (
     check_passes_clear,
     length_until_clear,
 )
-from pcmrs.workflows.retreat import Retreat
 from pcmrs.workflows.toolplan import standoff_postures
-from pcmrs.workflows.ways import check_away, check_towards, joint_way, straight_way
 
 Run = AnyRun[Cell, PlacementData]
 

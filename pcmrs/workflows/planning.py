@@ -18,9 +18,9 @@ from pcmrs.formats.mesh import Mesh
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import Command, Reason
 from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.collision_checks import arrange
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.settings import ProcedureSettings
-from pcmrs.workflows.ways import arrange
 
 Run = AnyRun[Cell, PlacementData]
 

@@ -7,12 +7,10 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.tms.aim import register_aim
 from pcmrs.workflows.tms.arming import register_arming
-from pcmrs.workflows.tms.data import Data, settle
-from pcmrs.workflows.tms.devices import register_device_checks
+from pcmrs.workflows.tms.data import Data, register_device_checks, settle
 from pcmrs.workflows.tms.hotspot import register_hotspot
 from pcmrs.workflows.tms.intensity import register_intensity
-from pcmrs.workflows.tms.pulse import register_pulse
-from pcmrs.workflows.tms.response import register_response
+from pcmrs.workflows.tms.pulse import register_pulse, register_response
 from pcmrs.workflows.tms.threshold import register_threshold
 
 __all__ = ["Data", "register", "settle"]

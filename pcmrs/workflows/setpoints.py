@@ -1,4 +1,7 @@
-"""Which set points of a teleoperator count. Pure."""
+"""Which set points of a teleoperator count. Pure.
+
+Twists of a tool, (6,): velocity (m/s) before angular velocity (rad/s), or a way (m) before a turn (rad). Pure.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,19 @@ import math
 from collections import Counter
 
 import msgspec
+import numpy as np
 
 from pcmrs.messages import TeleopSetpoint, TeleopStatus
 from pcmrs.messages.teleop import AT_REST, Limit, Twist
+from pcmrs.spatial import Floats
 from pcmrs.workflows.latency import Latency, SpeedScale
 from pcmrs.workflows.settings import TeleoperationSettings
+
+
+def within(twist: Floats, linear: float, angular: float) -> Floats:
+    """A twist (6,), shortened where its translation (m/s) or its rotation (rad/s) is longer than these."""
+    excess = max(float(np.linalg.norm(twist[:3])) / linear, float(np.linalg.norm(twist[3:])) / angular)
+    return twist / excess if excess > 1.0 else twist
 
 
 class Admission:

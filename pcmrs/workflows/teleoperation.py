@@ -8,12 +8,11 @@ from pcmrs.errors import RefusalError
 from pcmrs.spatial import Frame
 from pcmrs.workflows.alignment import BODIES
 from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.collision_checks import arrange
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.following import FIRST_FRAMES, FIRST_TIME
-from pcmrs.workflows.guide import Guide
-from pcmrs.workflows.guiding import TELL_EVERY, Activity, Guiding, planned_in_body_ref
+from pcmrs.workflows.guiding import TELL_EVERY, Activity, Guide, Guiding, planned_in_body_ref
 from pcmrs.workflows.placement import check_at_present_plan
-from pcmrs.workflows.ways import arrange
 
 Run = AnyRun[Cell, PlacementData]
 

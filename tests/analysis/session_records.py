@@ -20,14 +20,11 @@ from pcmrs.formats.mesh import Mesh, read_mesh
 from pcmrs.messages import BlueprintTag, Epoch
 from pcmrs.registration.triangles import TriangleSurface
 from pcmrs.spatial import Transform
-from pcmrs.tms.chart import as_message, as_transform
 from pcmrs.tms.hotspot import HotspotSearch
-from pcmrs.tms.hotspot_settings import HotspotSettings
 from pcmrs.tms.mep import Mep, judge_mep
-from pcmrs.tms.mep_settings import MepSettings
-from pcmrs.tms.scalp import hand_area, turned
+from pcmrs.tms.scalp import as_message, as_transform, hand_area, turned
+from pcmrs.tms.settings import HotspotSettings, MepSettings, ThresholdSettings
 from pcmrs.tms.threshold import ThresholdHunt
-from pcmrs.tms.threshold_settings import ThresholdSettings
 from pcmrs.workflows.settings import BodySettings
 from pcmrs.workflows.surface import find_surface
 from pcmrs_sim.tms.recruitment import Recruitment

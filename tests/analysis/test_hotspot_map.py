@@ -12,8 +12,8 @@ from pcmrs.analysis.plots import save_png
 from pcmrs.formats.mesh import Mesh, read_mesh
 from pcmrs.registration.triangles import TriangleSurface
 from pcmrs.tms.hotspot import HotspotSearch
-from pcmrs.tms.hotspot_settings import HotspotSettings
 from pcmrs.tms.scalp import hand_area
+from pcmrs.tms.settings import HotspotSettings
 
 
 @pytest.fixture(scope="module")

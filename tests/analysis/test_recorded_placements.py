@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pcmrs.analysis.placements import placement_error
-from pcmrs.analysis.summary import summarize
+from pcmrs.analysis.placements import placement_error, summarize
 from pcmrs.spatial import Transform
 
 number = st.floats(-2.0, 2.0)

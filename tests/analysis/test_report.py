@@ -17,7 +17,7 @@ from pcmrs.analysis.report.figures import placements_figure, responses_figure, w
 from pcmrs.analysis.report.page import minutes, plain
 from pcmrs.analysis.session import SessionRecord
 from pcmrs.pages import fixed
-from pcmrs.tms.chart import as_transform
+from pcmrs.tms.scalp import as_transform
 
 PICTURES = {"hotspot", "hunt", "responses", "waveforms", "placements"}
 VOID = {"meta", "img", "br"}

@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcmrs.analysis.mep_plot import draw_mep, mep_figure
+from pcmrs.analysis.plots import draw_mep, mep_figure
 from pcmrs.analysis.threshold_plot import draw_hunt, hunt_figure
 from pcmrs.messages import Epoch
 from pcmrs.tms.mep import judge_mep
-from pcmrs.tms.mep_settings import MepSettings
+from pcmrs.tms.settings import MepSettings, ThresholdMethod, ThresholdSettings
 from pcmrs.tms.threshold import ThresholdHunt
-from pcmrs.tms.threshold_settings import ThresholdMethod, ThresholdSettings
 from pcmrs_sim.tms.recruitment import Recruitment
 
 RATE_HZ = 4000.0

@@ -18,7 +18,7 @@ from pcmrs.bus.access import access_control
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
 from pcmrs.bus.qos import class_of
 from pcmrs.clock import SystemClock
-from pcmrs.messages.roles import ROLES, Role
+from pcmrs.messages.identity import ROLES, Role
 from pcmrs.pki import Authority
 from pcmrs.testing.daemon import free_port
 

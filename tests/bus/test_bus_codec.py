@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.bus.codec import MAX_DEPTH, Empty, is_text, pack, pack_text, unpack
+from pcmrs.bus.codec import MAX_DEPTH, Empty, error_from, is_text, pack, pack_text, reason_from, unpack
 from pcmrs.bus.envelope import Envelope
-from pcmrs.bus.reasons import error_from, reason_from
 from pcmrs.errors import DeviceError, PayloadError, RefusalError, UnknownOutcomeError
 from pcmrs.messages import BodyPose, JointState, Message, Reason, Verdict
 

@@ -25,8 +25,7 @@ from pcmrs.bus.envelope import Envelope
 from pcmrs.bus.settings import STOPS
 from pcmrs.bus.stop import ANSWERED, LONGEST, OTHERS, Replies, StopLane, Stopping
 from pcmrs.messages import Command, Verdict
-from pcmrs.messages.identity import Identity
-from pcmrs.messages.roles import Role
+from pcmrs.messages.identity import Identity, Role
 
 REGISTER: dict[str, Role] = {"anna": "teleoperator", "eve": "viewer"}
 HELD_UP = 1.0

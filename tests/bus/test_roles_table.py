@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pcmrs.bus.roles import roles_as_markdown
+from pcmrs.bus.access import roles_as_markdown
 
 
 def test_the_documentation_has_the_table_of_roles() -> None:

@@ -17,7 +17,7 @@ from pcmrs.devices.link import Link
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.fsm import load_blueprint
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Running, Snapshot, TeleopStatus
-from pcmrs.messages.roles import HOLDING, ROLES, Role
+from pcmrs.messages.identity import HOLDING, ROLES, Role
 from pcmrs.service.teleoperation import connect_teleoperators
 from pcmrs.service.watches.abandoned import AbandonedWatch
 from pcmrs.testing.clock import ManualClock, settle

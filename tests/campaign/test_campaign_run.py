@@ -20,8 +20,7 @@ from pcmrs_lab.campaign.catalogue import choose
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.needs import program
-from pcmrs_lab.campaign.page import JSON_NAME, PAGE_NAME
-from pcmrs_lab.campaign.report import CampaignReport, FaultResult
+from pcmrs_lab.campaign.report import JSON_NAME, PAGE_NAME, CampaignReport, FaultResult
 from pcmrs_lab.campaign.run import NO_INJECTION, run_campaign
 from pcmrs_lab.campaign.sham import bring_about
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pcmrs.errors import PayloadError
 from pcmrs.gateway.commands import COMMANDS
 from pcmrs.gateway.grammar import parse, parse_tool_points
-from pcmrs_lab.campaign.fuzzing import HARMLESS, datagram
+from pcmrs_lab.campaign.fuzz import HARMLESS, datagram
 
 
 @given(seed=st.integers(0, 1 << 32))

@@ -8,7 +8,7 @@ from health_facts import WELL
 from msgspec.structs import replace
 from rich.console import Console
 
-from pcmrs.cli.health_table import health_table
+from pcmrs.cli.health import health_table
 from pcmrs.messages.health import Health, HealthFacts, TaskStanding
 from pcmrs.service.health.report import report
 

@@ -12,7 +12,7 @@ from workflow_bench import WorkflowBench, open_bench
 
 from pcmrs.console.choices import Choice, Choices, latch_of
 from pcmrs.messages import LeaseState, Snapshot
-from pcmrs.messages.roles import COMMANDING, ROLES, Role
+from pcmrs.messages.identity import COMMANDING, ROLES, Role
 from pcmrs.messages.setup import Setup
 
 STAGES: list[Callable[[WorkflowBench], Awaitable[Any]]] = [

@@ -15,9 +15,8 @@ from pcmrs.console.signals.traces import SHOWN, Traces
 from pcmrs.console.told import Told
 from pcmrs.messages import Epoch, Verdict
 from pcmrs.spatial import Transform
-from pcmrs.tms.mep_settings import MepSettings
+from pcmrs.tms.settings import MepSettings, ThresholdSettings
 from pcmrs.tms.threshold import ThresholdHunt
-from pcmrs.tms.threshold_settings import ThresholdSettings
 
 
 class At(Told):

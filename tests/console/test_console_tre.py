@@ -12,7 +12,7 @@ import trimesh
 from test_console_geometry import some_pose
 
 from pcmrs.console.geometry import as_zone
-from pcmrs.console.tre import coloured, colours, gradient, predicted
+from pcmrs.console.residuals import coloured, colours, gradient, predicted
 from pcmrs.messages.setup import Gathered, LandmarkShown, SurfaceShown
 from pcmrs.registration import predict_tre
 from pcmrs.workflows.data import as_message

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.console.temporary import keep_temporary_files
+from pcmrs.console.uploads import keep_temporary_files
 from pcmrs.errors import ConfigurationError
 
 HOLDER = """
 import pathlib, sys, tempfile
-from pcmrs.console.temporary import keep_temporary_files
+from pcmrs.console.uploads import keep_temporary_files
 keep_temporary_files(pathlib.Path(sys.argv[1]))
 file = tempfile.NamedTemporaryFile(prefix="patient")
 folder = tempfile.mkdtemp()

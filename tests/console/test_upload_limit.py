@@ -9,7 +9,7 @@ from typing import Any
 
 import uvicorn
 
-from pcmrs.console.upload_limit import UploadLimit
+from pcmrs.console.uploads import UploadLimit
 
 LIMIT = 1000
 

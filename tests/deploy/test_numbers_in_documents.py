@@ -28,7 +28,7 @@ from pcmrs.gateway.intake import MAX_SESSIONS
 from pcmrs.journal.group import MOST_WAITING
 from pcmrs.service.supervisor import RESTARTS, WITHIN
 from pcmrs.settings import Settings
-from pcmrs.workflows.floors import PART
+from pcmrs.workflows.collision_checks import PART
 from pcmrs_lab.campaign.catalogue import catalogue
 
 ROOT = Path(__file__).parents[2]

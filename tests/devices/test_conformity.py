@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pcmrs.devices.calls import PROTOCOLS
-from pcmrs.devices.conformity import check_conformity
+from pcmrs.devices.opening import check_conformity
 from pcmrs.errors import ConfigurationError
 
 

@@ -16,9 +16,8 @@ from kst_peer import Peer, served
 
 from pcmrs.clock import SystemClock
 from pcmrs.devices.kst.cabinet import Cabinet, ImpedanceSettings
-from pcmrs.devices.kst.lines import LONGEST, LineBuffer
 from pcmrs.devices.kst.link import KstLink
-from pcmrs.devices.kst.values import parse_values, words
+from pcmrs.devices.kst.wire import LONGEST, LineBuffer, parse_values, words
 from pcmrs.errors import DeviceError, DeviceRefusedError, MotionInterruptedError, PayloadError, UnknownOutcomeError
 
 Q = [0.1, -0.2, 0.3, -1.5, 1e-7, 1.23456789, -3.0]

@@ -16,7 +16,7 @@ from structlog.testing import capture_logs
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.devices.drivers.plus import PlusSettings, open_devices
 from pcmrs.devices.plus import tracker
-from pcmrs.devices.plus.rigid import matrix_mm
+from pcmrs.devices.plus.messages import matrix_mm
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.protocols import OpenDriver, TrackerDriver
 from pcmrs.errors import ConfigurationError

@@ -12,9 +12,7 @@ from pyigtl.messages import TransformMessage
 from scipy.spatial.transform import Rotation
 
 from pcmrs.devices.plus.frames import Frames
-from pcmrs.devices.plus.messages import TrackingDataMessage
-from pcmrs.devices.plus.readings import readings
-from pcmrs.devices.plus.rigid import matrix_mm, rigid
+from pcmrs.devices.plus.messages import TrackingDataMessage, matrix_mm, readings, rigid
 from pcmrs.errors import RefusalError
 from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform, distance, rotation_angle

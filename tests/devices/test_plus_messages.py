@@ -12,9 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyigtl.messages import TransformMessage
 
-from pcmrs.devices.plus.framing import HEADER_BYTES, MAX_BODY, MessageReader
-from pcmrs.devices.plus.messages import StartTrackingDataMessage, StatusMessage, TrackingDataMessage, text_message
-from pcmrs.devices.plus.readings import readings
+from pcmrs.devices.plus.frames import HEADER_BYTES, MAX_BODY, MessageReader
+from pcmrs.devices.plus.messages import (
+    StartTrackingDataMessage,
+    StatusMessage,
+    TrackingDataMessage,
+    readings,
+    text_message,
+)
 from pcmrs.errors import PayloadError
 from pcmrs.spatial import Transform
 

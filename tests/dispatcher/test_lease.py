@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pcmrs.clock import SystemClock
 from pcmrs.dispatcher.lease import LAPSED, LEASE, Lease, lapse
 from pcmrs.messages import Command, LeaseState, Verdict
-from pcmrs.messages.roles import ROLES
+from pcmrs.messages.identity import ROLES
 
 PEOPLE: dict[str, Any] = {
     "anna": {"source": "bus:anna", "user": "anna", "role": "operator"},

@@ -9,7 +9,7 @@ from pcmrs.dispatcher.admission import EVENT_SOURCES, check_role
 from pcmrs.errors import RefusalError
 from pcmrs.fsm import OperationSpec
 from pcmrs.messages import Command
-from pcmrs.messages.roles import COMMANDING, ROLES, Role
+from pcmrs.messages.identity import COMMANDING, ROLES, Role
 from pcmrs.workflows import read_workflow
 
 WORKFLOWS = ("ratms", "femoroplasty", "ratms_threshold", "grid_mapping")

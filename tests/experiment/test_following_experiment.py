@@ -10,11 +10,11 @@ import pytest
 from rich.console import Console
 
 from pcmrs.analysis.plots import save_png
-from pcmrs_lab.cli.following_tables import following_tables
+from pcmrs_lab.cli.experiment_tables import following_tables
 from pcmrs_lab.experiment.course import Course
 from pcmrs_lab.experiment.following import Drawn, Followed, FollowingReport, Occluded, Spread
-from pcmrs_lab.experiment.following_plot import following_figure
 from pcmrs_lab.experiment.head_motions import scenarios
+from pcmrs_lab.experiment.plots import following_figure
 from pcmrs_sim.motion import check_motion, head_offset
 
 DURATION = 20.0

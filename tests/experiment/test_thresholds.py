@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from pcmrs.cli import main
-from pcmrs.tms.threshold_settings import ThresholdSettings
+from pcmrs.tms.settings import ThresholdSettings
 from pcmrs_lab.experiment.thresholds import METHODS, Hunted, MethodResult, ThresholdReport, run_thresholds
 
 Result = tuple[ThresholdReport, dict[str, list[Hunted]]]

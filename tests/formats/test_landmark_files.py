@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from pcmrs.errors import FileFormatError, GeometryError
+from pcmrs.formats.grid import Role
 from pcmrs.formats.landmarks import Landmarks, pair_landmarks, read_landmarks
-from pcmrs.formats.units import Role
 
 POINTS = np.array([(-0.1615691632, 0.0274949, 0.003382), (0.01, -1e-05, 0.1), (0.0, 0.0949, -0.0005)])
 NAMES = ("p0", "p1", "p2")

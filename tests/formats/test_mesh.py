@@ -10,8 +10,8 @@ import trimesh
 
 from pcmrs.errors import FileFormatError
 from pcmrs.formats import mesh as mesh_file
+from pcmrs.formats.grid import Space, Unit
 from pcmrs.formats.mesh import read_mesh
-from pcmrs.formats.units import Space, Unit
 
 SOLID = trimesh.creation.icosphere(subdivisions=2, radius=0.09)
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"

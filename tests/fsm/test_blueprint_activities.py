@@ -13,7 +13,7 @@ from random_blueprints import blueprints
 from trials import examples
 
 from pcmrs.authoring.chart import dot, mermaid, svg
-from pcmrs.authoring.difference.compare import compare
+from pcmrs.authoring.difference import compare
 from pcmrs.authoring.exchange.exporting.scxml import scxml
 from pcmrs.authoring.exchange.exporting.table import table
 from pcmrs.authoring.exchange.importing.mermaid import from_mermaid

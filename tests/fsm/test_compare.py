@@ -18,7 +18,7 @@ from random_blueprints import blueprints
 from ratms_oracle import BLUEPRINT, as_dict, expected, reachable
 from trials import examples
 
-from pcmrs.authoring.difference.compare import Difference, Kind, compare
+from pcmrs.authoring.difference import Difference, Kind, compare
 from pcmrs.cli import main
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint, BranchSpec, OperationSpec, load_blueprint

@@ -16,7 +16,7 @@ from trials import examples
 import pcmrs
 from pcmrs.authoring.design import Design, design
 from pcmrs.authoring.design.branches import Designed
-from pcmrs.authoring.design.excess import excess_of
+from pcmrs.authoring.design.count import excess_of
 from pcmrs.cli.fsm.design import design as command
 from pcmrs.fsm import Blueprint, Closure, Engine, examine, load_blueprint, parse_blueprint
 from pcmrs.fsm.blueprint import BranchSpec, SequenceSpec

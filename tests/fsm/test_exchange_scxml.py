@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from random_charts import EVENTS, as_scxml, random_chart
 from scxml_peer import Peer
 
-from pcmrs.authoring.exchange.exporting.commands import commands
+from pcmrs.authoring.exchange.exporting.events import commands
 from pcmrs.authoring.exchange.exporting.scxml import scxml
 from pcmrs.authoring.exchange.importing.scxml import from_scxml
 from pcmrs.fsm import Blueprint

@@ -9,7 +9,7 @@ import pytest
 from random_blueprints import random_blueprint
 from scxml_peer import Peer, expected, fits
 
-from pcmrs.authoring.exchange.exporting.commands import Command, commands
+from pcmrs.authoring.exchange.exporting.events import Command, commands
 from pcmrs.authoring.exchange.exporting.nesting import nesting_of
 from pcmrs.authoring.exchange.exporting.scxml import scxml
 from pcmrs.fsm import Blueprint

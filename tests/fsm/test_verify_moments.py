@@ -16,9 +16,9 @@ from trials import examples
 from pcmrs.fsm.behaviour import branch_states, endings, joint_of
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, Condition, OperationSpec, PropertySpec
 from pcmrs.fsm.closure import Closure, close
-from pcmrs.fsm.verify import verify, work
+from pcmrs.fsm.verify import search, verify
+from pcmrs.fsm.verify.liveness import Runs
 from pcmrs.fsm.verify.properties import promises
-from pcmrs.fsm.verify.running import Runs
 from pcmrs.fsm.verify.space import Space
 
 Locks = tuple[frozenset[str], frozenset[str]]
@@ -172,7 +172,7 @@ def test_an_operation_that_is_watched_costs_no_commands_where_it_does_not_matter
 
 @pytest.mark.parametrize("count", [5, 6])
 def test_all_searches_together_are_limited(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(work, "LEAST_WORK", 14_000)
+    monkeypatch.setattr(search, "LEAST_WORK", 14_000)
     specs = [
         PropertySpec(id=f"p{n}", when=Condition(running=[f"b{n}.on"]), leads_to=Condition(states={"b7": ["s1"]}))
         for n in range(count)

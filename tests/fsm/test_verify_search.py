@@ -16,9 +16,8 @@ from pcmrs.fsm.blueprint import Blueprint, RevocationSpec
 from pcmrs.fsm.closure import Closure, close
 from pcmrs.fsm.verify import space, verify
 from pcmrs.fsm.verify.encoding import Encoding
-from pcmrs.fsm.verify.search import leading_to
+from pcmrs.fsm.verify.search import MAX_BITMAP, leading_to, visited
 from pcmrs.fsm.verify.space import Space
-from pcmrs.fsm.verify.visited import MAX_BITMAP, visited
 
 Joint = tuple[str, ...]
 

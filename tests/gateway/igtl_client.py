@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from gateway_fakes import POSE, WITHIN, FakeCore
 
-from pcmrs.devices.plus.framing import MessageReader
+from pcmrs.devices.plus.frames import MessageReader
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig, OpenIgtLinkConfig
 from pcmrs.messages import BlueprintTag, Running, Snapshot
 from pcmrs.spatial import Transform

@@ -17,7 +17,7 @@ from gateway_fakes import WITHIN, UdpClient
 from igtl_client import BODY_REF_FROM_IMAGE, SEEN, Slicer, SlicerCore, planned_mm, slicer_only
 
 from pcmrs.clock import SystemClock
-from pcmrs.devices.plus.rigid import matrix_mm
+from pcmrs.devices.plus.messages import matrix_mm
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.links import Gateway, open_gateway
 from pcmrs.gateway.openigtlink import link

@@ -15,7 +15,7 @@ import pytest
 from igtl_client import SEEN, SlicerCore, planned_mm, slicer_only
 
 from pcmrs.clock import SystemClock
-from pcmrs.devices.plus.rigid import matrix_mm
+from pcmrs.devices.plus.messages import matrix_mm
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.openigtlink import link
 from pcmrs.gateway.settings import GatewayConfig, OpenIgtLinkConfig

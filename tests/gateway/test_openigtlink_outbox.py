@@ -16,7 +16,7 @@ from igtl_client import Slicer, SlicerCore, planned_mm, slicer_only
 from structlog.testing import capture_logs
 
 from pcmrs.clock import SystemClock
-from pcmrs.devices.plus.rigid import matrix_mm
+from pcmrs.devices.plus.messages import matrix_mm
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.openigtlink import link, outbox, plans

@@ -11,7 +11,7 @@ from journal_rows import row
 from whole_journal import sample
 
 from pcmrs.errors import JournalError
-from pcmrs.journal import copy, copy_journal, verify
+from pcmrs.journal import copy_journal, export, verify
 from pcmrs.journal.head import read_head
 from pcmrs.journal.keys import signing_key
 from pcmrs.journal.rows import encode_row
@@ -34,13 +34,13 @@ def test_a_journal_whose_head_is_gone_is_not_copied_as_if_it_were_whole(path: Pa
 
 def test_the_head_of_a_copy_names_its_last_row(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where a row was written after the head was read."""
-    writer, copied = JournalWriter(path, durable=False), copy._copy_database
+    writer, copied = JournalWriter(path, durable=False), export._copy_database
 
     def copy_later(*paths: Path) -> Any:
         writer.write([(row(), encode_row(row()))])
         return copied(*paths)
 
-    monkeypatch.setattr(copy, "_copy_database", copy_later)
+    monkeypatch.setattr(export, "_copy_database", copy_later)
     copy_journal(path, tmp_path / "copy" / NAME)
     writer.close()
     found = verify(tmp_path / "copy" / NAME)

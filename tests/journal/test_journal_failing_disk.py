@@ -18,9 +18,9 @@ from journal_rows import row
 
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalReader, schema, verify
+from pcmrs.journal.chain import mac_key, row_mac
 from pcmrs.journal.group import MOST_WAITING
 from pcmrs.journal.keys import signing_key
-from pcmrs.journal.mac import mac_key, row_mac
 from pcmrs.journal.rows import chain_hash, encode_row
 from pcmrs.journal.soundness import LARGEST_GROUP
 

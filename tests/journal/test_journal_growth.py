@@ -22,9 +22,9 @@ from pcmrs.files import publish
 from pcmrs.journal import Journal, JournalReader, copy_journal, verify
 from pcmrs.journal import writer as writer_module
 from pcmrs.journal.export import json_lines
-from pcmrs.journal.files import journal_files, numbered
 from pcmrs.journal.head import HeadFile, head_path
 from pcmrs.journal.notes import SOURCE
+from pcmrs.journal.reader import journal_files, numbered
 from pcmrs.journal.rows import encode_row
 from pcmrs.journal.writer import JournalWriter
 

@@ -18,7 +18,7 @@ from pcmrs.journal import Journal, JournalReader, copy_journal, verify
 from pcmrs.journal.rows import encode_row
 from pcmrs.journal.writer import JournalWriter
 from pcmrs.testing.journal import HEAD, NAME, place
-from pcmrs_lab.campaign.appended import append_without_key
+from pcmrs_lab.campaign.damage import append_without_key
 
 OLD = Path(__file__).with_name("version_1.sqlite.gz")
 _P256 = generate_private_key(SECP256R1())

@@ -13,12 +13,12 @@ from whole_journal import sample
 
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalReader, JournalRow, copy_journal, verify
+from pcmrs.journal.chain import mac_key, row_mac
 from pcmrs.journal.head import head_path
 from pcmrs.journal.keys import signing_key
-from pcmrs.journal.mac import mac_key, row_mac
 from pcmrs.journal.schema import HEADLESS, VERSION, WITHOUT_MAC, statements
 from pcmrs.testing.journal import NAME, contents, place
-from pcmrs_lab.campaign.appended import append_without_key, leave_unnamed
+from pcmrs_lab.campaign.damage import append_without_key, leave_unnamed
 
 OLD = Path(__file__).with_name("version_2.tar.gz")
 """Made by a program of version 2: nine rows, all of them named by the head."""

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import interpolate
 
-from pcmrs.kinematics.spline import CubicSpline
+from pcmrs.kinematics.time_parameterization import CubicSpline
 from pcmrs.spatial import Floats
 
 

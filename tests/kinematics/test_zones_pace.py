@@ -14,7 +14,7 @@ from pcmrs.errors import UnreachableError
 from pcmrs.kinematics.arms import IIWA14_R820
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.pace import Derivatives, paced
+from pcmrs.kinematics.time_parameterization import Derivatives, paced
 from pcmrs.kinematics.trajectory import joint_motion, straight_motion
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform, distance

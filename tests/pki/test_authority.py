@@ -19,9 +19,9 @@ from cryptography.x509.oid import NameOID
 from pcmrs.cli import main
 from pcmrs.clock import SystemClock
 from pcmrs.errors import ConfigurationError
-from pcmrs.messages.roles import INFRASTRUCTURE, ROLES
+from pcmrs.messages.identity import INFRASTRUCTURE, ROLES
 from pcmrs.pki import Authority
-from pcmrs.pki.keyfile import read_key
+from pcmrs.pki.certificates import read_key
 
 DAY = 86400.0
 

@@ -37,9 +37,9 @@ from pcmrs.messages import (
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import Gathered, LandmarkShown, StimulationShown
 from pcmrs.recording import raw
+from pcmrs.recording.file import CountingFile
 from pcmrs.recording.series import Limits, check_new, files_of, path_of
 from pcmrs.recording.shapes import json_schema
-from pcmrs.recording.sink import CountingFile
 from pcmrs.recording.topics import TOPICS, check_topics
 from pcmrs.recording.views import Views
 from pcmrs.service.health.report import report

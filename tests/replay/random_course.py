@@ -17,7 +17,7 @@ from pcmrs.fsm import Effect, load_blueprint
 from pcmrs.journal import JournalRow, StoredRow
 from pcmrs.journal.rows import GENESIS
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Verdict
-from pcmrs.messages.roles import Role
+from pcmrs.messages.identity import Role
 from pcmrs.replay.history import DaemonRun
 from pcmrs.replay.world import RowsClock
 from pcmrs.service.restart.recorder import JournalRecorder

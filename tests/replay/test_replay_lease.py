@@ -10,7 +10,7 @@ from random_course import Course
 from test_replay_random import decide_anew, on_simulated_time, on_the_way
 
 from pcmrs.dispatcher.lease import Lease
-from pcmrs.messages.roles import Role
+from pcmrs.messages.identity import Role
 
 Asked = tuple[str, Role, str, dict[str, Any]]
 

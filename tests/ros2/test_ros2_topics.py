@@ -21,7 +21,7 @@ from pcmrs.messages import BodyPose, JointState, PoseMessage, Target
 from pcmrs.recording.chain import Chain, Mounting
 from pcmrs.ros2 import cdr
 from pcmrs.ros2.copying import copy_for_ros2
-from pcmrs.ros2.stamps import Stamps
+from pcmrs.ros2.poses import Stamps
 from pcmrs.ros2.topics import TF_STATIC, Topic
 from pcmrs.spatial import Transform, distance
 from pcmrs.workflows.settings import CalibrationSettings

@@ -18,10 +18,9 @@ from defects import DEFECTS, Defect
 
 from pcmrs_lab.campaign.explore.exploring import as_lines
 from pcmrs_lab.campaign.explore.generate import draw_script
-from pcmrs_lab.campaign.explore.script import Script, write_script
+from pcmrs_lab.campaign.explore.script import Script, shrink, write_script
 from pcmrs_lab.campaign.explore.session import run_session
 from pcmrs_lab.campaign.explore.settings import workflow_of
-from pcmrs_lab.campaign.explore.shrinking import shrink
 
 MOST_ACTS = 12
 """A script that is longer than this explains nothing."""

@@ -16,10 +16,9 @@ from pcmrs_lab.campaign.explore.exploring import explore, run_seeds
 from pcmrs_lab.campaign.explore.faults import FAULTS, SCENE
 from pcmrs_lab.campaign.explore.generate import draw_script
 from pcmrs_lab.campaign.explore.going_on import WITH_STIMULATOR
-from pcmrs_lab.campaign.explore.script import Act, Script, read_script, write_script
+from pcmrs_lab.campaign.explore.script import Act, Script, read_script, shrink, write_script
 from pcmrs_lab.campaign.explore.session import run_session
 from pcmrs_lab.campaign.explore.settings import workflow_of
-from pcmrs_lab.campaign.explore.shrinking import shrink
 from pcmrs_sim.faults import FAULTS as SIMULATED
 
 TO_THE_HEAD = [Act(1.0, "go_on", "anna", {"turn": turn}) for turn in (1, 0, 1, 0, 1, 0, 1, 0, 0, 0)]

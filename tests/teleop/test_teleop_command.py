@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from pcmrs.cli import main
-from pcmrs.cli.teleop_line import line_of, told_line
+from pcmrs.cli.teleop import line_of, told_line
 from pcmrs.messages import DeviceEvent, Reason, TeleopStatus, Verdict
 
 STATUS = TeleopStatus(

@@ -18,10 +18,9 @@ from pcmrs.errors import GeometryError, RefusalError
 from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Transform
 from pcmrs.tms.adaptive import NOISE_DECADES, SPREAD_DECADES, condition
-from pcmrs.tms.chart import as_message, as_transform
 from pcmrs.tms.hotspot import HotspotSearch
-from pcmrs.tms.hotspot_settings import HotspotMethod, HotspotSettings
-from pcmrs.tms.scalp import along_scalp, heading, turned
+from pcmrs.tms.scalp import along_scalp, as_message, as_transform, heading, turned
+from pcmrs.tms.settings import HotspotMethod, HotspotSettings
 from pcmrs_sim.tms.subject import Subject
 
 METHODS: tuple[HotspotMethod, ...] = ("adaptive", "grid")

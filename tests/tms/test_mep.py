@@ -16,7 +16,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.messages import Epoch
 from pcmrs.spatial import Floats
 from pcmrs.tms.mep import Mep, judge_mep, waveform
-from pcmrs.tms.mep_settings import MepSettings
+from pcmrs.tms.settings import MepSettings
 
 RATE_HZ = 5000.0
 START, END = -0.12, 0.1

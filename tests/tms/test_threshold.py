@@ -15,8 +15,8 @@ from trials import examples
 
 from pcmrs.errors import RefusalError
 from pcmrs.tms.intervals import IntervalSettings, check_count, check_interval
+from pcmrs.tms.settings import ThresholdMethod, ThresholdSettings
 from pcmrs.tms.threshold import ThresholdHunt
-from pcmrs.tms.threshold_settings import ThresholdMethod, ThresholdSettings
 from pcmrs_sim.tms.recruitment import Recruitment
 
 Answer = Callable[[float], tuple[bool, float | None]]

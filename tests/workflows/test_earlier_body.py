@@ -14,8 +14,8 @@ from pcmrs.dispatcher import Workflow
 from pcmrs.kinematics.arms import IIWA14_R820
 from pcmrs.spatial import Floats
 from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.collision_checks import arrange
 from pcmrs.workflows.data import PlacementData, Registered
-from pcmrs.workflows.ways import arrange
 
 ASIDE = (IIWA14_R820.home[0] + 0.3, *IIWA14_R820.home[1:])
 """A home posture that the simulated arm does not start in."""

@@ -11,7 +11,7 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.settings import Settings
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.floors import PART, Floors
+from pcmrs.workflows.collision_checks import PART, Floors
 from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.planning import PlanningCell
 from pcmrs.workflows.surface import read_surface

@@ -17,7 +17,7 @@ from pcmrs.spatial import Floats, Transform, distance
 from pcmrs.workflows.alignment import BODIES
 from pcmrs.workflows.body_track import BodyTrack
 from pcmrs.workflows.data import as_transform
-from pcmrs.workflows.follower import Follower
+from pcmrs.workflows.following import Follower
 from pcmrs.workflows.settings import FollowingSettings
 from pcmrs_sim.settings import GeometrySettings
 

@@ -9,7 +9,7 @@ import pytest
 from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
 from pcmrs.messages import Command, Prospect
-from pcmrs.messages.roles import Role
+from pcmrs.messages.identity import Role
 
 FAR = POSES[0] | {"position": [0.9, 0.9, 0.9]}
 TURNED = POSES[0] | {"quat_xyzw": [0.0, 1.0, 0.0, 0.0]}

@@ -24,7 +24,7 @@ from pcmrs.messages import BodyPose
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.driving import PATIENCE
 from pcmrs.testing.errors import Unmet
-from pcmrs_lab.campaign.proc import process_state
+from pcmrs_lab.campaign.samples import process_state
 from pcmrs_lab.campaign.sham import bring_about, is_sham
 
 Manner = Literal["frozen", "busy", "idle"]

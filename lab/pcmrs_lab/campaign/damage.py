@@ -1,15 +1,88 @@
-"""Ways to damage a journal: one of its files is removed or ends early, or one of its bits is another one."""
+"""Ways to damage a journal: one of its files is removed or ends early, or one of its bits is another one.
+
+A journal as an older version of the program would have left it.
+
+Rows after the last one that the head names: added without the key, or left there by a crash.
+"""
 
 from __future__ import annotations
 
 import random
+import sqlite3
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 
 import msgspec
 
+from pcmrs.journal import JournalReader, JournalRow
+from pcmrs.journal.head import head_path
+from pcmrs.journal.rows import GENESIS, chain_hash, encode_row
+from pcmrs.journal.schema import HEADLESS, WITHOUT_MAC, statements, version_of
+from pcmrs.journal.writer import JournalWriter
 from pcmrs.testing.journal import HEAD, NAME, contents
 from pcmrs_lab.campaign.sham import is_sham
+
+INSERT = "INSERT INTO journal VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
+KINDS = ("intent", "outcome", "device")
+"""Rows that version 1 had; those of kind config and snapshot came later."""
+
+
+def as_version_1(path: Path) -> int:
+    """Replaces a closed journal by one of version 1 with the same decisions: no head, no key; returns its rows.
+
+    In a sham campaign the journal stays as it is.
+    """
+    with JournalReader(path) as reader:
+        rows = [stored.row for stored in reader.read() if stored.row.kind in KINDS]
+    if is_sham():
+        return len(rows)
+    for file in (*path.parent.glob(f"{path.name}*"), *path.parent.glob("journal.*")):
+        file.unlink()
+    with closing(sqlite3.connect(path)) as old, old:
+        for statement in statements(HEADLESS).values():
+            old.execute(statement)
+        previous = GENESIS
+        for sequence, row in enumerate(rows, 1):
+            body = encode_row(row)
+            own = chain_hash(previous, sequence, body)
+            keys = (row.kind, row.source, row.command_id, row.branch, row.wall)
+            old.execute(INSERT, (sequence, *keys, body, previous, own))
+            previous = own
+        old.execute(f"PRAGMA user_version = {HEADLESS}")
+    return len(rows)
+
+
+def append_without_key(file: Path, rows: Sequence[JournalRow], *, mac: object = None) -> None:
+    """Adds rows to a file of a journal as somebody does who knows the format: chained, and found by their commands.
+
+    Args:
+        file: Of the journal, and the newest.
+        rows: To be added.
+        mac: Put into each of them where the version has MACs.
+    """
+    with closing(sqlite3.connect(file)) as connection, connection:
+        end = "SELECT sequence, hash FROM journal ORDER BY sequence DESC LIMIT 1"
+        sequence, previous = connection.execute(end).fetchone()
+        macs = () if version_of(connection) <= WITHOUT_MAC else (mac,)
+        for row in rows:
+            sequence += 1
+            body = encode_row(row)
+            own = chain_hash(previous, sequence, body)
+            keys = (row.kind, row.source, row.command_id, row.branch, row.wall)
+            values = (sequence, *keys, body, previous, own, *macs)
+            connection.execute(f"INSERT INTO journal VALUES ({', '.join('?' * len(values))})", values)  # noqa: S608  # values are bound
+            previous = own
+
+
+def leave_unnamed(journal: Path, rows: Sequence[JournalRow]) -> None:
+    """Writes rows with the key and sets the head back: what a crash between the commit and the head leaves."""
+    before = head_path(journal).read_bytes()
+    writer = JournalWriter(journal, durable=False)
+    writer.write([(row, encode_row(row)) for row in rows])
+    writer.close()
+    head_path(journal).write_bytes(before)
+
 
 TAIL = 2048
 """So many bytes at the end of database and log are damaged one by one."""

@@ -15,7 +15,7 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 
 from pcmrs.errors import DeviceError
-from pcmrs_lab.campaign.fuzzing import datagram
+from pcmrs_lab.campaign.fuzz import datagram
 from pcmrs_lab.campaign.sham import is_sham
 
 BURST = 0.002

@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Final, Literal
 
-from pcmrs_lab.campaign.namespaces import Namespaces, ip, namespaces, run_quietly
 from pcmrs_lab.campaign.needs import ROOT, Need, program
+from pcmrs_lab.campaign.networks import Namespaces, ip, namespaces, run_quietly
 
 Side = Literal["cell", "remote"]
 Place = Literal["cell", "remote", "router"]

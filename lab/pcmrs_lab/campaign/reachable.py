@@ -13,8 +13,7 @@ from pcmrs.bus import BusSettings, Credentials
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.gateway.signing import Signer, new_key, read_key
-from pcmrs.messages.identity import EVERY_CELL
-from pcmrs.messages.roles import Role
+from pcmrs.messages.identity import EVERY_CELL, Role
 from pcmrs.pki import Authority
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.daemon import free_port

@@ -9,11 +9,11 @@ import click
 import msgspec
 from rich.console import RenderableType
 
-from pcmrs.cli.number import Finite
 from pcmrs.cli.options import json_option, plot_option
 from pcmrs.cli.printing import print_report, save_svg
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
+from pcmrs.cli.values import Finite
 from pcmrs_lab.cli.experiment_options import Wanted, experiment_options
 
 if TYPE_CHECKING:
@@ -96,9 +96,9 @@ def _failures(wanted: Wanted, workflows: list[str], *, as_json: bool) -> None:
 
 def _failure_rates(wanted: Wanted, workflows: list[str], runs: int, plot: Path | None, *, as_json: bool) -> None:
     from pcmrs.analysis.plots import save_png
-    from pcmrs_lab.cli.monte_carlo_tables import monte_carlo_tables
+    from pcmrs_lab.cli.experiment_tables import monte_carlo_tables
     from pcmrs_lab.experiment.monte_carlo import run_monte_carlo
-    from pcmrs_lab.experiment.monte_carlo_plot import monte_carlo_figure
+    from pcmrs_lab.experiment.plots import monte_carlo_figure
 
     with progress_bar() as progress:
         report = run_monte_carlo([wanted.setup(workflow, progress) for workflow in workflows], runs)
@@ -124,9 +124,9 @@ def following(wanted: Wanted, duration: float, plot: Path | None, as_json: bool)
     Example: pcmrs experiment following --seed 1 --report following.json --plot following.png
     """
     from pcmrs.analysis.plots import save_png
-    from pcmrs_lab.cli.following_tables import following_tables
+    from pcmrs_lab.cli.experiment_tables import following_tables
     from pcmrs_lab.experiment.following import run_following
-    from pcmrs_lab.experiment.following_plot import following_figure
+    from pcmrs_lab.experiment.plots import following_figure
 
     with progress_bar() as progress:
         report, drawn = run(run_following(wanted.setup(wanted.workflow or "ratms", progress), duration))
@@ -155,8 +155,8 @@ def thresholds(subjects: int, seed: int, interval: float, plot: Path | None, as_
     """
     from pcmrs.analysis.plots import save_png
     from pcmrs_lab.cli.threshold_tables import threshold_table
+    from pcmrs_lab.experiment.plots import thresholds_figure
     from pcmrs_lab.experiment.thresholds import run_thresholds
-    from pcmrs_lab.experiment.thresholds_plot import thresholds_figure
 
     with progress_bar() as progress:
         report, hunted = run_thresholds(subjects, seed, interval, progress)
@@ -186,7 +186,7 @@ def hotspots(subjects: int, seed: int, intensity: float, plot: Path | None, as_j
     from pcmrs.analysis.plots import save_png
     from pcmrs_lab.cli.hotspot_tables import hotspot_table
     from pcmrs_lab.experiment.hotspots import run_hotspots
-    from pcmrs_lab.experiment.hotspots_plot import hotspots_figure
+    from pcmrs_lab.experiment.plots import hotspots_figure
 
     with progress_bar() as progress:
         report, searched, mesh = run_hotspots(subjects, seed, intensity, progress)
@@ -224,7 +224,7 @@ def _placements(wanted: Wanted, trials: int, *, as_json: bool) -> PlacementRepor
 
 
 def _placements_over(wanted: Wanted, trials: int, seeds: int, plot: Path | None, *, as_json: bool) -> None:
-    from pcmrs_lab.cli.seed_tables import seeds_tables
+    from pcmrs_lab.cli.experiment_tables import seeds_tables
     from pcmrs_lab.experiment.placement_seeds import run_seeds
 
     with progress_bar() as progress:

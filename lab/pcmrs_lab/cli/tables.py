@@ -8,7 +8,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Group
 from rich.table import Table
 
-from pcmrs.analysis.summary import Summary
+from pcmrs.analysis.placements import Summary
 from pcmrs_lab.experiment.failures import FailureReport
 from pcmrs_lab.experiment.placements import PlacementReport, PlacementSummary
 from pcmrs_lab.experiment.published import Reported

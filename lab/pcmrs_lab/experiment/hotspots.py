@@ -16,10 +16,9 @@ import numpy as np
 from pcmrs.formats.mesh import Mesh, read_mesh
 from pcmrs.registration.triangles import TriangleSurface
 from pcmrs.spatial import Floats, Transform
-from pcmrs.tms.chart import as_transform
 from pcmrs.tms.hotspot import HotspotSearch
-from pcmrs.tms.hotspot_settings import HotspotMethod, HotspotSettings
-from pcmrs.tms.scalp import hand_area, heading
+from pcmrs.tms.scalp import as_transform, hand_area, heading
+from pcmrs.tms.settings import HotspotMethod, HotspotSettings
 from pcmrs.workflows.settings import BodySettings
 from pcmrs.workflows.surface import find_surface
 from pcmrs_sim.tms.subject import Subject, draw

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pcmrs.analysis.summary import Summary, summarize
+from pcmrs.analysis.placements import Summary, summarize
 from pcmrs.errors import ConfigurationError
 from pcmrs.registration import RegistrationLimits, RegistrationVerdict, judge
 from pcmrs.settings import DRIVER_SETTINGS, Settings, read_settings

@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable, Sequence
 
 import msgspec
 
-from pcmrs.analysis.summary import Summary, summarize
+from pcmrs.analysis.placements import Summary, summarize
 from pcmrs.errors import CommandRefusedError, ConfigurationError
 from pcmrs.messages import PoseMessage, SceneTruth
 from pcmrs.spatial import Transform, distance, rotation_angle

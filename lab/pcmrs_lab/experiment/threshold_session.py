@@ -23,7 +23,7 @@ from pcmrs.report.session_folder import (
     write_results,
     write_sums,
 )
-from pcmrs.tms.chart import as_transform
+from pcmrs.tms.scalp import as_transform
 from pcmrs_lab.experiment.private import Bench, private_bench
 from pcmrs_lab.experiment.session.course import Course
 from pcmrs_lab.experiment.session.reading import Journalled

@@ -13,8 +13,8 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
+from pcmrs.tms.settings import ThresholdMethod, ThresholdSettings
 from pcmrs.tms.threshold import ThresholdHunt
-from pcmrs.tms.threshold_settings import ThresholdMethod, ThresholdSettings
 from pcmrs_sim.tms.recruitment import RESPONSE, Recruitment, draw
 
 METHODS = {

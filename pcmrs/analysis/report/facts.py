@@ -6,11 +6,10 @@ import math
 
 import msgspec
 
+from pcmrs.analysis.placements import Summary, summarize
 from pcmrs.analysis.session import PulseRecord, SessionRecord
-from pcmrs.analysis.summary import Summary, summarize
 from pcmrs.spatial import distance
-from pcmrs.tms.chart import as_transform
-from pcmrs.tms.scalp import heading
+from pcmrs.tms.scalp import as_transform, heading
 
 
 class Facts(msgspec.Struct, frozen=True, kw_only=True):

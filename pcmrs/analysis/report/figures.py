@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pcmrs.analysis.hotspot_map import hotspot_figure
-from pcmrs.analysis.mep_plot import mep_figure
-from pcmrs.analysis.plots import BLUE, GREEN, ORANGE, new_figure, save_png
+from pcmrs.analysis.plots import BLUE, GREEN, ORANGE, mep_figure, new_figure, save_png
 from pcmrs.analysis.session import Phase, PulseRecord, SessionRecord
 from pcmrs.analysis.threshold_plot import hunt_figure
 from pcmrs.formats.mesh import Mesh
-from pcmrs.tms.chart import as_transform
+from pcmrs.tms.scalp import as_transform
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,8 +10,7 @@ import msgspec
 from pcmrs.authoring.design.asking import Ask, answer
 from pcmrs.authoring.design.branches import Designed, root_branches
 from pcmrs.authoring.design.check import check_table, paths_of
-from pcmrs.authoring.design.count import Combinations, Impossible, count_combinations
-from pcmrs.authoring.design.excess import excess_of
+from pcmrs.authoring.design.count import Combinations, Impossible, count_combinations, excess_of
 from pcmrs.authoring.design.grouping import Group, UndesignableError, root_groups
 from pcmrs.authoring.design.hazards import GuardedOrder, hazards_in
 from pcmrs.authoring.design.safety import ROBOT, SAFETY, robot_branch, safety_branch

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from pcmrs.fsm.blueprint import BranchSpec, OperationSpec, Requirement, RevocationSpec
-from pcmrs.messages.roles import Role
+from pcmrs.messages.identity import Role
 
 ROBOT, SAFETY = "robot", "safety"
 """Names of the branches."""

@@ -6,7 +6,7 @@ from typing import Literal
 
 import msgspec
 
-from pcmrs.messages.roles import Role
+from pcmrs.messages.identity import Role
 
 DECLARATIONS = ("moves", "affects_patient", "irreversible", "confirm")
 """Keys that say what an action does to the patient; one that is not given is false where another is."""

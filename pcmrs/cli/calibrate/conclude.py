@@ -14,8 +14,7 @@ from rich.table import Table
 
 from pcmrs.calibration import next_version, write_calibration
 from pcmrs.cli.calibrate.options import About, Asked
-from pcmrs.cli.calibrate.plot import draw_residuals
-from pcmrs.cli.calibrate.solved import Solved
+from pcmrs.cli.calibrate.solved import Solved, draw_residuals
 from pcmrs.cli.printing import Terminal, say
 from pcmrs.cli.running import EXIT_REJECTED
 from pcmrs.errors import DegenerateMotionError, RefusalError

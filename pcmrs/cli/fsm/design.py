@@ -7,8 +7,7 @@ from pathlib import Path
 
 import click
 
-from pcmrs.cli.fsm.files import output_option, read, write
-from pcmrs.cli.fsm.outcome import check_json_output, conclude
+from pcmrs.cli.fsm.files import check_json_output, conclude, output_option, read, write
 from pcmrs.cli.options import json_option
 from pcmrs.cli.progress import search_bar
 

@@ -22,7 +22,7 @@ def diff(old: str, new: str, as_json: bool) -> None:
     Goal, properties and what operations declare count, too; comments, layout, order and titles do not. Exit status
     0: the same behaviour, 1: it differs, 2: one is unsound, cannot be read, or has over 20,000 joint states.
     """
-    from pcmrs.authoring.difference.compare import compare
+    from pcmrs.authoring.difference import compare
 
     try:
         differences = compare(*(sound(file, otherwise=EXIT_UNREADABLE) for file in (old, new)))

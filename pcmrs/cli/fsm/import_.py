@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from pcmrs.cli.fsm.files import output_option, read, write
-from pcmrs.cli.fsm.outcome import check_json_output, conclude
+from pcmrs.cli.fsm.files import check_json_output, conclude, output_option, read, write
 from pcmrs.cli.options import json_option
 
 FORMATS = ("scxml", "mermaid", "drawio")
@@ -28,9 +27,9 @@ def import_(file: str, form: str | None, output: Path | None, as_json: bool) -> 
     --json, standard output gets one object that says so, and the blueprint is written with -o only.
     """
     from pcmrs.authoring.exchange.importing.drawio import from_drawio
+    from pcmrs.authoring.exchange.importing.imported import written
     from pcmrs.authoring.exchange.importing.mermaid import from_mermaid
     from pcmrs.authoring.exchange.importing.scxml import from_scxml
-    from pcmrs.authoring.exchange.importing.written import written
 
     check_json_output(output, as_json=as_json)
     raw, origin, _ = read(file)

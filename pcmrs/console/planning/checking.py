@@ -12,7 +12,7 @@ from pcmrs.console.feed import Feed
 from pcmrs.console.texts import Texts
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import Prospect
-from pcmrs.messages.roles import COMMANDING
+from pcmrs.messages.identity import COMMANDING
 from pcmrs.messages.setup import Setup
 
 ASKED = 0.4

@@ -26,10 +26,10 @@ from pcmrs.console.planning.importer import (
     SurfaceRequest,
 )
 from pcmrs.errors import FileFormatError
+from pcmrs.formats.grid import Space, Unit
 from pcmrs.formats.landmarks import Landmarks
 from pcmrs.formats.mesh import Mesh
 from pcmrs.formats.reading import refuse
-from pcmrs.formats.units import Space, Unit
 from pcmrs.killing import killed
 
 LARGEST = 1_000_000_000

@@ -15,11 +15,11 @@ import numpy as np
 
 from pcmrs.console.planning.confined import confine
 from pcmrs.errors import PcmrsError
+from pcmrs.formats.grid import Role, Space, Unit
 from pcmrs.formats.landmarks import Landmarks, read_landmarks
 from pcmrs.formats.mesh import KINDS, Mesh, read_mesh
 from pcmrs.formats.reading import refuse
 from pcmrs.formats.skin import skin_of
-from pcmrs.formats.units import Role, Space, Unit
 from pcmrs.formats.volume import read_volume
 
 MOST_FACES: Final = 300_000

@@ -14,11 +14,7 @@ from pcmrs.console.geometry import vertices_of
 from pcmrs.console.planning.canvas import Canvas
 from pcmrs.console.planning.checking import Checking, Requests
 from pcmrs.console.planning.draft import Draft, Kind, as_arguments
-from pcmrs.console.planning.editing import Editing
-from pcmrs.console.planning.grid_form import GridForm
-from pcmrs.console.planning.landmark_form import LandmarkForm
-from pcmrs.console.planning.tool_form import ToolForm
-from pcmrs.console.planning.trajectory_form import TrajectoryForm
+from pcmrs.console.planning.forms import Editing, GridForm, LandmarkForm, ToolForm, TrajectoryForm
 from pcmrs.console.planning.upload_form import UploadForm
 from pcmrs.console.texts import Texts
 from pcmrs.fsm import Blueprint

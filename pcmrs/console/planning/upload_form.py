@@ -15,8 +15,8 @@ from nicegui.elements.upload_files import FileUpload
 
 from pcmrs.console.geometry import as_stl
 from pcmrs.console.planning.canvas import Canvas
-from pcmrs.console.planning.editing import Editing
 from pcmrs.console.planning.files import LARGEST, MOST_FILES, read_points, read_surface
+from pcmrs.console.planning.forms import Editing
 from pcmrs.console.scene import SURFACE
 from pcmrs.errors import FileFormatError, PcmrsError
 from pcmrs.formats.mesh import Mesh

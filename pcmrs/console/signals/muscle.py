@@ -12,7 +12,7 @@ from pcmrs.console.signals.responses import hunted, responses, waves
 from pcmrs.console.texts import Texts
 from pcmrs.console.told import Told
 from pcmrs.messages.setup import Setup, StimulationShown
-from pcmrs.tms.mep_settings import MepSettings
+from pcmrs.tms.settings import MepSettings
 
 ARTEFACT = 4.0
 """ms after a pulse that set no scale."""

@@ -13,9 +13,8 @@ import numpy as np
 from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceEvent, Epoch, Verdict
 from pcmrs.tms.mep import waveform
-from pcmrs.tms.mep_settings import MepSettings
+from pcmrs.tms.settings import Estimate, MepSettings
 from pcmrs.tms.threshold import ThresholdHunt
-from pcmrs.tms.threshold_settings import Estimate
 
 Points = list[list[float | None]]
 

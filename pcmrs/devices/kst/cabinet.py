@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from pcmrs.clock import Clock
 from pcmrs.devices.kst.link import KstLink
-from pcmrs.devices.kst.values import parse_values, words
+from pcmrs.devices.kst.wire import parse_values, words
 from pcmrs.errors import DeviceError, PayloadError, UnknownOutcomeError
 from pcmrs.spatial import Floats
 

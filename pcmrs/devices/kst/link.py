@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Self, cast
 
 from pcmrs.clock import Clock
-from pcmrs.devices.kst.lines import END, LineBuffer
+from pcmrs.devices.kst.wire import END, LineBuffer
 from pcmrs.errors import DeviceError, DeviceRefusedError, MotionInterruptedError, PayloadError, UnknownOutcomeError
 
 REFUSED, INTERRUPTED = "nak", "interrupted"

@@ -6,7 +6,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from pcmrs.kinematics.spline import CubicSpline
+from pcmrs.kinematics.time_parameterization import CubicSpline
 from pcmrs.messages import DeviceEvent, JointTrajectory
 from pcmrs.spatial import Floats
 

@@ -3,6 +3,10 @@
 From the layouts of the OpenIGTLink protocol, versions 2 and 3 (``igtl_status.h``, ``igtl_tdata.h``). Of `pyigtl` only
 the messages are used. Its connections (0.3.4) put handlers of their own on SIGTERM and SIGINT, lose a header that
 arrives in two segments, take a processor whole once the other side has left, and check no CRC.
+
+Rigid transforms as OpenIGTLink has them: homogeneous matrices in mm, of single precision.
+
+What one message of a PLUS server says of tracked tools.
 """
 
 from __future__ import annotations
@@ -11,9 +15,45 @@ import struct
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from pyigtl.messages import CRC64, MessageBase, PointMessage, StringMessage, TransformMessage
 
-from pcmrs.errors import PayloadError
+from pcmrs.errors import PayloadError, RefusalError
+from pcmrs.spatial import Floats, Transform
+
+TOLERANCE = 1e-4
+"""Greatest deviation of R R^T from I: what single precision and a chain of products leave, 0.006 degrees."""
+
+
+def rigid(matrix_mm: npt.ArrayLike) -> Transform:
+    """The transform, in m, of a matrix (4, 4) in mm; its rotation is the orthonormal one nearest to the matrix.
+
+    The polar factor (Higham, Computing the Polar Decomposition, 1986), by singular values.
+
+    Raises:
+        RefusalError: ``not_finite``, ``mirrored``, or ``not_rigid`` with how far it is from a rotation.
+    """
+    matrix = np.array(matrix_mm, dtype=float)
+    if not np.isfinite(matrix).all():
+        raise RefusalError("not_finite", "The transform holds a number that is not finite; send a rigid transform.")
+    rotation = matrix[:3, :3]
+    deviation = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if deviation > TOLERANCE:
+        text = f"R R^T differs from I by {deviation:.3g}, the limit is {TOLERANCE:g}: the transform scales or shears."
+        raise RefusalError("not_rigid", f"{text} Send a rigid one.", deviation=deviation, limit=TOLERANCE)
+    if np.linalg.det(rotation) < 0.0:
+        raise RefusalError("mirrored", "The transform mirrors: its determinant is -1, a rotation's is +1.")
+    left, _, right = np.linalg.svd(rotation)
+    return Transform(left @ right, matrix[:3, 3] * 1e-3)
+
+
+def matrix_mm(transform: Transform) -> Floats:
+    """The homogeneous matrix of a transform, (4, 4), mm."""
+    matrix = transform.matrix
+    matrix[:3, 3] *= 1e3
+    return matrix
+
 
 POINT_BYTES = 136
 MAX_TEXT = 65_535
@@ -141,3 +181,31 @@ def _columns(matrix: Any) -> list[float]:
 
 def _name(field: bytes) -> str:
     return field.split(b"\0")[0].decode("ascii").strip()
+
+
+Reading = Transform | str
+"""``tracker_from_body``, or why there is none."""
+
+
+def readings(message: Any) -> dict[str, Reading]:
+    """Name of the transform to what a TRANSFORM or TDATA message says of it.
+
+    PLUS tells the status of a tool in the metadata of a version 2 header: ``TransformStatus``, and in TDATA the name
+    followed by ``Status``. Without metadata, an exact identity is the place holder of a tool that was never seen.
+    """
+    if message.message_type == "TRANSFORM":
+        status = message.metadata.get("TransformStatus", "OK")
+        return {message.device_name: _reading(message.matrix, status)}
+    metadata: Mapping[str, str] = message.metadata
+    return {name: _reading(matrix, metadata.get(f"{name}Status", "OK")) for name, matrix in message.matrices.items()}
+
+
+def _reading(matrix: Any, status: str) -> Reading:
+    if status != "OK":
+        return status.lower().removeprefix("tool_")
+    if np.array_equal(matrix, np.eye(4)):
+        return "identity"
+    try:
+        return rigid(matrix)
+    except RefusalError as refusal:
+        return refusal.refusal_code

@@ -9,10 +9,8 @@ from typing import Any
 import structlog
 
 from pcmrs.clock import Clock
-from pcmrs.devices.plus.frames import Frames
-from pcmrs.devices.plus.framing import MessageReader
-from pcmrs.devices.plus.messages import StartTrackingDataMessage
-from pcmrs.devices.plus.readings import readings
+from pcmrs.devices.plus.frames import Frames, MessageReader
+from pcmrs.devices.plus.messages import StartTrackingDataMessage, readings
 from pcmrs.devices.stream import Stream
 from pcmrs.errors import PayloadError
 from pcmrs.messages import BodyPose

@@ -8,8 +8,8 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from pcmrs.fsm.files.bounded import read_bounded
+from pcmrs.fsm.files.keys import rename_keys
 from pcmrs.fsm.files.places import Places, placed
-from pcmrs.fsm.files.renamed import rename_keys
 from pcmrs.fsm.files.toml import read_toml
 from pcmrs.fsm.finding import Finding, Path, refuse
 

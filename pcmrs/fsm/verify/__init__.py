@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.verify import hazards, liveness, structure
+from pcmrs.fsm.verify.liveness import Runs
 from pcmrs.fsm.verify.properties import promises
-from pcmrs.fsm.verify.running import Runs
 from pcmrs.fsm.verify.search import Progress, TooManyError
 from pcmrs.fsm.verify.space import Space
 

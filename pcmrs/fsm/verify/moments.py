@@ -11,11 +11,9 @@ from pcmrs.fsm.closure import Closure
 from pcmrs.fsm.verify.decisions import Decisions
 from pcmrs.fsm.verify.encoding import Batch, Encoding
 from pcmrs.fsm.verify.observed import Decision
-from pcmrs.fsm.verify.search import Reached, leading_to, search
+from pcmrs.fsm.verify.search import Reached, Visited, Work, leading_to, search
 from pcmrs.fsm.verify.space import Ending, Space, digits, encodable, endings_of, guard
 from pcmrs.fsm.verify.transition import Choices, Transition
-from pcmrs.fsm.verify.visited import Visited
-from pcmrs.fsm.verify.work import Work
 
 Locks = tuple[frozenset[str], frozenset[str]]
 """Branches locked for writing, and for reading."""

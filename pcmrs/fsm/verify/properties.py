@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from pcmrs.fsm.blueprint import Condition, PropertySpec
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.verify.encoding import Batch
+from pcmrs.fsm.verify.liveness import Runs, stranded
 from pcmrs.fsm.verify.moments import STOP, Moments
-from pcmrs.fsm.verify.running import Runs, stranded
-from pcmrs.fsm.verify.visited import Visited
+from pcmrs.fsm.verify.search import Visited
 
 Wanted = Callable[[Batch], NDArray[np.bool_]]
 """At which moments of a batch something is so; shape (n,)."""

@@ -1,16 +1,117 @@
-"""Breadth-first search in arrays, and the shortest way to what it has found."""
+"""Breadth-first search in arrays, and the shortest way to what it has found.
+
+How much the searches of one verification may cost together, and how far they have come.
+
+Sets of codes that are fast to ask and to add to, a bit of memory for each.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcmrs.fsm.verify.encoding import Batch, Codes, Encoding
 from pcmrs.fsm.verify.transition import Choices, Transition
-from pcmrs.fsm.verify.visited import Visited, visited
+
+MOMENTS_PER_STATE = 32
+"""So many times the limit of joint states may moments be looked at, in all searches and ways back together."""
+
+LEAST_WORK = 1_000_000
+"""So many may always be looked at, however low the limit."""
+
+
+class Work:
+    """Counts the moments that are looked at.
+
+    Args:
+        limit: How many joint states there may be.
+        progress: Told now and then how many moments have been looked at, and how many are known.
+        done: So many joint states have been looked at before.
+    """
+
+    def __init__(self, limit: int, progress: Progress | None = None, done: int = 0) -> None:
+        self._limit = max(LEAST_WORK, MOMENTS_PER_STATE * limit)
+        self._left = self._limit
+        self._progress = progress
+        self._done = done
+
+    def spend(self, moments: int) -> None:
+        """Notes that so many have been looked at, or what takes as long. Raises `TooManyError`."""
+        self._check(moments)
+        self._left -= moments
+        self._done += moments
+
+    def follow(self, looked_at: int, known: int) -> None:
+        """Progress of a search whose work is not yet spent. Raises `TooManyError`."""
+        self._check(known)
+        if self._progress is not None:
+            self._progress(self._done + looked_at, self._done + known)
+
+    def _check(self, moments: int) -> None:
+        if moments > self._left:
+            text = f"The properties watch too many joint states and running operations: over {self._limit} moments. "
+            raise TooManyError(f"{text}Make it fewer properties of `running`, `leads_to` or Stop, or raise the limit.")
+
+
+MAX_BITMAP = 2**27
+"""Up to so many combinations there is a byte for each."""
+
+
+class Visited(Protocol):
+    """A set of codes."""
+
+    def add(self, codes: Codes) -> Codes:
+        """Adds codes, none of them twice in the array, and returns those that are new."""
+        ...
+
+    def has(self, codes: Codes) -> NDArray[np.bool_]:
+        """Which of the codes are in the set, shape (n,)."""
+        ...
+
+
+def visited(combinations: int) -> Visited:
+    """An empty set for codes below `combinations`."""
+    return _Bitmap(combinations) if combinations <= MAX_BITMAP else _Runs()
+
+
+class _Bitmap:
+    def __init__(self, combinations: int) -> None:
+        self._bytes = np.zeros(combinations, dtype=np.bool_)
+
+    def add(self, codes: Codes) -> Codes:
+        new: Codes = codes[~self._bytes[codes]]
+        self._bytes[new] = True
+        return new
+
+    def has(self, codes: Codes) -> NDArray[np.bool_]:
+        return self._bytes[codes]
+
+
+class _Runs:
+    """Sorted arrays, each at least twice as long as the next, so that there are few of them."""
+
+    def __init__(self) -> None:
+        self._runs: list[Codes] = []
+
+    def add(self, codes: Codes) -> Codes:
+        new: Codes = codes[~self.has(codes)]
+        if len(new):
+            self._runs.append(np.sort(new))
+        while len(self._runs) > 1 and len(self._runs[-2]) < 2 * len(self._runs[-1]):
+            last = self._runs.pop()
+            self._runs[-1] = np.sort(np.concatenate([self._runs[-1], last]), kind="stable")
+        return new
+
+    def has(self, codes: Codes) -> NDArray[np.bool_]:
+        found = np.zeros(len(codes), dtype=np.bool_)
+        for run in self._runs:
+            place = np.minimum(np.searchsorted(run, codes), len(run) - 1)
+            found |= run[place] == codes
+        return found
+
 
 BATCH = 2**17
 """So many codes are looked at together: their digits take a few MB."""

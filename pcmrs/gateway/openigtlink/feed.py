@@ -8,8 +8,7 @@ from typing import Any
 from pyigtl.messages import TransformMessage
 
 from pcmrs.clock import Clock
-from pcmrs.devices.plus.messages import TrackingDataMessage, text_message
-from pcmrs.devices.plus.rigid import matrix_mm
+from pcmrs.devices.plus.messages import TrackingDataMessage, matrix_mm, text_message
 from pcmrs.gateway.core import Core
 from pcmrs.gateway.openigtlink.peer import Peer
 from pcmrs.gateway.openigtlink.poses import poses

@@ -10,7 +10,7 @@ from contextlib import suppress
 import structlog
 
 from pcmrs.clock import Clock
-from pcmrs.devices.plus.framing import MessageReader
+from pcmrs.devices.plus.frames import MessageReader
 from pcmrs.errors import PayloadError
 from pcmrs.gateway.core import Core
 from pcmrs.gateway.intake import Intake, source_of

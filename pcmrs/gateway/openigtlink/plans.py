@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pcmrs.devices.plus.rigid import rigid
+from pcmrs.devices.plus.messages import rigid
 from pcmrs.errors import RefusalError
 
 NEAREST_MM = 1.0

@@ -8,7 +8,7 @@ from pcmrs.clock import Clock
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.fsm.exposure import Exposure
 from pcmrs.messages import Command, DeviceEvent
-from pcmrs.messages.roles import HOLDING
+from pcmrs.messages.identity import HOLDING
 
 
 class AbandonedWatch:

@@ -6,10 +6,8 @@ from typing import Annotated
 
 import msgspec
 
-from pcmrs.tms.hotspot_settings import HotspotSettings
 from pcmrs.tms.intervals import IntervalSettings
-from pcmrs.tms.mep_settings import MepSettings
-from pcmrs.tms.threshold_settings import ThresholdSettings
+from pcmrs.tms.settings import HotspotSettings, MepSettings, ThresholdSettings
 from pcmrs.workflows.settings.values import Positive
 
 

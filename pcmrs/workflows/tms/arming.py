@@ -10,8 +10,7 @@ from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.messages import StimulatorState
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.tms.data import Run
-from pcmrs.workflows.tms.devices import stimulator_of
+from pcmrs.workflows.tms.data import Run, stimulator_of
 from pcmrs.workflows.tms.intensity import known_intensity, set_intensity
 
 Activity = AnyActivity[Cell, PlacementData]

@@ -1,4 +1,7 @@
-"""What a procedure with stimulation gathers."""
+"""What a procedure with stimulation gathers.
+
+The devices that a procedure with stimulation needs beside robot and tracker; a cell need not have them.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,51 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 
+from pcmrs.devices.protocols import Emg, Stimulator
+from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
+from pcmrs.errors import RefusalError
 from pcmrs.fsm import Effect
 from pcmrs.messages import Epoch, PoseMessage
 from pcmrs.tms.hotspot import HotspotSearch
 from pcmrs.tms.mep import Mep
+from pcmrs.tms.settings import Estimate
 from pcmrs.tms.threshold import ThresholdHunt
-from pcmrs.tms.threshold_settings import Estimate
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.data import settle as settle_placement
+
+
+def stimulator_of(cell: Cell) -> Stimulator:
+    """The cell's stimulator. Raises `RefusalError` where there is none."""
+    if cell.stimulator is None:
+        text = "There is no stimulator: set stimulator.driver, such as sim or trigger, and restart the daemon."
+        raise RefusalError("no_stimulator", text)
+    return cell.stimulator
+
+
+def emg_of(cell: Cell) -> Emg:
+    """The cell's electromyograph. Raises `RefusalError` where there is none."""
+    if cell.emg is None:
+        text = "There is no electromyograph: set emg.driver, such as sim or lsl, and restart the daemon."
+        raise RefusalError("no_emg", text)
+    return cell.emg
+
+
+def stimulator_there(run: Run) -> None:
+    """Refuses without a stimulator."""
+    stimulator_of(run.cell)
+
+
+def emg_there(run: Run) -> None:
+    """Refuses without an electromyograph: nothing could be learned from the pulse."""
+    emg_of(run.cell)
+
+
+def register_device_checks(registry: Registry[Cell, PlacementData]) -> None:
+    """Registers the names that blueprints use for these checks."""
+    for check in (stimulator_there, emg_there):
+        registry.check(check)
 
 
 class Ceiling(msgspec.Struct, frozen=True):

@@ -9,7 +9,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.registration.triangles import TriangleSurface
 from pcmrs.spatial import Transform
 from pcmrs.tms.hotspot import HotspotSearch
-from pcmrs.tms.hotspot_settings import Count, HotspotMethod, HotspotSettings
+from pcmrs.tms.settings import Count, HotspotMethod, HotspotSettings
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.correction import size_of
 from pcmrs.workflows.data import PlacementData, as_transform

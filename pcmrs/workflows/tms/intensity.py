@@ -8,11 +8,10 @@ import msgspec
 
 from pcmrs.dispatcher import Registry
 from pcmrs.errors import RefusalError
+from pcmrs.workflows.arguments import PersonName
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.names import PersonName
-from pcmrs.workflows.tms.data import Ceiling, Data, Run
-from pcmrs.workflows.tms.devices import stimulator_of
+from pcmrs.workflows.tms.data import Ceiling, Data, Run, stimulator_of
 
 Percent = Annotated[float, msgspec.Meta(gt=0.0, le=100.0)]
 

@@ -6,8 +6,8 @@ import msgspec
 
 from pcmrs.dispatcher import Registry
 from pcmrs.errors import RefusalError
+from pcmrs.tms.settings import ThresholdMethod, ThresholdSettings
 from pcmrs.tms.threshold import ThresholdHunt
-from pcmrs.tms.threshold_settings import ThresholdMethod, ThresholdSettings
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.tms.data import Response, Run

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pcmrs_sim.faults.arguments import number, switch
-from pcmrs_sim.faults.fault import Fault, Faulty
+from pcmrs_sim.faults.fault import Fault, Faulty, number, switch
 
 STRONGEST_UV = 1000.0
 """Electromyogram of a strong contraction, uV."""

@@ -12,8 +12,7 @@ from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.trajectory import joint_motion
 from pcmrs.messages import DeviceEvent
-from pcmrs_sim.faults.arguments import choice, number, switch
-from pcmrs_sim.faults.fault import Fault, Faulty
+from pcmrs_sim.faults.fault import Fault, Faulty, choice, number, switch
 from pcmrs_sim.robot_faults import Framing
 
 MOST_OFFSET = 0.5  # rad

@@ -9,8 +9,7 @@ import numpy as np
 
 from pcmrs.messages import HeadBurst, HeadMotion
 from pcmrs.spatial import Transform
-from pcmrs_sim.faults.arguments import number
-from pcmrs_sim.faults.fault import Fault, Faulty
+from pcmrs_sim.faults.fault import Fault, Faulty, number
 
 FARTHEST_MM = 100.0
 FARTHEST_SHIFT_MM = 2000.0

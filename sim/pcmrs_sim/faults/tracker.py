@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pcmrs_sim.faults.arguments import choice, number, switch
-from pcmrs_sim.faults.fault import Fault, Faulty
+from pcmrs_sim.faults.fault import Fault, Faulty, choice, number, switch
 from pcmrs_sim.tracker_faults import BODIES
 
 MOST_JUMP_MM = 1000.0

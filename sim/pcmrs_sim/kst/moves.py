@@ -7,8 +7,8 @@ import numpy as np
 from pcmrs.errors import DeviceError
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.profile import PERIOD, joint_request, sample_times, solve
 from pcmrs.kinematics.straight import straight_motion
+from pcmrs.kinematics.time_parameterization import PERIOD, joint_request, sample_times, solve
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
 

@@ -11,8 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from pcmrs.spatial import Floats, Transform
-from pcmrs_sim.muscle.background import Background
-from pcmrs_sim.muscle.waveform import artefact, evoked_potential
+from pcmrs_sim.muscle.waveform import Background, artefact, evoked_potential
 from pcmrs_sim.settings import MuscleSettings
 
 KEPT = 256

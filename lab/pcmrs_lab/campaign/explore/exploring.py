@@ -15,10 +15,9 @@ import msgspec
 from pcmrs.clock import Clock, SystemClock
 from pcmrs_lab.campaign.explore.faults import FAULTS
 from pcmrs_lab.campaign.explore.generate import draw_script
-from pcmrs_lab.campaign.explore.script import Act, Physics, Script
+from pcmrs_lab.campaign.explore.script import Act, Physics, Script, shrink
 from pcmrs_lab.campaign.explore.session import Found, forget_sessions, run_session
 from pcmrs_lab.campaign.explore.settings import workflow_of
-from pcmrs_lab.campaign.explore.shrinking import shrink
 
 AT_A_TIME = 4
 """Sessions that a process is given at once."""

@@ -32,8 +32,8 @@ from pcmrs.testing.driving import (
     tool_pose,
     until,
 )
-from pcmrs_lab.campaign.appended import append_without_key, leave_unnamed
 from pcmrs_lab.campaign.checks import confirmed, expect, held, refused, refused_at_edge, reported, shape, unmoved
+from pcmrs_lab.campaign.damage import append_without_key, leave_unnamed
 from pcmrs_lab.campaign.datagrams import Raw, raw_socket, refused_all, taken
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.flood import flood

@@ -11,7 +11,7 @@ from pcmrs.dispatcher.decisions import BURST, DROPPED, TOO_MANY
 from pcmrs.dispatcher.events import FAIL_STOP, PRESSED_AGAIN
 from pcmrs.dispatcher.recorder import CLIPPED
 from pcmrs.errors import PcmrsError
-from pcmrs.journal.files import journal_files
+from pcmrs.journal.reader import journal_files
 from pcmrs.messages import JournalQuery
 from pcmrs.testing.cell import REAL_TIME, RunningCell
 from pcmrs.testing.driving import accept, approach_alone, moving, register, start_anew, to_placed, tool_pose, until

@@ -15,9 +15,8 @@ from pcmrs.devices.lsl.library import lab_configuration
 from pcmrs_lab.campaign.checks import expect
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.lan import NEEDS, Machine, lan
-from pcmrs_lab.campaign.namespaces import Namespaces
 from pcmrs_lab.campaign.needs import Need
+from pcmrs_lab.campaign.networks import NEEDS, Machine, Namespaces, lan
 from pcmrs_lab.campaign.sham import is_sham
 
 WIDER: Final = "[multicast]\nResolveScope = link\n[log]\nlevel = -3\n"

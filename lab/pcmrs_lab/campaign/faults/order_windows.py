@@ -40,7 +40,7 @@ from pcmrs_lab.campaign.driving import injected
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.faults.order_requests import ROBOT, delayed
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.proc import process_state
+from pcmrs_lab.campaign.samples import process_state
 from pcmrs_lab.campaign.sham import bring_about, is_sham
 from pcmrs_lab.campaign.waiting import until_said, until_true
 

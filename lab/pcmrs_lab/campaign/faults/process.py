@@ -28,12 +28,12 @@ from pcmrs_lab.campaign import cgroups
 from pcmrs_lab.campaign.cgroups import memory_limit, processor_quota
 from pcmrs_lab.campaign.checks import confirmed, expect, held, stands
 from pcmrs_lab.campaign.daemonkills import kill_daemons
+from pcmrs_lab.campaign.damage import as_version_1
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.kills import OF_JOURNAL, KillReport, kill_writers
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.older import as_version_1
-from pcmrs_lab.campaign.proc import descriptors, process_state
 from pcmrs_lab.campaign.saboteur import order, sabotaged
+from pcmrs_lab.campaign.samples import descriptors, process_state
 from pcmrs_lab.campaign.sham import bring_about, is_sham
 from pcmrs_lab.campaign.waiting import PERIOD, until_ended, until_said, until_true
 

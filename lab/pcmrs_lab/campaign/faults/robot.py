@@ -32,9 +32,8 @@ from pcmrs_lab.campaign.checks import check_refused, confirmed, expect, held, re
 from pcmrs_lab.campaign.driving import FOLLOWED, injected, to_following
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.receivers import SS, Dropped, Segments, dropped_setpoints, segments
 from pcmrs_lab.campaign.robot_signs import robot_heard
-from pcmrs_lab.campaign.segments import SS, Segments, segments
-from pcmrs_lab.campaign.setpoints import Dropped, dropped_setpoints
 from pcmrs_lab.campaign.sham import bring_about, is_sham
 
 HOW = "simulated arm of a running cell, in motion"

@@ -20,8 +20,8 @@ from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.checks import confirmed, expect, held, refused, stands
 from pcmrs_lab.campaign.driving import FOLLOWED, injected, to_following
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
-from pcmrs_lab.campaign.felt import over, pushes
 from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.receivers import over, pushes
 from pcmrs_lab.campaign.sham import bring_about, is_sham
 from pcmrs_lab.campaign.signs import poses, shown
 

@@ -16,7 +16,7 @@ from pcmrs_lab.campaign.checks import expect
 from pcmrs_lab.campaign.consoles import CONSOLE, RunningConsole, running_console
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.proc import process_state
+from pcmrs_lab.campaign.samples import process_state
 from pcmrs_lab.campaign.sham import bring_about, is_sham
 from pcmrs_lab.campaign.uploading import TAKEN, Uploader, uploader
 from pcmrs_lab.campaign.waiting import until_true

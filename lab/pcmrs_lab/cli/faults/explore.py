@@ -12,7 +12,7 @@ from pcmrs.cli.options import json_option
 from pcmrs.cli.printing import print_report
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
-from pcmrs_lab.cli.faults.bounds import minutes_option, output_option, seed_option
+from pcmrs_lab.cli.faults.options import minutes_option, output_option, seed_option
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

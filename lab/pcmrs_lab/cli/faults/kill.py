@@ -7,7 +7,7 @@ import click
 from pcmrs.cli.options import json_option
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import readable_errors, run
-from pcmrs_lab.cli.faults.bounds import minutes_option, print_findings, seed_option
+from pcmrs_lab.cli.faults.options import minutes_option, print_findings, seed_option
 
 
 @click.command()

@@ -1,18 +1,75 @@
-"""Which faults a command is about."""
+"""Which faults a command is about.
+
+Options and endings that fault commands share.
+"""
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+import msgspec
 
+from pcmrs.cli.printing import Terminal, say_json
+from pcmrs.cli.running import EXIT_REJECTED
+from pcmrs.cli.values import POSITIVE
 from pcmrs.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from pcmrs_lab.campaign.catalogue import Row
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+seed_option = click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of all randomness."
+)
+
+
+class OutputFolder(click.Path):
+    """A folder that is made at once: minutes of work are not lost to one that cannot be made."""
+
+    def __init__(self) -> None:
+        super().__init__(file_okay=False, writable=True)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path, or a usage error."""
+        path = Path(os.fsdecode(super().convert(value, param, ctx)))
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            self.fail(f"{path} cannot be made: {error.strerror}.", param, ctx)
+        return path
+
+
+def output_option(what: str) -> Callable[[F], F]:
+    """Adds -o; the command gets it as `folder`. `what` is written there, for the help."""
+    text = f"{what} here; the folder is made."
+    return click.option("-o", "--output", "folder", type=OutputFolder(), metavar="FOLDER", help=text)
+
+
+minutes_option = click.option("--minutes", type=POSITIVE, help="End after so long, done or not.")
+
+
+def print_findings(reports: Sequence[msgspec.Struct], violated: Sequence[bool], table: Table, *, as_json: bool) -> None:
+    """Prints the reports, and exits with status 1 when one of them has found a violation."""
+    if as_json:
+        found = [{**_fields(report), "violated": wrong} for report, wrong in zip(reports, violated, strict=True)]
+        say_json({"simulated": True, "reports": found})
+    else:
+        Terminal().print(table)
+    if any(violated):
+        sys.exit(EXIT_REJECTED)
+
+
+def _fields(report: msgspec.Struct) -> dict[str, Any]:
+    fields: dict[str, Any] = msgspec.to_builtins(report)
+    return fields
 
 
 class PartOf(click.ParamType[tuple[int, int]]):

@@ -12,8 +12,7 @@ from pcmrs.cli.options import json_option
 from pcmrs.cli.printing import print_report
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
-from pcmrs_lab.cli.faults.bounds import output_option
-from pcmrs_lab.cli.faults.options import PartOf, choosing, chosen
+from pcmrs_lab.cli.faults.options import PartOf, choosing, chosen, output_option
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -63,7 +62,7 @@ def run_(
 
     import structlog
 
-    from pcmrs_lab.campaign.page import write_report
+    from pcmrs_lab.campaign.report import write_report
     from pcmrs_lab.campaign.run import run_campaign
 
     # Steps that raise because a fault wants it are nothing to log.

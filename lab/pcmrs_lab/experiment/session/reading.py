@@ -22,9 +22,8 @@ from pcmrs.journal.rows import JournalRow
 from pcmrs.messages import BlueprintTag, Epoch, Verdict
 from pcmrs.spatial import Transform
 from pcmrs.tms.hotspot import HotspotSearch
-from pcmrs.tms.hotspot_settings import Hotspot
+from pcmrs.tms.settings import Estimate, Hotspot
 from pcmrs.tms.threshold import ThresholdHunt
-from pcmrs.tms.threshold_settings import Estimate
 from pcmrs.workflows.data import Registered, as_message
 from pcmrs.workflows.tms.data import Response
 

@@ -10,9 +10,8 @@ from pcmrs.formats.mesh import Mesh
 from pcmrs.registration.triangles import TriangleSurface
 from pcmrs.settings import Settings, read_settings
 from pcmrs.testing.plan import Plan
-from pcmrs.tms.hotspot_settings import HotspotMethod, HotspotSettings
 from pcmrs.tms.scalp import hand_area
-from pcmrs.tms.threshold_settings import ThresholdMethod
+from pcmrs.tms.settings import HotspotMethod, HotspotSettings, ThresholdMethod
 from pcmrs.workflows.surface import read_surface
 from pcmrs.workflows.toolplan import ToolPose
 from pcmrs_lab.experiment.setup import at_rate

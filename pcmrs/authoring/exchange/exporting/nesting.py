@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from pcmrs.authoring.exchange.exporting.commands import change_of, commands
 from pcmrs.authoring.exchange.exporting.coupling import combinations, coupled
+from pcmrs.authoring.exchange.exporting.events import change_of, commands
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec
 
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from pcmrs.authoring.exchange.cubes import Cube, cover
-from pcmrs.authoring.exchange.exporting.commands import Command, change_of, commands
 from pcmrs.authoring.exchange.exporting.coupling import Joint, combinations, coupled
+from pcmrs.authoring.exchange.exporting.events import Command, change_of, commands
 from pcmrs.authoring.exchange.exporting.nesting import Nesting
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Change

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 
 from pcmrs.authoring.exchange import descriptors, plain
 from pcmrs.authoring.exchange.importing.chart import Edge, Node
-from pcmrs.authoring.exchange.importing.choices import TooManyError
-from pcmrs.authoring.exchange.importing.conditions import Conditions
+from pcmrs.authoring.exchange.importing.conditions import Conditions, TooManyError
 from pcmrs.authoring.exchange.importing.moves import Group, Move, Mover, grouped
 from pcmrs.authoring.exchange.importing.naming import Names
 from pcmrs.authoring.exchange.importing.reading import Findings

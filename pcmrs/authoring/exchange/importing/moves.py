@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from pcmrs.authoring.exchange.cubes import Cube, merge
 from pcmrs.authoring.exchange.importing.chart import Edge, Node
-from pcmrs.authoring.exchange.importing.choices import Situation
+from pcmrs.authoring.exchange.importing.conditions import Situation
 from pcmrs.authoring.exchange.importing.reading import Findings
 from pcmrs.authoring.exchange.importing.regions import Region, domain_of
 

@@ -1,6 +1,11 @@
-"""What all readers of foreign files share: a limit, and how they say what is wrong."""
+"""What all readers of foreign files share: a limit, and how they say what is wrong.
+
+The text on an arrow of a drawing: which events trigger it.
+"""
 
 from __future__ import annotations
+
+import re
 
 from pcmrs.fsm.files.bounded import text_of
 from pcmrs.fsm.finding import Finding, Place
@@ -33,3 +38,20 @@ class Findings(list[Finding]):
 def read_text(raw: bytes, origin: str) -> str:
     """The text of a file, without the mark that some editors begin it with; see `text_of`."""
     return text_of(raw, origin).removeprefix("\ufeff")
+
+
+NO_EVENTS = "An arrow needs the events that trigger it, with commas between, without conditions and actions"
+"""What to say where there are none."""
+
+_REMARK = re.compile(r" \([^()]*\)$")
+
+
+def events_of(label: str) -> list[str]:
+    """The events a label names; empty where it names none, or holds a condition ``[…]`` or an action ``/ …``.
+
+    A remark in round brackets at the end of an event is left out.
+    """
+    if any(sign in label for sign in "[]/"):
+        return []
+    parts = (_REMARK.sub("", " ".join(part.split())) for part in label.split(","))
+    return list(dict.fromkeys(part for part in parts if part))

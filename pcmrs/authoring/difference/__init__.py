@@ -1,1 +1,0 @@
-"""What differs in behaviour between two workflows."""

@@ -1,0 +1,242 @@
+"""Progress along a way over time, at speeds that depend on the place.
+
+Ruckig plans motions under limits that are the same all along; so the way is cut into sections of one limit each, at
+whose borders the progress passes without acceleration, at the greatest speed from which every section can still be
+braked: found by a pass forwards and one backwards, as in J. Bobrow, S. Dubowsky, J. Gibson, Time-Optimal Control of
+Robotic Manipulators Along Specified Paths, IJRR 4 (1985).
+
+Cubic splines through rows of numbers: C. de Boor, A Practical Guide to Splines, Springer 1978, chapter IV.
+
+SciPy has them, too; but `scipy.interpolate` takes longer to load than all else that a process needs to follow a motion.
+
+Profiles of position over time with bounded jerk, computed by Ruckig.
+
+L. Berscheid, T. Kröger, Jerk-limited Real-time Trajectory Generation with Arbitrary Target States, RSS 2021.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import ceil, sqrt
+
+import numpy as np
+import numpy.typing as npt
+from ruckig import InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
+from scipy.linalg.lapack import dgtsv
+
+from pcmrs.errors import GeometryError
+from pcmrs.kinematics.limits import MotionLimits
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.spatial import Floats, Transform
+
+
+class CubicSpline:
+    """The cubic spline through rows of numbers, with two continuous derivatives.
+
+    Args:
+        places: Where the rows are, rising, (K,): at least four, or two where `ends` are given.
+        rows: What it passes through, (K, n).
+        ends: Slopes at the first and the last place, (n,) each. None lets the first two intervals share one cubic, and
+            the last two ("not a knot").
+    """
+
+    def __init__(
+        self, places: npt.ArrayLike, rows: npt.ArrayLike, ends: tuple[npt.ArrayLike, npt.ArrayLike] | None = None
+    ) -> None:
+        self.places: Floats = np.asarray(places, dtype=float)
+        self._rows: Floats = np.asarray(rows, dtype=float)
+        self._steps: Floats = np.diff(self.places)
+        self._slopes = _slopes(self._steps, self._rows, ends)
+
+    def __call__(self, places: npt.ArrayLike, order: int = 0) -> Floats:
+        """Its value at places (M,), or its derivative of order 1 or 2, (M, n)."""
+        places = np.asarray(places, dtype=float)
+        left = np.clip(np.searchsorted(self.places, places, side="right") - 1, 0, len(self._steps) - 1)
+        step, away = self._steps[left, None], (places - self.places[left])[:, None]
+        start, slope = self._rows[left], self._slopes[left]
+        chord = (self._rows[left + 1] - start) / step
+        excess = (slope + self._slopes[left + 1] - 2.0 * chord) / step
+        third, second = excess / step, (chord - slope) / step - excess
+        value: Floats = (
+            start + away * (slope + away * (second + away * third)),
+            slope + away * (2.0 * second + away * 3.0 * third),
+            2.0 * second + away * 6.0 * third,
+        )[order]
+        return value
+
+
+def _slopes(steps: Floats, rows: Floats, ends: tuple[npt.ArrayLike, npt.ArrayLike] | None) -> Floats:
+    """The slopes at all places, (K, n), with which the second derivative is continuous."""
+    chords = np.diff(rows, axis=0) / steps[:, None]
+    below, above = np.append(steps[1:], 0.0), np.append(0.0, steps[:-1])
+    main = np.concatenate(((1.0,), 2.0 * (steps[1:] + steps[:-1]), (1.0,)))
+    right = np.empty_like(rows)
+    right[1:-1] = 3.0 * (steps[1:, None] * chords[:-1] + steps[:-1, None] * chords[1:])
+    if ends is None:
+        (main[0], above[0], right[0]) = _not_a_knot(steps[0], steps[1], chords[0], chords[1])
+        (main[-1], below[-1], right[-1]) = _not_a_knot(steps[-1], steps[-2], chords[-1], chords[-2])
+    else:
+        right[0], right[-1] = ends
+    slopes: Floats = dgtsv(below, main, above, right)[3]
+    return slopes
+
+
+def _not_a_knot(near: float, next_: float, chord: Floats, next_chord: Floats) -> tuple[float, float, Floats]:
+    """Coefficients of the slopes at an end and beside it, and the right-hand side, by which two intervals are one."""
+    both = near + next_
+    return next_, both, ((near + 2.0 * both) * next_ * chord + near**2 * next_chord) / both
+
+
+PERIOD = 0.005  # s between the samples of a trajectory
+
+
+def joint_request(velocity: Floats, limits: MotionLimits) -> InputParameter:
+    """A motion of all joints along a straight line of joint space, with `velocity` (n,) as speed limits, rad/s."""
+    request = InputParameter(len(velocity))
+    request.synchronization = Synchronization.Phase
+    request.max_velocity = velocity.tolist()
+    request.max_acceleration = list(limits.joint_acceleration)
+    request.max_jerk = list(limits.joint_jerk)
+    return request
+
+
+def solve(request: InputParameter) -> Trajectory:
+    """The fastest profile.
+
+    Raises:
+        GeometryError: There is none.
+    """
+    profile = Trajectory(request.degrees_of_freedom)
+    try:
+        Ruckig(request.degrees_of_freedom).calculate(request, profile)
+    except RuckigError as error:
+        raise GeometryError(f"No motion profile exists: {error}; check positions, velocities and limits.") from error
+    return profile
+
+
+def sample_times(duration: float, stretch: float, period: float) -> Floats:
+    """Times of a profile at which to sample it so that one sample per period plays it `stretch` times slower."""
+    return np.linspace(0.0, duration, max(1, ceil(duration * stretch / period)) + 1)
+
+
+Allowed = Callable[[Floats], Floats]
+"""Greatest speed of flange and tool point, m/s, (K,), at joint positions rad, (K, n); of few different values."""
+
+_SLACK = 1e-6  # of a border's speed, so that rounding leaves the section a solution
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """Greatest speed, acceleration and jerk of the progress, which goes from 0 to 1: 1/s, 1/s², 1/s³."""
+
+    velocity: float
+    acceleration: float
+    jerk: float
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """Progress from 0 to 1, from rest to rest.
+
+    Attributes:
+        starts: When each section starts, and when the last one ends, s, (S + 1,).
+        borders: Progress there, (S + 1,).
+        sections: From each border on, as Ruckig has them.
+    """
+
+    starts: Floats
+    borders: Floats
+    sections: tuple[Trajectory, ...]
+
+    @property
+    def duration(self) -> float:
+        """Time from rest to rest, s."""
+        return float(self.starts[-1])
+
+    def at(self, times: npt.ArrayLike) -> Floats:
+        """Progress at times, s, (M,)."""
+        times = np.asarray(times, dtype=float)
+        numbers = np.clip(np.searchsorted(self.starts, times, side="right") - 1, 0, len(self.sections) - 1)
+        moved = [
+            self.sections[number].at_time(min(time, self.sections[number].duration))[0][0]
+            for number, time in zip(numbers.tolist(), (times - self.starts[numbers]).tolist(), strict=True)
+        ]
+        return np.asarray(np.clip(self.borders[numbers] + np.array(moved), 0.0, 1.0))
+
+
+def speeds_at(postures: Floats, limits: MotionLimits, allowed: Allowed | None) -> Floats:
+    """Greatest speed of flange and tool point at joint positions, rad, (K, n): by the limits and by what is allowed."""
+    everywhere = np.full(len(postures), limits.linear_velocity)
+    return everywhere if allowed is None else np.minimum(everywhere, allowed(postures))
+
+
+def tool_way(arm: ArmModel, postures: Floats, flange_from_tool: Transform) -> Floats:
+    """How far flange and tool point move between postures (K, n), whichever moves farther, m, (K - 1,)."""
+    flanges = [arm.forward(q) for q in postures]
+    points = np.array([(flange.translation, flange @ flange_from_tool.translation) for flange in flanges])
+    return np.asarray(np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1))
+
+
+def paced(places: Floats, ways: Floats, allowed: Floats, bounds: Derivatives) -> Progress:
+    """The progress that keeps its own bounds and the speed allowed at each place.
+
+    Args:
+        places: Progress from 0 to 1, rising, (K,).
+        ways: How far the tool moves from one to the next, m, (K - 1,).
+        allowed: Greatest speed at each place, m/s, (K,).
+        bounds: Everywhere.
+    """
+    levels = np.minimum(allowed[1:], allowed[:-1])
+    rates = np.maximum(ways, np.finfo(float).tiny) / np.diff(places)
+    speeds = np.minimum(bounds.velocity, levels / rates)
+    starts = np.concatenate(((0,), 1 + np.flatnonzero(np.diff(levels))))
+    lengths = np.diff(np.append(places[starts], 1.0))
+    limits = np.minimum.reduceat(speeds, starts)
+    borders = _border_speeds(lengths, limits, bounds)
+    sections = [
+        _section(length, limit, (begin, end), bounds)
+        for length, limit, begin, end in zip(lengths, limits, borders[:-1], borders[1:], strict=True)
+    ]
+    times = np.concatenate(((0.0,), np.cumsum([section.duration for section in sections])))
+    return Progress(times, np.append(places[starts], 1.0), tuple(sections))
+
+
+def _border_speeds(lengths: Floats, limits: Floats, bounds: Derivatives) -> Floats:
+    """The greatest speeds at the borders of sections, 1/s, (S + 1,), 0 at both ends."""
+    speeds = np.concatenate(((0.0,), np.minimum(limits[1:], limits[:-1]), (0.0,)))
+    for number, length in enumerate(lengths[:-1]):
+        speeds[number + 1] = min(speeds[number + 1], _reachable(speeds[number], float(length), bounds))
+    for number in range(len(lengths) - 1, 0, -1):
+        speeds[number] = min(speeds[number], _reachable(speeds[number + 1], float(lengths[number]), bounds))
+    return speeds * (1.0 - _SLACK)
+
+
+def _reachable(speed: float, length: float, bounds: Derivatives) -> float:
+    """The greatest speed to which `speed` can change within a length of progress; or from which it can be reached."""
+    fastest = speed + bounds.velocity
+    if _needed(speed, fastest, bounds) <= length:
+        return fastest
+    slow, fast = speed, fastest
+    while slow < (middle := 0.5 * (slow + fast)) < fast:  # until no number is between them
+        slow, fast = (middle, fast) if _needed(speed, middle, bounds) <= length else (slow, middle)
+    return slow
+
+
+def _needed(slow: float, fast: float, bounds: Derivatives) -> float:
+    """Progress made while the speed changes, without acceleration at either end: the mean speed times the time."""
+    change = fast - slow
+    if change * bounds.jerk <= bounds.acceleration**2:
+        time = 2.0 * sqrt(change / bounds.jerk)
+    else:
+        time = change / bounds.acceleration + bounds.acceleration / bounds.jerk
+    return 0.5 * (slow + fast) * time
+
+
+def _section(length: float, limit: float, speeds: tuple[float, float], bounds: Derivatives) -> Trajectory:
+    request = InputParameter(1)
+    request.current_velocity, request.target_velocity = [speeds[0]], [speeds[1]]
+    request.target_position = [length]
+    request.max_velocity, request.max_acceleration = [limit], [bounds.acceleration]
+    request.max_jerk = [bounds.jerk]
+    return solve(request)

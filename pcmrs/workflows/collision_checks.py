@@ -1,0 +1,204 @@
+"""Ways past the zones: refused where they come too near, and slower near the body.
+
+How near an arm may come to what it keeps out of, once it is on its way.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+from dataclasses import replace
+from typing import Self, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from pcmrs.dispatcher import Run as AnyRun
+from pcmrs.errors import RefusalError
+from pcmrs.kinematics.passage import Violation
+from pcmrs.kinematics.time_parameterization import Allowed
+from pcmrs.kinematics.trajectory import joint_motion, straight_motion
+from pcmrs.messages import JointTrajectory
+from pcmrs.spatial import Floats, Transform
+from pcmrs.spatial import Floats as Numbers
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.data import PlacementData, as_transform
+from pcmrs.workflows.earlier_body import earlier_registration
+
+PART = 32
+"""So many samples of a motion are looked at in one go, which takes about a millisecond."""
+
+
+class Floors:
+    """Least distances of a motion: as near as allowed, or as planned where that is nearer, less the drift.
+
+    Args:
+        cell: With its zones arranged.
+        planned: Least distance of every pair along the planned motion, m, (P,).
+    """
+
+    def __init__(self, cell: Cell, planned: Numbers) -> None:
+        zones = cell.zones
+        self._model = zones.model
+        # A tool that is planned to come near the body may touch it; any other keeps off it.
+        limits = np.where(planned < zones.limits_afar, zones.limits, zones.limits_afar)
+        self._floors = np.minimum(limits, planned) - cell.settings.zones.drift_limit
+
+    @classmethod
+    def at(cls, cell: Cell, posture: npt.ArrayLike) -> Self:
+        """Of an arm that stands at a posture, rad, (n,)."""
+        return cls(cell, cell.zones.model.distances(posture))
+
+    @classmethod
+    async def along(cls, cell: Cell, positions: npt.ArrayLike) -> Self:
+        """Of a planned motion, rad, (N, n).
+
+        A long one takes tens of milliseconds, and Stop may wait for the event loop no longer than a few of them.
+        """
+        samples, planned = np.asarray(positions), []
+        for start in range(0, len(samples), PART):  # each part ends where the next one begins
+            planned.append(cell.zones.look_at(samples[start : start + PART + 1]).distances.min(axis=0))
+            await asyncio.sleep(0)
+        return cls(cell, np.min(planned, axis=0))
+
+    def passed(self, positions: npt.ArrayLike) -> RefusalError | None:
+        """Why an arm with its joints there, rad, (n,), is to be held, if it is."""
+        distances = self._model.distances(positions)
+        pair = int(np.argmin(distances - self._floors))
+        floor = float(self._floors[pair])
+        if distances[pair] >= floor:
+            return None
+        found = self._model.clearance(distances, pair)
+        text = (
+            f"{found.link} came within {found.distance * 1000:.0f} mm of {found.zone}, nearer than {floor * 1000:.0f} "
+            "mm, and the arm was held. Look at the cell, then back off."
+        )
+        fields = {"link": found.link, "zone": found.zone, "distance": found.distance, "limit": floor}
+        return RefusalError("zone_entered", text, **fields)
+
+
+P = TypeVar("P", bound=PlacementData)
+
+ELSEWHERE = "Go home first, or plan another pose."
+BACK = "Bring the arm away by hand, with the robot's own controls."
+
+
+def check_towards(cell: Cell, data: PlacementData, trajectory: JointTrajectory, base_from_target: Transform) -> None:
+    """Accepts a way to the body; `base_from_target` is the planned pose of the tool.
+
+    Raises:
+        RefusalError: It passes a zone, comes near the body away from the target, or to the target beside the cone or
+            too deep.
+    """
+    arrange(cell, data)
+    passage = cell.zones.look_at(trajectory.positions)
+    points = np.array([cell.arm.forward(q) @ cell.flange_from_coil.translation for q in passage.postures])
+    limits = cell.zones.limits_towards(base_from_target, points)
+    _refuse(passage.first_violation(cell.zones.model, limits), ELSEWHERE)
+    _check_inside_cone(cell, passage.postures, points, base_from_target)
+
+
+def check_away(cell: Cell, data: PlacementData, trajectory: JointTrajectory) -> None:
+    """Accepts a way back: where it begins too near to a zone, it may only lead out.
+
+    Raises:
+        RefusalError: It leads into a zone.
+    """
+    arrange(cell, data)
+    passage = cell.zones.look_at(trajectory.positions)
+    _refuse(passage.first_approach(cell.zones.model, cell.zones.retreat_limits), BACK)
+
+
+def check_postures(cell: Cell, *postures: Floats) -> None:
+    """Refuses postures in a zone, rad, (n,) each; the zones are where `arrange` has placed them last."""
+    for posture in postures:
+        _refuse(cell.zones.look_at([posture]).first_violation(cell.zones.model, cell.zones.limits), ELSEWHERE)
+
+
+def arrange(cell: Cell, data: PlacementData) -> None:
+    """Places body and lines of sight where they are seen now, or were seen last."""
+    with suppress(RefusalError):
+        cell.frames(data)
+    if data.registered is not None:
+        cell.remember_registered(data.registered)
+    if cell.base_from_tracker is not None and cell.base_from_body_ref is not None:
+        cell.zones.model.look_from(cell.base_from_tracker.translation, cell.base_from_body_ref.translation)
+    earlier = earlier_registration(cell, data)
+    cell.earlier_body_ref_from_image = None if earlier is None else as_transform(earlier.body_ref_from_image)
+    body_ref_from_image = cell.body_ref_from_image or cell.earlier_body_ref_from_image
+    if cell.base_from_body_ref is not None and body_ref_from_image is not None:
+        cell.zones.place_body(cell.base_from_body_ref @ body_ref_from_image)
+
+
+def place_body(cell: Cell, base_from_tracker: Transform, base_from_body_ref: Transform) -> None:
+    """Places a body that moves, and the lines of sight to it."""
+    cell.base_from_body_ref = base_from_body_ref
+    cell.zones.model.look_from(base_from_tracker.translation, base_from_body_ref.translation)
+    if cell.body_ref_from_image is not None:
+        cell.zones.place_body(base_from_body_ref @ cell.body_ref_from_image)
+
+
+def joint_way(run: AnyRun[Cell, P], start: npt.ArrayLike, goal: npt.ArrayLike) -> JointTrajectory:
+    """All joints together from rest to rest, rad, (n,), slower near the body.
+
+    Raises:
+        UnreachableError: `goal` breaks a joint limit.
+    """
+    cell = run.cell
+    arrange(cell, run.data)
+    limits, coil, allowed = cell.motion_limits(), cell.flange_from_coil, _allowed(cell)
+    return joint_motion(cell.arm, start, goal, limits, flange_from_tool=coil, allowed=allowed)
+
+
+def straight_way(
+    run: AnyRun[Cell, P], start: npt.ArrayLike, base_from_coil: Transform, *, near: bool = False
+) -> JointTrajectory:
+    """The tool straight from joint positions, rad, (n,), to a pose, slower near the body, or slow all the way.
+
+    Raises:
+        UnreachableError: The arm cannot follow the line to its end.
+    """
+    cell = run.cell
+    arrange(cell, run.data)
+    limits, motion = cell.motion_limits(), cell.settings.motion
+    if near:
+        limits = replace(limits, linear_velocity=min(limits.linear_velocity, motion.near_velocity))
+    goal, coil = cell.flange_for(base_from_coil), cell.flange_from_coil
+    return straight_motion(cell.arm, start, goal, limits, flange_from_tool=coil, allowed=_allowed(cell))
+
+
+def _allowed(cell: Cell) -> Allowed:
+    motion = cell.settings.motion
+
+    def allowed(postures: Floats) -> Floats:
+        near = cell.zones.near_body(postures, motion.near_distance)
+        return np.where(near, motion.near_velocity, motion.linear_velocity)
+
+    return allowed
+
+
+def _refuse(violation: Violation | None, advice: str) -> None:
+    if violation is None:
+        return
+    found = violation.clearance
+    joints_deg = np.degrees(violation.posture).round(1).tolist()
+    text = (
+        f"{found.link} would be {found.distance * 1000:.0f} mm from {found.zone}, the limit is "
+        f"{found.limit * 1000:.0f} mm, with the joints at {joints_deg}°. {advice}"
+    )
+    fields = {"link": found.link, "zone": found.zone, "distance": found.distance, "limit": found.limit}
+    raise RefusalError("zone_violated", text, **fields, joints_deg=joints_deg)
+
+
+def _check_inside_cone(cell: Cell, postures: Floats, points: Floats, base_from_target: Transform) -> None:
+    excess = cell.zones.cone.excess(base_from_target, points)
+    worst = int(np.argmax(excess))
+    if excess[worst] > 0.0:
+        x, y, z = (base_from_target.inverse() @ points[worst]).tolist()
+        zones, joints_deg = cell.settings.zones, np.degrees(postures[worst]).round(1).tolist()
+        text = (
+            f"The tool point would be {np.hypot(x, y) * 1000:.0f} mm beside the planned axis, {z * 1000:.0f} mm above "
+            f"the target, {excess[worst] * 1000:.0f} mm outside the cone of {zones.cone_half_angle_deg:g}° in which "
+            f"the tool comes to the body, with the joints at {joints_deg}°. {ELSEWHERE}"
+        )
+        raise RefusalError("outside_cone", text, excess=float(excess[worst]), height=z, joints_deg=joints_deg)
