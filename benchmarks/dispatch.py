@@ -43,7 +43,7 @@ from pcmrs.journal import Journal
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import BlueprintTag
-from pcmrs.service.core import GatewayCore
+from pcmrs.service.gateway_adapter import GatewayAdapter
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.testing.daemon import free_port
@@ -102,7 +102,7 @@ async def serve(endpoint: str, folder: Path, durable: bool) -> None:
         mixed_reality=LinkConfig(),
         tcp_port=None,
     )
-    async with open_gateway(GatewayCore(dispatcher, cell, dispatcher.submit), config, clock, folder) as gateway:
+    async with open_gateway(GatewayAdapter(dispatcher, cell, dispatcher.submit), config, clock, folder) as gateway:
         ports = {"echo": echo.get_extra_info("sockname")[1], "planner": gateway.addresses["planner"][1]}
         print(json.dumps(ports), flush=True)
         await ended.wait()

@@ -33,7 +33,7 @@ from pcmrs.messages import BlueprintTag, BodyPose, DeviceEvent, JointState, Snap
 from pcmrs.recording.chain import Mounting
 from pcmrs.recording.recorder import Plan, Recorder
 from pcmrs.recording.series import Limits, files_of
-from pcmrs.recording.tap import Tap
+from pcmrs.recording.subscriber import Subscriber
 from pcmrs.recording.topics import TOPICS
 from pcmrs.recording.views import Views
 from pcmrs.testing.daemon import free_port
@@ -103,7 +103,7 @@ def recorder(settings: BusSettings, seconds: float, results: Connection) -> None
 
 async def _record(settings: BusSettings, seconds: float, file: Path) -> dict[str, float]:
     clock, ended = SystemClock(), asyncio.Event()
-    tap = await Tap.open(settings, TOPICS, clock)
+    tap = await Subscriber.open(settings, TOPICS, clock)
     views = Views(ARM, Mounting.read(CalibrationSettings()), 1.0)
     writing = Recorder(Plan(file, Limits(), {}, lambda: files_of(file)), views, clock)
     work = asyncio.create_task(writing.run(tap, ended))

@@ -19,7 +19,7 @@ from stop_stamps import Stamps, stamping
 from pcmrs.client import Client
 from pcmrs.messages import HeadMotion, JointState, Snapshot, Verdict
 from pcmrs.testing.cell import RunningCell
-from pcmrs.testing.driving import calmed, register, to_placed, to_retracted, to_standoff, until
+from pcmrs.testing.driving import register, to_placed, to_retracted, to_standoff, until, wait_until_stationary
 from pcmrs.testing.errors import Unmet
 
 MOTIONS: dict[str, tuple[Callable[[Client], Awaitable[None]], dict[str, Any]]] = {
@@ -142,7 +142,7 @@ class _Bench:
     async def _recover(self) -> None:
         client = self._cell.client
         await until(client, lambda shown: not shown.running and not shown.stop.pending)
-        await calmed(client)
+        await wait_until_stationary(client)
 
 
 def _is_confirmed(shown: Snapshot, before: int) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 
 
 @asynccontextmanager
-async def meanwhile(work: Coroutine[Any, Any, object], name: str | None = None) -> AsyncIterator[None]:
+async def background_task(work: Coroutine[Any, Any, object], name: str | None = None) -> AsyncIterator[None]:
     """Runs `work` as a task for the length of the context, then cancels it and waits for its end.
 
     Args:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, suppress
 from typing import Any
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 from pcmrs.bus import Bus
 from pcmrs.bus.seal import Seal
 from pcmrs.bus.stop import StopLane
@@ -64,7 +64,7 @@ async def serve_devices(
         if ACTING.intersection(devices):
             keep_pauses_short()
             realtime = RealTime(Priority.DEVICE)
-            await stack.enter_async_context(meanwhile(realtime.keep(SystemClock().sleep), "real-time policy"))
+            await stack.enter_async_context(background_task(realtime.keep(SystemClock().sleep), "real-time policy"))
         serving = asyncio.create_task(node.run())
         ending = asyncio.create_task(ended.wait())
         try:

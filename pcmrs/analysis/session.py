@@ -10,7 +10,7 @@ from pcmrs.messages import BlueprintTag, Epoch, PoseMessage
 from pcmrs.tms.hotspot import HotspotSearch
 from pcmrs.tms.mep import Mep
 from pcmrs.tms.settings import Estimate, Hotspot, MepSettings
-from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold import MotorThresholdEstimator
 
 Phase = Literal["intensity", "hotspot", "threshold"]
 """What a pulse was given for: to find an intensity for the search, in the search, in the hunt."""
@@ -147,7 +147,7 @@ class SessionRecord(msgspec.Struct, frozen=True, kw_only=True):
     refusals: tuple[RefusalRecord, ...] = ()
     search: HotspotSearch | None = None
     hotspot: Hotspot | None = None
-    hunt: ThresholdHunt | None = None
+    hunt: MotorThresholdEstimator | None = None
     threshold: Estimate | None = None
     truth: Truth | None = None
 

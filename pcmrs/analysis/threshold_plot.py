@@ -6,19 +6,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pcmrs.analysis.plots import BLUE, GREEN, ORANGE, new_figure, save_png
-from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold import MotorThresholdEstimator
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-def draw_hunt(file: Path, hunt: ThresholdHunt) -> None:
+def draw_hunt(file: Path, hunt: MotorThresholdEstimator) -> None:
     """Saves `hunt_figure` as a PNG file. Raises `OSError` when that cannot be written."""
     save_png(hunt_figure(hunt), file)
 
 
-def hunt_figure(hunt: ThresholdHunt) -> Figure:
+def hunt_figure(hunt: MotorThresholdEstimator) -> Figure:
     """Intensity of every pulse, with its answer; the estimate after it, with its interval where there is one."""
     from matplotlib.ticker import MaxNLocator
 
@@ -36,10 +36,10 @@ def hunt_figure(hunt: ThresholdHunt) -> Figure:
     return figure
 
 
-def _draw_estimates(axes: Axes, hunt: ThresholdHunt) -> None:
+def _draw_estimates(axes: Axes, hunt: MotorThresholdEstimator) -> None:
     """From the first pulse on; a hunt replays any number of its own pulses."""
     numbers = range(1, len(hunt.pulses) + 1)
-    estimates = [ThresholdHunt(hunt.settings, hunt.pulses[:number]).estimate for number in numbers]
+    estimates = [MotorThresholdEstimator(hunt.settings, hunt.pulses[:number]).estimate for number in numbers]
     if hunt.settings.method == "ml":
         axes.plot(numbers, [each.threshold for each in estimates], "-", color=GREEN, label="estimate")
         lows = [each.low or 0.0 for each in estimates]
@@ -49,7 +49,7 @@ def _draw_estimates(axes: Axes, hunt: ThresholdHunt) -> None:
         axes.axhline(hunt.estimate.threshold, color=GREEN, label="threshold")
 
 
-def _title(hunt: ThresholdHunt) -> str:
+def _title(hunt: MotorThresholdEstimator) -> str:
     found, pulses = hunt.estimate, len(hunt.pulses)
     if hunt.refusal is not None:
         return f"no threshold after {pulses} pulses: {hunt.refusal.replace('_', ' ')}"

@@ -89,7 +89,7 @@ KEYS = [
     ),
     _row("state/flags", "subscribe", "Flags", "The flags that mirror the states, for displays.", READERS),
     _row("state/target", "subscribe", "Target", "Planned tool pose in the image, and the registration.", READERS),
-    _row("state/data", "subscribe", "Gathered", "What svc/data answers, whenever that has changed.", READERS),
+    _row("state/data", "subscribe", "ProcedureDataView", "What svc/data answers, whenever that has changed.", READERS),
     _row("state/epoch", "subscribe", "Epoch", "What a muscle answered to each pulse, as it was measured.", READERS),
     _row("state/health", "subscribe", "Health", "What svc/health answers, every few seconds, for recordings.", READERS),
     _row("teleop/<user>", "put", "TeleopSetpoint", "Set points of who has engaged the clutch.", HOLDING),

@@ -146,7 +146,7 @@ async def _record(
     from pcmrs.node import when_input_ends
     from pcmrs.recording.chain import Mounting
     from pcmrs.recording.recorder import Recorder
-    from pcmrs.recording.tap import Tap
+    from pcmrs.recording.subscriber import Subscriber
     from pcmrs.recording.views import Views
 
     loop, ended, clock = asyncio.get_running_loop(), asyncio.Event(), SystemClock()
@@ -156,7 +156,7 @@ async def _record(
         when_input_ends(ended.set)
     mounting = Mounting.read(settings.procedure.calibration)
     views = Views(find_arm(settings.robot.model), mounting, settings.cell.rate)
-    tap = await Tap.open(settings.bus("client"), topics, clock, Seal(device_key) if device_key else None)
+    tap = await Subscriber.open(settings.bus("client"), topics, clock, Seal(device_key) if device_key else None)
     try:
         recorder = Recorder(plan, views, clock)
         with _status(recorder, str(plan.first)) as shown:

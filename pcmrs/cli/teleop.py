@@ -16,7 +16,7 @@ import msgspec
 from rich.live import Live
 from rich.text import Text
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 from pcmrs.cli.options import Address, address_options, json_option
 from pcmrs.cli.printing import Terminal, say, say_json
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
@@ -126,7 +126,7 @@ async def _teleoperate(
         with open_device(device, mapping, script) as hands:
             session = TeleopSession(client, hands, SystemClock(), rate, tell)
             showing = _as_json(session) if as_json else _on_a_line(session, keys=device == "keyboard")
-            async with meanwhile(showing):
+            async with background_task(showing):
                 return await session.run()
 
 

@@ -34,9 +34,9 @@ from pcmrs.messages import (
     DeviceEvent,
     DeviceReply,
     DeviceRequest,
+    DryRunResult,
     JournalPage,
     JournalQuery,
-    Prospect,
     Question,
     Snapshot,
     TeleopSetpoint,
@@ -44,7 +44,7 @@ from pcmrs.messages import (
 )
 from pcmrs.messages.health import Health
 from pcmrs.messages.identity import LOCAL
-from pcmrs.messages.setup import Gathered, Setup
+from pcmrs.messages.setup import ProcedureDataView, Setup
 
 Event = Snapshot | Verdict | DeviceEvent
 T = TypeVar("T")
@@ -219,15 +219,15 @@ class Client:
         """
         return await self._bus.request(f"svc/setup/{self._user}", Empty(), Setup, timeout or self._patience)
 
-    async def gathered(self, timeout: float | None = None) -> Gathered:
+    async def gathered(self, timeout: float | None = None) -> ProcedureDataView:
         """Landmarks, digitization, registration and plan so far.
 
         Raises:
             UnknownOutcomeError: The daemon did not answer within `timeout` (s).
         """
-        return await self._bus.request("svc/data", Empty(), Gathered, timeout or self._patience)
+        return await self._bus.request("svc/data", Empty(), ProcedureDataView, timeout or self._patience)
 
-    async def check(self, name: str, arguments: Mapping[str, Any], timeout: float | None = None) -> Prospect:
+    async def check(self, name: str, arguments: Mapping[str, Any], timeout: float | None = None) -> DryRunResult:
         """What would be said to a command now, without giving it: see `call` for its arguments.
 
         Raises:
@@ -235,7 +235,7 @@ class Client:
         """
         branch, _, operation = name.partition(".")
         question = Question(branch=branch, operation=operation, arguments=dict(arguments))
-        return await self._bus.request(f"svc/check/{self._user}", question, Prospect, timeout or self._patience)
+        return await self._bus.request(f"svc/check/{self._user}", question, DryRunResult, timeout or self._patience)
 
     async def journal(self, query: JournalQuery, timeout: float | None = None) -> JournalPage:
         """Rows of the journal; operators and viewers may ask.

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pcmrs.bus import Credentials
 from pcmrs.bus.keys import KeyTable
 from pcmrs.client.aio import Client, Event
-from pcmrs.messages import JournalPage, JournalQuery, Prospect, Snapshot, Verdict
+from pcmrs.messages import DryRunResult, JournalPage, JournalQuery, Snapshot, Verdict
 from pcmrs.messages.health import Health
 from pcmrs.messages.identity import LOCAL
-from pcmrs.messages.setup import Gathered, Setup
+from pcmrs.messages.setup import ProcedureDataView, Setup
 
 if TYPE_CHECKING:
     from anyio.from_thread import BlockingPortal
@@ -63,7 +63,7 @@ class PlainClient:
         """Asks for an operation and waits for its outcome; see `Client.call`."""
         return self._portal.call(partial(self._client.call, name, arguments, id=id, timeout=timeout))
 
-    def check(self, name: str, arguments: Mapping[str, Any] | None = None) -> Prospect:
+    def check(self, name: str, arguments: Mapping[str, Any] | None = None) -> DryRunResult:
         """What would be said to an operation now; see `Client.check`."""
         return self._portal.call(partial(self._client.check, name, arguments or {}))
 
@@ -91,7 +91,7 @@ class PlainClient:
         """How the cell is set up; see `Client.setup`."""
         return self._portal.call(self._client.setup)
 
-    def gathered(self) -> Gathered:
+    def gathered(self) -> ProcedureDataView:
         """Landmarks, digitization, registration and plan so far; see `Client.gathered`."""
         return self._portal.call(self._client.gathered)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
+from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.geometry import residuals
 from pcmrs.console.scene import BOX, GOOD, OPEN, POOR, SKIN, show
 from pcmrs.console.surfaces import LIGHTER, ZONE, Surfaces
-from pcmrs.console.told import Told
 from pcmrs.messages import PoseMessage
 from pcmrs.messages.setup import LandmarkShown, Setup
 from pcmrs.spatial import Transform
@@ -28,7 +28,7 @@ class BodyShown:
         surfaces: Where the page finds the surface.
     """
 
-    def __init__(self, scene: ui.scene, told: Told, setup: Setup, surfaces: Surfaces) -> None:
+    def __init__(self, scene: ui.scene, told: CellViewModel, setup: Setup, surfaces: Surfaces) -> None:
         self._scene, self._told, self._setup, self._surfaces = scene, told, setup, surfaces
         self._drawn: tuple[list[LandmarkShown], PoseMessage | None] = ([], None)
         self._landmarks: list[Object3D] = []

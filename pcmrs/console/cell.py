@@ -7,12 +7,12 @@ from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
 from pcmrs.console.body import BodyShown
+from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.geometry import Sight, along
 from pcmrs.console.residuals import gradient
 from pcmrs.console.scene import ARM, BACKGROUND, BOX, MEASURED, PLANNED, fit, put, show, tool
 from pcmrs.console.surfaces import Surfaces
 from pcmrs.console.texts import Texts
-from pcmrs.console.told import Told
 from pcmrs.console.tracking import TrackingShown, VisibilityRow
 from pcmrs.messages.setup import Setup
 from pcmrs.spatial import Floats, Transform
@@ -32,7 +32,7 @@ class CellPanel:
         surfaces: Where the page finds the body's surface.
     """
 
-    def __init__(self, told: Told, setup: Setup, texts: Texts, surfaces: Surfaces) -> None:
+    def __init__(self, told: CellViewModel, setup: Setup, texts: Texts, surfaces: Surfaces) -> None:
         self._told, self._setup = told, setup
         self._sight = Sight(setup)
         with ui.element("div").classes("relative w-full h-full"):

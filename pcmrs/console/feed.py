@@ -8,8 +8,8 @@ from contextlib import AbstractAsyncContextManager, AsyncExitStack, aclosing, su
 
 from pcmrs.client import Client, Event
 from pcmrs.clock import SystemClock
+from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.history import HISTORIANS, History
-from pcmrs.console.told import Told
 from pcmrs.errors import CommandRefusedError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import BodyPose, Epoch, JointState, Snapshot
 from pcmrs.messages.setup import Setup
@@ -23,7 +23,7 @@ RENEWED = 1.0
 Dial = Callable[[], AbstractAsyncContextManager[Client]]
 
 
-class Feed(Told):
+class Feed(CellViewModel):
     """The newest of everything, as it comes.
 
     Args:

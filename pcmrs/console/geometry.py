@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.messages import BodyPose
-from pcmrs.messages.setup import ArmShown, Gathered, Setup, SurfaceShown
+from pcmrs.messages.setup import ArmShown, ProcedureDataView, Setup, SurfaceShown
 from pcmrs.spatial import Floats, Transform, distance, rotation_angle
 from pcmrs.workflows.data import as_transform
 
@@ -150,7 +150,7 @@ class Sight:
         return self.base_from_tracker @ as_transform(body)
 
 
-def placement(data: Gathered, coil: BodyPose | None, body_ref: BodyPose | None) -> Placement | None:
+def placement(data: ProcedureDataView, coil: BodyPose | None, body_ref: BodyPose | None) -> Placement | None:
     """How far the tool is from its plan, as the tracker sees it; None while that is not known."""
     if data.plan is None or data.body_ref_from_image is None:
         return None
@@ -164,7 +164,7 @@ def placement(data: Gathered, coil: BodyPose | None, body_ref: BodyPose | None) 
     return Placement((away, x, y, z), float(angle))
 
 
-def residuals(data: Gathered) -> list[float | None]:
+def residuals(data: ProcedureDataView) -> list[float | None]:
     """How far each landmark is from where it was digitized, by the registration in force, m."""
     if data.body_ref_from_image is None:
         return [None] * len(data.landmarks)

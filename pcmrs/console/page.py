@@ -6,10 +6,11 @@ from dataclasses import replace
 
 from nicegui import events, ui
 
-from pcmrs.console.asking import Asking
 from pcmrs.console.cell import CellPanel
+from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.chart import ChartPanel
 from pcmrs.console.choices import Choice, Choices, latch_of
+from pcmrs.console.command_sender import CommandSender
 from pcmrs.console.feed import Feed
 from pcmrs.console.geometry import placement
 from pcmrs.console.planning.panel import PlanningPanel
@@ -20,7 +21,6 @@ from pcmrs.console.signals.panel import SignalsPanel
 from pcmrs.console.surfaces import Surfaces
 from pcmrs.console.texts import Texts, languages
 from pcmrs.console.timeline import TimelinePanel
-from pcmrs.console.told import Told
 from pcmrs.console.workflow import WorkflowPanel
 from pcmrs.fsm import Blueprint
 from pcmrs.messages import Snapshot
@@ -78,8 +78,8 @@ class Page:
         playback: tuple[str, Playback] | None = None,
     ) -> None:
         self._feed, self._setup, self._blueprint, self._texts = feed, setup, blueprint, texts
-        self._told: Told = feed if playback is None else playback[1]
-        self._asking, self._choices = Asking(feed, texts), Choices(blueprint)
+        self._told: CellViewModel = feed if playback is None else playback[1]
+        self._asking, self._choices = CommandSender(feed, texts), Choices(blueprint)
         self._versions = (-1, -1)
         ui.add_css(STYLE)
         ui.colors(primary="#0b5394")

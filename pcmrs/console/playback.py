@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TypeVar
 
 from pcmrs.bus.codec import convert_event, unpack
-from pcmrs.console.told import EPOCHS, EVENTS, NOTHING, Told
+from pcmrs.console.cell_view_model import EPOCHS, EVENTS, NOTHING, CellViewModel
 from pcmrs.errors import FileFormatError, PcmrsError
 from pcmrs.fsm import Blueprint
 from pcmrs.messages import BodyPose, DeviceEvent, Epoch, JointState, Snapshot, Target, Verdict
 from pcmrs.messages.health import Health
-from pcmrs.messages.setup import Gathered, Setup
+from pcmrs.messages.setup import ProcedureDataView, Setup
 from pcmrs.recording.reading import Reading
 
 RATE_HZ = 10.0
@@ -88,7 +88,7 @@ def read_recorded(files: Sequence[Path], progress: Callable[[float], None]) -> R
     return Recorded(first / _SECOND, (last - first) / _SECOND, dict(tracks), damage)
 
 
-class Playback(Told):
+class Playback(CellViewModel):
     """A recording at one moment.
 
     Args:
@@ -141,10 +141,12 @@ class Playback(Told):
         if key == "state/fsm":
             self.snapshot = _read(payload, Snapshot)
         elif key == "state/data":
-            self.data = _read(payload, Gathered) or NOTHING
+            self.data = _read(payload, ProcedureDataView) or NOTHING
         elif key == "state/target" and "state/data" not in self.recorded.tracks:  # older than that
             target = _read(payload, Target) or Target()
-            self.data = Gathered(landmarks=[], plan=target.pose, body_ref_from_image=target.body_ref_from_image)
+            self.data = ProcedureDataView(
+                landmarks=[], plan=target.pose, body_ref_from_image=target.body_ref_from_image
+            )
         elif key == "state/event":
             self.events.clear()
             self.events.extend(self._all_events[max(0, count - EVENTS) : count])

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
+from pcmrs.console.cell_view_model import NOTHING, CellViewModel
 from pcmrs.console.geometry import lighter, residuals, vertices_of
 from pcmrs.console.texts import Texts
-from pcmrs.console.told import NOTHING, Told
 from pcmrs.errors import GeometryError
-from pcmrs.messages.setup import Gathered, Setup, SurfaceShown
+from pcmrs.messages.setup import ProcedureDataView, Setup, SurfaceShown
 from pcmrs.spatial import Floats
 from pcmrs.workflows.accuracy import tre_over
 from pcmrs.workflows.data import as_transform
@@ -25,7 +25,7 @@ STOPS = 9
 """Of the legend's colours."""
 
 
-def predicted(data: Gathered, points: Floats) -> Floats | None:
+def predicted(data: ProcedureDataView, points: Floats) -> Floats | None:
     """Rms error at points in the image (M, 3), m, (M,); None while nothing is registered.
 
     Args:
@@ -41,7 +41,7 @@ def predicted(data: Gathered, points: Floats) -> Floats | None:
         return None
 
 
-def coloured(surface: SurfaceShown, data: Gathered, limit: float) -> bytes | None:
+def coloured(surface: SurfaceShown, data: ProcedureDataView, limit: float) -> bytes | None:
     """The lighter surface as GLB, its corners coloured from no error to `limit`, m, and beyond; None as `predicted`."""
     vertices, faces = vertices_of(lighter(surface))
     errors = predicted(data, vertices)
@@ -96,7 +96,7 @@ class ResidualsShown:
         texts: Of the page's language.
     """
 
-    def __init__(self, told: Told, setup: Setup, texts: Texts) -> None:
+    def __init__(self, told: CellViewModel, setup: Setup, texts: Texts) -> None:
         self._told, self._limit, self._texts = told, setup.residual_limit, texts
         self._drawn = NOTHING
         with ui.column().classes("gap-1") as self._whole:
@@ -118,14 +118,14 @@ class ResidualsShown:
                 ui.badge(words, color="green-9" if is_good else "deep-orange-10").classes("text-body2")
 
 
-def mean_in_words(data: Gathered, limit: float, texts: Texts) -> str:
+def mean_in_words(data: ProcedureDataView, limit: float, texts: Texts) -> str:
     """The mean of all landmarks against its limit, m; empty while nothing is registered."""
     if data.residual is None:
         return ""
     return texts("residual", mm=1000.0 * data.residual, limit=1000.0 * limit)
 
 
-def each_in_words(data: Gathered, limit: float, texts: Texts) -> list[tuple[str, bool]]:
+def each_in_words(data: ProcedureDataView, limit: float, texts: Texts) -> list[tuple[str, bool]]:
     """Each landmark that has a residual, in the order of the plan, and whether that is within the limit, m."""
     return [
         (

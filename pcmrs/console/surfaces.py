@@ -14,7 +14,7 @@ from pcmrs.console.feed import Feed
 from pcmrs.console.geometry import as_stl, as_zone, lighter, vertices_of
 from pcmrs.console.residuals import coloured
 from pcmrs.console.scene import SURFACE
-from pcmrs.messages.setup import Gathered, Setup, SurfaceShown
+from pcmrs.messages.setup import ProcedureDataView, Setup, SurfaceShown
 
 KEPT = 4
 """Coloured surfaces: pages of one cell ask for the same one."""
@@ -55,7 +55,7 @@ class Surfaces:
                 return Response(status_code=404)
             return Response(self._coloured[key], media_type="model/gltf-binary")
 
-    async def error(self, setup: Setup, data: Gathered) -> str | None:
+    async def error(self, setup: Setup, data: ProcedureDataView) -> str | None:
         """Where the surface is found with the predicted error of what is registered now; None where that is unknown."""
         if setup.surface is None:
             return None

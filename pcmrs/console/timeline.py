@@ -7,10 +7,10 @@ from datetime import datetime
 
 from nicegui import ui
 
+from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.feed import Feed
 from pcmrs.console.history import HISTORIANS, KINDS, Entry, heard_only, matching
 from pcmrs.console.texts import Texts
-from pcmrs.console.told import Told
 from pcmrs.errors import PcmrsError
 from pcmrs.messages.setup import Setup
 
@@ -30,7 +30,7 @@ class TimelinePanel:
         texts: Of the page's language.
     """
 
-    def __init__(self, feed: Feed, told: Told, setup: Setup, texts: Texts) -> None:
+    def __init__(self, feed: Feed, told: CellViewModel, setup: Setup, texts: Texts) -> None:
         self._feed, self._told = feed, told
         self._may_read = setup.role in HISTORIANS and told is feed
         ui.label(f"{texts('patient')}: {setup.patient or texts('unknown')}").props('data-testid="patient"')

@@ -8,11 +8,11 @@ import numpy as np
 from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
+from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.colours import BLUE, GREY, SKY
 from pcmrs.console.geometry import Sight, along
 from pcmrs.console.scene import STILL, put, show
 from pcmrs.console.texts import Texts
-from pcmrs.console.told import Told
 from pcmrs.messages.setup import Setup, SliceShown
 from pcmrs.spatial import Floats, Transform
 
@@ -40,7 +40,7 @@ class TrackingShown:
         with scene:
             self._sights = {body: self._sight(body) for body in BODIES}
 
-    def follow(self, told: Told, sight: Sight, *, wanted: bool) -> None:
+    def follow(self, told: CellViewModel, sight: Sight, *, wanted: bool) -> None:
         """Shows where the tracker stands, and a line to each body that it sees."""
         stand = sight.base_from_tracker if wanted else None
         show(self._tracker, stand)
@@ -68,7 +68,7 @@ class VisibilityRow:
         self._row = ui.row().classes("gap-1").props('data-testid="visibility"')
         self._chips: dict[str, ui.badge] = {}
 
-    def follow(self, told: Told) -> None:
+    def follow(self, told: CellViewModel) -> None:
         """Shows what is seen now."""
         for body in told.poses:
             if body not in self._chips:
@@ -80,7 +80,7 @@ class VisibilityRow:
             chip.props(f"color={'blue-9' if seen else 'deep-orange-10'}")
 
 
-def is_seen(told: Told, body: str) -> bool:
+def is_seen(told: CellViewModel, body: str) -> bool:
     """Whether the tracker sees a body now: what it said of it last is no longer true when it has fallen silent."""
     pose, age = told.poses.get(body), told.age(body)
     return pose is not None and pose.valid and age is not None and age <= OLD

@@ -9,12 +9,12 @@ from typing import Any
 import msgspec
 from nicegui import ui
 
-from pcmrs.console.asking import Asking
+from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.choices import Choice
+from pcmrs.console.command_sender import CommandSender
 from pcmrs.console.history import heading, why
 from pcmrs.console.residuals import ResidualsShown
 from pcmrs.console.texts import Texts
-from pcmrs.console.told import Told
 from pcmrs.fsm import Blueprint
 from pcmrs.messages import DeviceEvent, Snapshot, Verdict
 from pcmrs.messages.setup import Setup
@@ -34,7 +34,9 @@ class WorkflowPanel:
         asking: Asks the daemon.
     """
 
-    def __init__(self, told: Told, setup: Setup, blueprint: Blueprint, texts: Texts, asking: Asking) -> None:
+    def __init__(
+        self, told: CellViewModel, setup: Setup, blueprint: Blueprint, texts: Texts, asking: CommandSender
+    ) -> None:
         self._told, self._blueprint, self._texts, self._asking = told, blueprint, texts, asking
         self._choices: Mapping[str, Choice] = {}
         self._buttons: dict[str, tuple[ui.button, ui.tooltip]] = {}

@@ -9,20 +9,20 @@ from typing import Any, Generic
 import structlog
 
 from pcmrs.dispatcher.events import ACTIVITY_ENDED, ACTIVITY_STARTED, NOT_CONFIRMED
-from pcmrs.dispatcher.execution import Stage, performing, reason_of
+from pcmrs.dispatcher.execution import ExecutionContext, performing, reason_of
 from pcmrs.dispatcher.run import Activity, C, D
 from pcmrs.errors import PcmrsError
 from pcmrs.fsm.blueprint import ActivitySpec
-from pcmrs.messages import Command, DeviceEvent, Ongoing, Reason, Verdict
+from pcmrs.messages import ActiveActivity, Command, DeviceEvent, Reason, Verdict
 
 log = structlog.get_logger(__name__)
 
 
-class Pursuit(Generic[C, D]):
+class ActivityTask(Generic[C, D]):
     """Runs the function of an activity until it ends, or is told to.
 
     Args:
-        stage: What it is performed with.
+        context: What it is performed with.
         spec: How it is declared.
         act: What its function sees.
         tell: Makes an event known and durable.
@@ -37,7 +37,7 @@ class Pursuit(Generic[C, D]):
 
     def __init__(
         self,
-        stage: Stage[C, D],
+        context: ExecutionContext[C, D],
         spec: ActivitySpec,
         act: Activity[C, D],
         tell: Callable[[DeviceEvent], Awaitable[None]],
@@ -45,11 +45,11 @@ class Pursuit(Generic[C, D]):
         self.spec = spec
         self.act = act
         self.task: asyncio.Task[bool] | None = None
-        self.ending = spec.moves and stage.procedure.latched
+        self.ending = spec.moves and context.procedure.latched
         self.relieved = False
         self.left: asyncio.Future[Verdict] | None = None
         self.quiet = asyncio.Event()
-        self._stage = stage
+        self._context = context
         self._tell = tell
         self._function: asyncio.Task[Exception | None] | None = None
         self._begun = False
@@ -62,7 +62,7 @@ class Pursuit(Generic[C, D]):
     @property
     def stopped(self) -> bool:
         """Whether Stop has ended it, or kept it from beginning."""
-        return self.ending and self._stage.procedure.latched
+        return self.ending and self._context.procedure.latched
 
     def end(self) -> None:
         """Cancels its function, once: a second time would break off how it ends its motion."""
@@ -70,7 +70,7 @@ class Pursuit(Generic[C, D]):
             self._function.cancel()
         self.ending = True
 
-    async def run(self, before: Iterable[Pursuit[C, D]]) -> Reason | None:
+    async def run(self, before: Iterable[ActivityTask[C, D]]) -> Reason | None:
         """Runs it once those before it are quiet: why its end is dangerous, if it is."""
         try:
             for earlier in before:
@@ -96,14 +96,14 @@ class Pursuit(Generic[C, D]):
         await self._tell(self._event(ACTIVITY_STARTED, f"{act.name} begins: {act.branch} is {act.state}."))
         if self.ending:
             return None
-        self._function = self._stage.tasks.spawn(self._within())
+        self._function = self._context.tasks.spawn(self._within())
         await asyncio.wait([self._function])
         return self._danger(self._function)
 
     async def _within(self) -> Exception | None:
-        performing.set(id(self._stage.procedure))
+        performing.set(id(self._context.procedure))
         try:
-            await self._stage.workflow.registry.activities[self.act.name](self.act)
+            await self._context.workflow.registry.activities[self.act.name](self.act)
         except Exception as error:
             return error
         return None
@@ -124,7 +124,7 @@ class Pursuit(Generic[C, D]):
 
     async def _held(self) -> Reason | None:
         """Holds the robot after it was moved: why that is dangerous, if it is."""
-        if await self._stage.hold.end_motion():
+        if await self._context.hold.end_motion():
             return None
         text = f"The robot has not confirmed that it stands after {self.act.name}: look at it."
         return Reason(code=NOT_CONFIRMED, text=text)
@@ -142,7 +142,7 @@ class Activities(Generic[C, D]):
     robot gives way to a motion, ends with Stop, and is followed by a hold in all other cases.
 
     Args:
-        stage: What they are performed with.
+        context: What they are performed with.
         submit: Decides on a command.
         stop: Stops everything, and submits what follows at once; returns whether the robot has confirmed that it
             stands.
@@ -152,31 +152,31 @@ class Activities(Generic[C, D]):
 
     def __init__(
         self,
-        stage: Stage[C, D],
+        context: ExecutionContext[C, D],
         submit: Callable[[Command], asyncio.Future[Verdict]],
         stop: Callable[[str, Reason, Callable[[], list[asyncio.Future[Verdict]]]], Awaitable[bool]],
         tell: Callable[[DeviceEvent], Awaitable[None]],
         broken: Callable[[BaseException], Reason],
     ) -> None:
-        self._stage = stage
+        self._context = context
         self._submit = submit
         self._stop = stop
         self._tell = tell
         self._broken = broken
-        branches = stage.workflow.blueprint.branches
+        branches = context.workflow.blueprint.branches
         self._declared = {name: branch.activities for name, branch in branches.items() if branch.activities}
-        self._current: dict[str, Pursuit[C, D]] = {}
-        self._pursuits: list[Pursuit[C, D]] = []
+        self._current: dict[str, ActivityTask[C, D]] = {}
+        self._tasks: list[ActivityTask[C, D]] = []
         self._closed = False
 
-    def shown(self) -> list[Ongoing]:
+    def shown(self) -> list[ActiveActivity]:
         """What the snapshot shows of them."""
         acts = (each.act for each in self._current.values() if each.goes_on)
-        return [Ongoing(branch=act.branch, state=act.state, name=act.name, values=act.values) for act in acts]
+        return [ActiveActivity(branch=act.branch, state=act.state, name=act.name, values=act.values) for act in acts]
 
     def follow(self, command: Command) -> None:
         """Ends the activities of states that have been left, and begins those of states that `command` has entered."""
-        joint = self._stage.procedure.joint() if self._declared else {}
+        joint = self._context.procedure.joint() if self._declared else {}
         for branch, declared in self._declared.items():
             state, current = joint[branch], self._current.get(branch)
             if current is not None and current.act.state != state:
@@ -187,7 +187,7 @@ class Activities(Generic[C, D]):
 
     async def give_way(self) -> None:
         """A motion takes over: returns when nothing else moves the robot any more."""
-        moving = [each for each in self._pursuits if each.spec.moves]
+        moving = [each for each in self._tasks if each.spec.moves]
         for each in moving:
             each.relieved = True
             each.end()
@@ -197,11 +197,11 @@ class Activities(Generic[C, D]):
     @property
     def moving(self) -> bool:
         """Whether one that moves the robot goes on."""
-        return any(each.spec.moves and not each.quiet.is_set() for each in self._pursuits)
+        return any(each.spec.moves and not each.quiet.is_set() for each in self._tasks)
 
     def end_moving(self) -> list[asyncio.Task[bool]]:
-        """Ends those that move the robot, as Stop does; returns what is to be waited for: see `Pursuit.task`."""
-        moving = [each for each in self._pursuits if each.spec.moves and not each.quiet.is_set()]
+        """Ends those that move the robot, as Stop does; returns what is to be waited for: see `ActivityTask.task`."""
+        moving = [each for each in self._tasks if each.spec.moves and not each.quiet.is_set()]
         for each in moving:
             each.end()
         return [each.task for each in moving if each.task is not None]
@@ -209,7 +209,7 @@ class Activities(Generic[C, D]):
     def close(self) -> None:
         """Ends all; none begins any more, and no command follows."""
         self._closed = True
-        for each in self._pursuits:
+        for each in self._tasks:
             each.end()
 
     def open(self) -> None:
@@ -222,65 +222,65 @@ class Activities(Generic[C, D]):
             await self._leave(each)
 
     def _begin(self, spec: ActivitySpec, branch: str, state: str, command: Command) -> None:
-        stage, procedure = self._stage, self._stage.procedure
+        context, procedure = self._context, self._context.procedure
         act = Activity(
             name=spec.run,
             branch=branch,
             state=state,
             command=command,
-            cell=stage.cell,
-            clock=stage.clock,
+            cell=context.cell,
+            clock=context.clock,
             _data=lambda: procedure.data,
             _states=procedure.joint,
             _submit=self._submit,
-            _show=stage.show,
+            _show=context.show,
         )
-        before = [each for each in self._pursuits if each.act.branch == branch]
-        pursuit = Pursuit(stage, spec, act, self._tell)
-        self._current[branch] = pursuit
-        self._pursuits.append(pursuit)
-        pursuit.task = stage.tasks.spawn(self._attend(pursuit, before))
+        before = [each for each in self._tasks if each.act.branch == branch]
+        activity_task = ActivityTask(context, spec, act, self._tell)
+        self._current[branch] = activity_task
+        self._tasks.append(activity_task)
+        activity_task.task = context.tasks.spawn(self._attend(activity_task, before))
 
-    async def _attend(self, pursuit: Pursuit[C, D], before: list[Pursuit[C, D]]) -> bool:
+    async def _attend(self, activity_task: ActivityTask[C, D], before: list[ActivityTask[C, D]]) -> bool:
         """Runs it and does what its end demands."""
         try:
-            danger = await pursuit.run(before)
+            danger = await activity_task.run(before)
         finally:
-            self._pursuits.remove(pursuit)
+            self._tasks.remove(activity_task)
         told: Awaitable[None] | None = None
 
         def tell_and_leave() -> list[asyncio.Future[Verdict]]:
             nonlocal told
-            told = pursuit.tell_end(danger)
-            return self._submit_ended(pursuit)
+            told = activity_task.tell_end(danger)
+            return self._submit_ended(activity_task)
 
-        if danger is None or pursuit.stopped:  # Stop waits for what this returns, so it must not be waited for
-            stands, told = danger is None, pursuit.tell_end(danger)
+        if danger is None or activity_task.stopped:  # Stop waits for what this returns, so it must not be waited for
+            stands, told = danger is None, activity_task.tell_end(danger)
         else:
-            stands = await self._stop(pursuit.act.source, danger, tell_and_leave)
+            stands = await self._stop(activity_task.act.source, danger, tell_and_leave)
         if told is not None:
             await told
-        await self._leave(pursuit)
+        await self._leave(activity_task)
         return stands
 
-    async def _leave(self, pursuit: Pursuit[C, D]) -> None:
+    async def _leave(self, activity_task: ActivityTask[C, D]) -> None:
         """Performs its `ended`, which a Stop because of it has submitted already; that has to lead out of the state."""
-        act = pursuit.act
-        submitted = [pursuit.left] if pursuit.left is not None else self._submit_ended(pursuit)
+        act = activity_task.act
+        submitted = [activity_task.left] if activity_task.left is not None else self._submit_ended(activity_task)
         if not submitted:
             return
         await asyncio.wait(submitted)
-        if self._current.get(act.branch) is pursuit:
-            ended = pursuit.spec.ended
+        if self._current.get(act.branch) is activity_task:
+            ended = activity_task.spec.ended
             self._broken(PcmrsError(f"{act.branch} is {act.state} without {act.name}: {ended} has not led out of it."))
 
-    def _submit_ended(self, pursuit: Pursuit[C, D]) -> list[asyncio.Future[Verdict]]:
+    def _submit_ended(self, activity_task: ActivityTask[C, D]) -> list[asyncio.Future[Verdict]]:
         """Submits its `ended` where the branch is still in its state.
 
         Behind a motion that leads out of that state, it is denied without a trace.
         """
-        act = pursuit.act
-        if self._closed or self._current.get(act.branch) is not pursuit:
+        act = activity_task.act
+        if self._closed or self._current.get(act.branch) is not activity_task:
             return []
-        pursuit.left = self._submit(act.command_to(act.branch, pursuit.spec.ended, {}))
-        return [pursuit.left]
+        activity_task.left = self._submit(act.command_to(act.branch, activity_task.spec.ended, {}))
+        return [activity_task.left]

@@ -17,11 +17,11 @@ import structlog
 from pcmrs.bucket import TokenBucket
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.admission import is_event
-from pcmrs.dispatcher.locks import Attempt
+from pcmrs.dispatcher.locks import PendingCommand
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.run import C, D, Run
-from pcmrs.dispatcher.verdict_cache import Memory
+from pcmrs.dispatcher.verdict_cache import VerdictCache
 from pcmrs.errors import JournalError, PcmrsError
 from pcmrs.failpoints import failpoint
 from pcmrs.fsm import Change
@@ -96,11 +96,11 @@ JOURNAL = JournalError.code
 
 
 @dataclass(frozen=True, slots=True)
-class Conclusion(Generic[C, D]):
+class CompletedCommand(Generic[C, D]):
     """How a command ended.
 
     Attributes:
-        attempt: Its attempt; None for a command that never became one.
+        pending: It as a pending command; None for one that was rejected before.
         run: What its checks and steps left behind; None when there were none.
         change: What is to be committed, if anything.
         with_intent: Its intent is journalled together with the decision.
@@ -110,7 +110,7 @@ class Conclusion(Generic[C, D]):
     verdict: asyncio.Future[Verdict]
     decision: Decision
     reason: Reason | None = None
-    attempt: Attempt | None = None
+    pending: PendingCommand | None = None
     run: Run[C, D] | None = None
     change: Change | None = None
     with_intent: bool = False
@@ -123,140 +123,140 @@ class Conclusion(Generic[C, D]):
     @property
     def unlatches(self) -> bool:
         """Whether it releases the latch; a Stop that came while it was journalled is not acknowledged by it."""
-        attempt = self.attempt
+        pending = self.pending
         accepted = self.decision == "accepted"
-        return accepted and attempt is not None and attempt.spec.unlatches and attempt.stopped is None
+        return accepted and pending is not None and pending.spec.unlatches and pending.stopped is None
 
 
 class Decisions(Generic[C, D]):
-    """Makes conclusions durable and true, one after the other.
+    """Makes completed commands durable and true, one after the other.
 
     Args:
         procedure: Where they are committed.
         recorder: Where they are journalled.
-        memory: Where those who asked wait.
-        settled: Called with the conclusion and its verdict once the verdict is given.
-        broken: Called when a conclusion cannot be journalled or committed; the verdict is already given.
+        verdict_cache: Where those who asked wait.
+        settled: Called with the completed command and its verdict once the verdict is given.
+        broken: Called when a completed command cannot be journalled or committed; the verdict is already given.
         rejections: Says which rejections get no row; None where all get one.
 
     Attributes:
-        doubtful: Those that could not be brought to their end; only the disk knows whether they are journalled.
+        unconfirmed: Those that could not be brought to their end; only the disk knows whether they are journalled.
     """
 
     def __init__(
         self,
         procedure: Procedure[C, D],
         recorder: Recorder,
-        memory: Memory,
-        settled: Callable[[Conclusion[C, D], Verdict], None],
+        verdict_cache: VerdictCache,
+        settled: Callable[[CompletedCommand[C, D], Verdict], None],
         broken: Callable[[BaseException], Reason],
         rejections: Rejections | None = None,
     ) -> None:
         self._procedure = procedure
         self._recorder = recorder
-        self._memory = memory
+        self._verdict_cache = verdict_cache
         self._settled = settled
         self._broken = broken
         self._rejections = rejections
-        self.doubtful: list[Conclusion[C, D]] = []
+        self.unconfirmed: list[CompletedCommand[C, D]] = []
 
-    def conclude(self, conclusion: Conclusion[C, D]) -> None:
+    def conclude(self, completed: CompletedCommand[C, D]) -> None:
         """Journals a decision; as soon as that is durable, it is committed and answered.
 
         An event that is rejected changes nothing, and what a device has reported has a row of its own: it leaves none.
         """
-        procedure, rejected = self._procedure, conclusion.decision == "rejected"
-        if rejected and is_event(procedure.blueprint, conclusion.command):
-            self._memory.forget(conclusion.command)
-            self._answer(conclusion, self._verdict(conclusion, "rejected", conclusion.reason, procedure.joint()))
+        procedure, rejected = self._procedure, completed.decision == "rejected"
+        if rejected and is_event(procedure.blueprint, completed.command):
+            self._verdict_cache.forget(completed.command)
+            self._answer(completed, self._verdict(completed, "rejected", completed.reason, procedure.joint()))
             return
-        limited = self._limit(conclusion) if rejected else None
+        limited = self._limit(completed) if rejected else None
         if limited is not None:
-            self._only_answer(conclusion, limited)
+            self._only_answer(completed, limited)
             return
         try:
-            sequence = procedure.sequence if rejected else procedure.reserve(conclusion.change)
-            states = procedure.joint() | (dict(conclusion.change.states) if conclusion.change is not None else {})
-            verdict = self._verdict(conclusion, conclusion.decision, conclusion.reason, states, sequence)
+            sequence = procedure.sequence if rejected else procedure.reserve(completed.change)
+            states = procedure.joint() | (dict(completed.change.states) if completed.change is not None else {})
+            verdict = self._verdict(completed, completed.decision, completed.reason, states, sequence)
             failpoint("dispatcher.before_outcome")
             written = self._recorder.decision(
-                conclusion.command,
+                completed.command,
                 verdict,
                 procedure.promised(),
-                conclusion.changes,
-                with_intent=conclusion.with_intent,
+                completed.changes,
+                with_intent=completed.with_intent,
             )
             durable: asyncio.Future[Any] = asyncio.ensure_future(written)
         except Exception as error:
-            self.break_off(conclusion, error)
+            self.break_off(completed, error)
             return
         if durable.done():
-            self._commit(conclusion, verdict, durable)
+            self._commit(completed, verdict, durable)
         else:
-            durable.add_done_callback(partial(self._commit, conclusion, verdict))
+            durable.add_done_callback(partial(self._commit, completed, verdict))
 
-    def answer_unrecorded(self, conclusion: Conclusion[C, D]) -> None:
+    def answer_unrecorded(self, completed: CompletedCommand[C, D]) -> None:
         """Answers what changes nothing that a later decision could rest on."""
-        verdict = self._verdict(conclusion, conclusion.decision, conclusion.reason, self._procedure.joint())
-        self._memory.settle(conclusion.verdict, verdict)
+        verdict = self._verdict(completed, completed.decision, completed.reason, self._procedure.joint())
+        self._verdict_cache.settle(completed.verdict, verdict)
 
-    def break_off(self, conclusion: Conclusion[C, D], error: BaseException) -> None:
+    def break_off(self, completed: CompletedCommand[C, D], error: BaseException) -> None:
         """Answers a command that the dispatcher itself could not bring to its end."""
-        log.error("dispatcher_broken", command=conclusion.command.id, exc_info=error)
+        log.error("dispatcher_broken", command=completed.command.id, exc_info=error)
         reason = self._broken(error)
-        decision: Decision = "rejected" if conclusion.decision == "rejected" else "unknown"
-        self._answer(conclusion, self._verdict(conclusion, decision, reason, self._procedure.joint()))
+        decision: Decision = "rejected" if completed.decision == "rejected" else "unknown"
+        self._answer(completed, self._verdict(completed, decision, reason, self._procedure.joint()))
         if decision == "rejected":
-            self._memory.forget(conclusion.command)
+            self._verdict_cache.forget(completed.command)
         else:
-            self.doubtful.append(conclusion)
+            self.unconfirmed.append(completed)
 
-    def commit_recorded(self, conclusion: Conclusion[C, D], recorded: Verdict) -> None:
+    def commit_recorded(self, completed: CompletedCommand[C, D], recorded: Verdict) -> None:
         """Commits what is durable after all, while nothing else is being journalled; Stop's latch stays.
 
         Raises:
             BlueprintError: Memory is not to be trusted.
         """
-        self._procedure.commit(recorded.sequence, conclusion.change, conclusion.changes, unlatch=False)
+        self._procedure.commit(recorded.sequence, completed.change, completed.changes, unlatch=False)
         self._procedure.forget_promises()
 
-    def _only_answer(self, conclusion: Conclusion[C, D], reason: Reason) -> None:
+    def _only_answer(self, completed: CompletedCommand[C, D], reason: Reason) -> None:
         """Rejects a command without a row; it is decided anew when it is repeated."""
-        self._answer(conclusion, self._verdict(conclusion, "rejected", reason, self._procedure.joint()))
-        self._memory.forget(conclusion.command)
+        self._answer(completed, self._verdict(completed, "rejected", reason, self._procedure.joint()))
+        self._verdict_cache.forget(completed.command)
 
-    def _limit(self, conclusion: Conclusion[C, D]) -> Reason | None:
-        if self._rejections is None or conclusion.reason is None:
+    def _limit(self, completed: CompletedCommand[C, D]) -> Reason | None:
+        if self._rejections is None or completed.reason is None:
             return None
-        return self._rejections.limit(conclusion.command, conclusion.reason)
+        return self._rejections.limit(completed.command, completed.reason)
 
-    def _commit(self, conclusion: Conclusion[C, D], verdict: Verdict, durable: asyncio.Future[Any]) -> None:
+    def _commit(self, completed: CompletedCommand[C, D], verdict: Verdict, durable: asyncio.Future[Any]) -> None:
         try:
             durable.result()
             failpoint("dispatcher.after_outcome")
-            if conclusion.decision != "rejected":
+            if completed.decision != "rejected":
                 self._procedure.commit(
-                    verdict.sequence, conclusion.change, conclusion.changes, unlatch=conclusion.unlatches
+                    verdict.sequence, completed.change, completed.changes, unlatch=completed.unlatches
                 )
         except (Exception, asyncio.CancelledError) as error:
-            self.break_off(conclusion, error)
+            self.break_off(completed, error)
         else:
-            self._answer(conclusion, verdict)
+            self._answer(completed, verdict)
 
-    def _answer(self, conclusion: Conclusion[C, D], verdict: Verdict) -> None:
+    def _answer(self, completed: CompletedCommand[C, D], verdict: Verdict) -> None:
         failpoint("dispatcher.before_reply")
-        self._memory.settle(conclusion.verdict, verdict)
-        self._settled(conclusion, verdict)
+        self._verdict_cache.settle(completed.verdict, verdict)
+        self._settled(completed, verdict)
 
     def _verdict(
         self,
-        conclusion: Conclusion[C, D],
+        completed: CompletedCommand[C, D],
         decision: Decision,
         reason: Reason | None,
         states: dict[str, str],
         sequence: int | None = None,
     ) -> Verdict:
-        command, run = conclusion.command, conclusion.run
+        command, run = completed.command, completed.run
         state = states.get(command.branch, "")
         return Verdict(
             id=command.id,

@@ -21,23 +21,23 @@ from pcmrs.dispatcher.admission import (
     find_operation,
     read_payload,
 )
-from pcmrs.dispatcher.decisions import TOO_MANY, Conclusion, Decisions, Rejections, reason_for
+from pcmrs.dispatcher.decisions import TOO_MANY, CompletedCommand, Decisions, Rejections, reason_for
 from pcmrs.dispatcher.events import DAEMON, REOPENED, SHUTDOWN, failed, not_confirmed, pressed_again, stopped
-from pcmrs.dispatcher.execution import Checks, Planner, Stage, performing, reason_of
+from pcmrs.dispatcher.execution import Checks, ExecutionContext, Planner, performing, reason_of
 from pcmrs.dispatcher.lease import LEASE, RENEW, TAKEN, Lease
-from pcmrs.dispatcher.locks import Attempt, Lanes, locks_for
+from pcmrs.dispatcher.locks import LockManager, PendingCommand, locks_for
 from pcmrs.dispatcher.performer import Performer
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import QueuedRow, Recorder
-from pcmrs.dispatcher.recovery import Reconciliation, Unsettled
+from pcmrs.dispatcher.recovery import PendingOutcomes, Reconciliation
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.dispatcher.stops import STANDSTILL, Hold, Presses, Stops, StopUnderWay
 from pcmrs.dispatcher.tasks import Tasks
-from pcmrs.dispatcher.verdict_cache import Memory
+from pcmrs.dispatcher.verdict_cache import VerdictCache
 from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import JournalError, PcmrsError, ReentrancyError, RefusalError
 from pcmrs.fsm import Closure, Denial
-from pcmrs.messages import Command, DeviceEvent, Prospect, Reason, Snapshot, UnknownOutcome, Verdict
+from pcmrs.messages import Command, DeviceEvent, DryRunResult, Reason, Snapshot, UnknownOutcome, Verdict
 
 log = structlog.get_logger(__name__)
 
@@ -94,20 +94,24 @@ class Dispatcher(Generic[C, D]):
         self._hold = Hold(hold, self._tasks)
         self._stops = Stops(clock)
         self._presses = Presses(self._tell_presses)
-        stage = Stage(workflow, self.procedure, cell, clock, self._hold, self._tasks, self._show_snapshot, release)
-        self._lanes = Lanes(workflow.blueprint.revokers)
-        self._memory = Memory(recorder)
-        self._decisions = Decisions(self.procedure, recorder, self._memory, self._settle, self._break, rejections)
+        context = ExecutionContext(
+            workflow, self.procedure, cell, clock, self._hold, self._tasks, self._show_snapshot, release
+        )
+        self._locks = LockManager(workflow.blueprint.revokers)
+        self._verdict_cache = VerdictCache(recorder)
+        self._decisions = Decisions(
+            self.procedure, recorder, self._verdict_cache, self._settle, self._break, rejections
+        )
         self._rejections = rejections
         if rejections is not None:
             rejections.on_dropped(lambda event: self._tasks.spawn(self._tell(event).durable()))
-        self._activities = Activities(stage, self._verdict_of, self.stop, self._tell, self._break)
-        checks = Checks(stage, planner, self._objection)
-        self._performer = Performer(stage, self._lanes, self._decisions, recorder, self._activities, checks)
-        self._prospecting = asyncio.Lock()
-        self._unsettled = Unsettled(workflow.blueprint)
+        self._activities = Activities(context, self._verdict_of, self.stop, self._tell, self._break)
+        checks = Checks(context, planner, self._objection)
+        self._performer = Performer(context, self._locks, self._decisions, recorder, self._activities, checks)
+        self._dry_running = asyncio.Lock()
+        self._outcomes = PendingOutcomes(workflow.blueprint)
         self._reconciliation = Reconciliation(
-            self.procedure, self._memory, self._decisions, self._unsettled, self._activities
+            self.procedure, self._verdict_cache, self._decisions, self._outcomes, self._activities
         )
         self._missed: dict[tuple[str, str], Command] = {}
         self._broken: Reason | None = None
@@ -121,8 +125,8 @@ class Dispatcher(Generic[C, D]):
 
     def snapshot(self) -> Snapshot:
         """The joint state of all branches, and what is running and going on."""
-        running = [attempt.shown for attempt in self._lanes.running if attempt.begun and not attempt.verdict.done()]
-        activities, unknown = self._activities.shown(), self._unsettled.shown()
+        running = [pending.shown for pending in self._locks.running if pending.begun and not pending.verdict.done()]
+        activities, unknown = self._activities.shown(), self._outcomes.shown()
         return self.procedure.snapshot(running, activities, unknown, self.lease.state, self._stops.state)
 
     @property
@@ -133,7 +137,7 @@ class Dispatcher(Generic[C, D]):
     @property
     def waiting(self) -> int:
         """Commands that wait for others to end."""
-        return len(self._lanes.waiting)
+        return len(self._locks.waiting)
 
     @property
     def stop_number(self) -> int:
@@ -155,7 +159,7 @@ class Dispatcher(Generic[C, D]):
         """
         self._stops.number_from(start)
         for outcome in unknown:
-            self._unsettled.add(outcome)
+            self._outcomes.add(outcome)
         if latched:
             self._latch()
 
@@ -177,25 +181,25 @@ class Dispatcher(Generic[C, D]):
         verdict = self._verdict_of(command, arrived)
         return verdict.result() if verdict.done() else await asyncio.shield(verdict)
 
-    async def prospect(self, command: Command) -> Prospect:
+    async def dry_run(self, command: Command) -> DryRunResult:
         """What would be said to a command now: nothing is performed, changed or journalled.
 
         While the arm moves no check is asked, since each takes time from what holds it to its way. One command is
         looked at at a time, so that a motion never waits for more than one of them.
         """
-        async with self._prospecting:
-            return await self._prospect(command)
+        async with self._dry_running:
+            return await self._dry_run(command)
 
-    async def _prospect(self, command: Command) -> Prospect:
+    async def _dry_run(self, command: Command) -> DryRunResult:
         try:
-            attempt, answer = self._attempt(command, asyncio.get_running_loop().create_future())
+            pending, answer = self._pending_command(command, asyncio.get_running_loop().create_future())
         except PcmrsError as error:
-            return Prospect(reason=reason_of(error))
-        reason = self._suspended_for(command) or self._barred(attempt) or self._refused(attempt, answer)
-        if reason is None and (self._moves() or self._lanes.blocked(attempt)):
-            text = f"Something runs, so that {attempt.name} is not looked at: ask again when it has ended."
+            return DryRunResult(reason=reason_of(error))
+        reason = self._suspended_for(command) or self._barred(pending) or self._refused(pending, answer)
+        if reason is None and (self._moves() or self._locks.blocked(pending)):
+            text = f"Something runs, so that {pending.name} is not looked at: ask again when it has ended."
             reason = Reason(code="busy", text=text)
-        return await self._performer.prospect(attempt) if reason is None else Prospect(reason=reason)
+        return await self._performer.dry_run(pending) if reason is None else DryRunResult(reason=reason)
 
     def on_stop(self, callback: Callable[[], None]) -> None:
         """Has `callback` called synchronously at every stop, whatever way it came."""
@@ -247,14 +251,14 @@ class Dispatcher(Generic[C, D]):
         number, holding = self._latch(), self._hold.stop()
         self._stops.wait_for(STANDSTILL, holding)
         moving = self._activities.end_moving()
-        ending = [attempt.verdict for attempt in self._lanes.running]
-        for attempt in self._lanes.running:
-            attempt.stop(reason)
+        ending = [pending.verdict for pending in self._locks.running]
+        for pending in self._locks.running:
+            pending.stop(reason)
         for callback in self._stop_listeners:
             _guarded(callback)
-        for attempt in self._lanes.turn_away():
-            attempt.end_wait()
-            self._reject(attempt.command, attempt.verdict, reason)
+        for pending in self._locks.turn_away():
+            pending.end_wait()
+            self._reject(pending.command, pending.verdict, reason)
         event = stopped(source, reason, number)
         self._publish(event)
         recorded = self._record_event(event)
@@ -286,8 +290,8 @@ class Dispatcher(Generic[C, D]):
 
     def _begun_since_stop(self) -> bool:
         """Whether anything runs or waits that the last Stop has not ended."""
-        running = any(attempt.stopped is None for attempt in self._lanes.running)
-        return running or any(not attempt.spec.event for attempt in self._lanes.waiting)
+        running = any(pending.stopped is None for pending in self._locks.running)
+        return running or any(not pending.spec.event for pending in self._locks.waiting)
 
     def _tell_presses(self, stop: StopUnderWay) -> None:
         self._tasks.spawn(self._tell(pressed_again(stop.source, stop.number, stop.joined)).durable())
@@ -337,8 +341,8 @@ class Dispatcher(Generic[C, D]):
         self._tasks.spawn(self._hold_or_doubt(number))
         if before is None:
             self._activities.close()
-            for attempt in self._lanes.running:
-                attempt.stop(reason)
+            for pending in self._locks.running:
+                pending.stop(reason)
             for callback in self._break_listeners:
                 _guarded(callback)
         event = failed(reason)
@@ -412,51 +416,51 @@ class Dispatcher(Generic[C, D]):
                 self._missed = {key: each for key, each in self._missed.items() if each.id != verdict.id}
             self._show(verdict)
 
-    # -- from command to attempt -----------------------------------------------------------------------
+    # -- from command to pending command -----------------------------------------------------------------------
 
     def _verdict_of(self, command: Command, arrived: float | None = None) -> asyncio.Future[Verdict]:
         try:
-            verdict, is_new = self._memory.verdict_of(command)
+            verdict, is_new = self._verdict_cache.verdict_of(command)
         except RefusalError as error:  # no row: the one of this id is about something else
             verdict, is_new = asyncio.get_running_loop().create_future(), False
-            self._decisions.answer_unrecorded(Conclusion(command, verdict, "rejected", reason_of(error)))
+            self._decisions.answer_unrecorded(CompletedCommand(command, verdict, "rejected", reason_of(error)))
             self._publish(verdict.result())
         except JournalError as error:
             verdict, is_new = asyncio.get_running_loop().create_future(), False
-            self._decisions.break_off(Conclusion(command, verdict, "rejected"), error)
+            self._decisions.break_off(CompletedCommand(command, verdict, "rejected"), error)
         if is_new:
             try:
                 self._admit(command, verdict, arrived)
             except Exception as error:
-                self._decisions.break_off(Conclusion(command, verdict, "rejected"), error)
+                self._decisions.break_off(CompletedCommand(command, verdict, "rejected"), error)
         return verdict
 
     def _admit(self, command: Command, verdict: asyncio.Future[Verdict], arrived: float | None) -> None:
-        """Turns a command into an attempt that starts, waits or is rejected."""
+        """Turns a command into a pending one that starts, waits or is rejected."""
         suspended = self._suspended_for(command)
         if suspended is not None:
-            self._decisions.answer_unrecorded(Conclusion(command, verdict, "rejected", suspended))
-            self._memory.forget(command)
+            self._decisions.answer_unrecorded(CompletedCommand(command, verdict, "rejected", suspended))
+            self._verdict_cache.forget(command)
             self._publish(verdict.result())
             return
         if command.branch == LEASE:
             self._admit_lease(command, verdict)
             return
         try:
-            attempt, answer = self._attempt(command, verdict, arrived)
+            pending, answer = self._pending_command(command, verdict, arrived)
         except PcmrsError as error:
             self._reject(command, verdict, reason_of(error))
             return
-        blocked = self._lanes.blocked(attempt)
-        reason = self._barred(attempt) or (
-            self._lanes.why_not_wait(attempt) if blocked else self._refused(attempt, answer)
+        blocked = self._locks.blocked(pending)
+        reason = self._barred(pending) or (
+            self._locks.why_not_wait(pending) if blocked else self._refused(pending, answer)
         )
         if reason is not None:
             self._reject(command, verdict, reason)
         elif blocked:
-            self._wait(attempt)
+            self._wait(pending)
         else:
-            self._performer.start(attempt)
+            self._performer.start(pending)
 
     def _suspended_for(self, command: Command) -> Reason | None:
         """Why a command is not taken for now; nothing keeps events from being heard, nor anybody from retreating."""
@@ -464,25 +468,25 @@ class Dispatcher(Generic[C, D]):
         leaves = spec is not None and (spec.motion == "retreat" or spec.unlatches)
         return None if leaves or command.source.startswith(EVENT_SOURCES) else self._suspended
 
-    def _wait(self, attempt: Attempt) -> None:
-        replaced = self._lanes.wait(attempt)
+    def _wait(self, pending: PendingCommand) -> None:
+        replaced = self._locks.wait(pending)
         if replaced is not None:
-            text = f"{attempt.command.source} has reported {attempt.name} again: the newer report counts."
+            text = f"{pending.command.source} has reported {pending.name} again: the newer report counts."
             reason = Reason(code="replaced", text=text)
-            self._decisions.answer_unrecorded(Conclusion(replaced.command, replaced.verdict, "rejected", reason))
-        if attempt.moves:
-            latest = attempt.arrived + CHECKS_BEGIN_WITHIN
-            attempt.patience = asyncio.get_running_loop().call_at(latest, self._lose_patience, attempt)
+            self._decisions.answer_unrecorded(CompletedCommand(replaced.command, replaced.verdict, "rejected", reason))
+        if pending.moves:
+            latest = pending.arrived + CHECKS_BEGIN_WITHIN
+            pending.patience = asyncio.get_running_loop().call_at(latest, self._lose_patience, pending)
 
-    def _lose_patience(self, motion: Attempt) -> None:
+    def _lose_patience(self, motion: PendingCommand) -> None:
         """It has waited as long as a motion may."""
-        self._lanes.waiting.remove(motion)
-        self._reject(motion.command, motion.verdict, self._lanes.busy(motion))
+        self._locks.waiting.remove(motion)
+        self._reject(motion.command, motion.verdict, self._locks.busy(motion))
 
-    def _attempt(
+    def _pending_command(
         self, command: Command, verdict: asyncio.Future[Verdict], arrived: float | None = None
-    ) -> tuple[Attempt, Closure | Denial]:
-        """The command as an attempt, and what the states say to it.
+    ) -> tuple[PendingCommand, Closure | Denial]:
+        """The command as a pending one, and what the states say to it.
 
         Raises:
             PcmrsError: It is refused whatever the states are.
@@ -494,8 +498,8 @@ class Dispatcher(Generic[C, D]):
         answer = self.procedure.ask(command.branch, command.operation)
         locks = locks_for(self._workflow.blueprint, command, answer)
         arrived = asyncio.get_running_loop().time() if arrived is None else arrived
-        worldly = self._performer.touches_world(spec)
-        return Attempt(command, spec, payload, verdict, locks, arrived, worldly), answer
+        side_effecting = self._performer.has_side_effects(spec)
+        return PendingCommand(command, spec, payload, verdict, locks, arrived, side_effecting), answer
 
     def _admit_lease(self, command: Command, verdict: asyncio.Future[Verdict]) -> None:
         """Decides at once; what renews a lease changes nothing, and leaves no row."""
@@ -504,23 +508,23 @@ class Dispatcher(Generic[C, D]):
         if reason is not None:
             self._reject(command, verdict, reason)
         elif command.operation == RENEW:
-            self._decisions.answer_unrecorded(Conclusion(command, verdict, "accepted"))
+            self._decisions.answer_unrecorded(CompletedCommand(command, verdict, "accepted"))
         else:
-            self._decisions.conclude(Conclusion(command, verdict, "accepted"))
+            self._decisions.conclude(CompletedCommand(command, verdict, "accepted"))
         if before not in (None, self.lease.holder) and self._moves():
             text = f"{before} does not hold this cell any more, and the robot moves."
             self._tasks.spawn(self.stop(command.source, Reason(code=TAKEN, text=text)))
 
-    def _refused(self, attempt: Attempt, answer: Closure | Denial) -> Reason | None:
+    def _refused(self, pending: PendingCommand, answer: Closure | Denial) -> Reason | None:
         """Why the states do not allow it, or why an acknowledgement does not answer the newest Stop."""
         if isinstance(answer, Denial):
             return Reason(code=answer.code, text=answer.text, fields=answer.fields)
-        if not attempt.spec.unlatches:
+        if not pending.spec.unlatches:
             return None
-        return self._stops.objection(attempt.command, latched=self.procedure.latched)
+        return self._stops.objection(pending.command, latched=self.procedure.latched)
 
     def _moves(self) -> bool:
-        return self._activities.moving or self._lanes.moving
+        return self._activities.moving or self._locks.moving
 
     def _too_old(self, command: Command) -> Reason | None:
         try:
@@ -529,81 +533,81 @@ class Dispatcher(Generic[C, D]):
             return reason_of(error)
         return None
 
-    def _barred(self, attempt: Attempt) -> Reason | None:
-        if self._broken is None and attempt.spec.blocked_when_latched and self.procedure.latched:
+    def _barred(self, pending: PendingCommand) -> Reason | None:
+        if self._broken is None and pending.spec.blocked_when_latched and self.procedure.latched:
             release = " or ".join(self._workflow.blueprint.unlatching)
-            text = f"{attempt.name} is not allowed while Stop is latched: acknowledge with {release} first."
+            text = f"{pending.name} is not allowed while Stop is latched: acknowledge with {release} first."
             return Reason(code="latched", text=text)
-        return self._broken or self.lease.objection(attempt.command)
+        return self._broken or self.lease.objection(pending.command)
 
-    def _objection(self, attempt: Attempt) -> Reason | None:
-        """Why an attempt that was allowed to begin is not any more, if it is not."""
-        answer = self.procedure.ask(attempt.command.branch, attempt.command.operation)
-        return self._barred(attempt) or self._refused(attempt, answer)
+    def _objection(self, pending: PendingCommand) -> Reason | None:
+        """Why a command that was allowed to begin is not any more, if it is not."""
+        answer = self.procedure.ask(pending.command.branch, pending.command.operation)
+        return self._barred(pending) or self._refused(pending, answer)
 
     def _start_waiting(self) -> None:
         """Asks again for everything that waited: it starts, waits on, or is rejected."""
-        for attempt in self._lanes.take_waiting():
+        for pending in self._locks.take_waiting():
             try:
-                self._admit_again(attempt)
+                self._admit_again(pending)
             except Exception as error:  # the others have been taken out of the queue, too
-                attempt.end_wait()
-                self._decisions.break_off(Conclusion(attempt.command, attempt.verdict, "rejected"), error)
+                pending.end_wait()
+                self._decisions.break_off(CompletedCommand(pending.command, pending.verdict, "rejected"), error)
 
-    def _admit_again(self, attempt: Attempt) -> None:
-        answer = self.procedure.ask(attempt.command.branch, attempt.command.operation)
-        attempt.locks = locks_for(self._workflow.blueprint, attempt.command, answer)
-        blocked = self._lanes.blocked(attempt)
+    def _admit_again(self, pending: PendingCommand) -> None:
+        answer = self.procedure.ask(pending.command.branch, pending.command.operation)
+        pending.locks = locks_for(self._workflow.blueprint, pending.command, answer)
+        blocked = self._locks.blocked(pending)
         if blocked:
-            reason = self._lanes.why_not_wait(attempt) if attempt.moves else None
+            reason = self._locks.why_not_wait(pending) if pending.moves else None
         else:
-            reason = self._barred(attempt) or self._too_old(attempt.command) or self._refused(attempt, answer)
+            reason = self._barred(pending) or self._too_old(pending.command) or self._refused(pending, answer)
         if reason is not None:
-            attempt.end_wait()
-            self._reject(attempt.command, attempt.verdict, reason)
+            pending.end_wait()
+            self._reject(pending.command, pending.verdict, reason)
         elif blocked:
-            self._lanes.waiting.append(attempt)
+            self._locks.waiting.append(pending)
         else:
-            self._performer.start(attempt)
+            self._performer.start(pending)
 
-    # -- from conclusion to what follows ------------------------------------------------------------
+    # -- from completed command to what follows ------------------------------------------------------------
 
     def _reject(self, command: Command, verdict: asyncio.Future[Verdict], reason: Reason) -> None:
-        self._decisions.conclude(Conclusion(command, verdict, "rejected", reason))
+        self._decisions.conclude(CompletedCommand(command, verdict, "rejected", reason))
 
-    def _settle(self, conclusion: Conclusion[C, D], verdict: Verdict) -> None:
+    def _settle(self, completed: CompletedCommand[C, D], verdict: Verdict) -> None:
         """The verdict is given: shows it, and lets others have the locks, whatever fails of what follows from it."""
         if verdict.decision == "accepted":
             for callback in self._accept_listeners:
-                _guarded(callback, conclusion.command)
+                _guarded(callback, completed.command)
         loop = asyncio.get_running_loop()
         loop.call_soon(self._show, verdict)  # those who asked hear of it before those who watch
-        if conclusion.attempt is not None:
-            self._lanes.running.remove(conclusion.attempt)
-            if self._lanes.waiting:
+        if completed.pending is not None:
+            self._locks.running.remove(completed.pending)
+            if self._locks.waiting:
                 loop.call_soon(self._start_waiting)
         try:
-            self._follow(conclusion, verdict)
+            self._follow(completed, verdict)
         except Exception as error:
             log.exception("verdict_not_followed", command=verdict.id)
             self._break(error)
 
-    def _follow(self, conclusion: Conclusion[C, D], verdict: Verdict) -> None:
+    def _follow(self, completed: CompletedCommand[C, D], verdict: Verdict) -> None:
         """Does what follows from a verdict."""
-        self.in_doubt = self.in_doubt and not conclusion.unlatches
-        self._unsettled.follow(conclusion.command, verdict, self._clock.wall())
-        self._activities.follow(conclusion.command)
-        self._remember_missed(conclusion.command, verdict)
-        if conclusion.run is not None and verdict.decision == "accepted":
-            self._submit_posts(conclusion.command, conclusion.run)
+        self.in_doubt = self.in_doubt and not completed.unlatches
+        self._outcomes.follow(completed.command, verdict, self._clock.wall())
+        self._activities.follow(completed.command)
+        self._remember_missed(completed.command, verdict)
+        if completed.run is not None and verdict.decision == "accepted":
+            self._submit_posts(completed.command, completed.run)
 
     async def _until_nothing_runs(self) -> None:
         try:
             async with self._clock.timeout(ENDING_TIME):
-                while self._lanes.running:
-                    await asyncio.wait([attempt.verdict for attempt in self._lanes.running])
+                while self._locks.running:
+                    await asyncio.wait([pending.verdict for pending in self._locks.running])
         except TimeoutError:
-            names = [attempt.name for attempt in self._lanes.running]
+            names = [pending.name for pending in self._locks.running]
             text = f"{' and '.join(names)} has not ended within {ENDING_TIME:g} s after it was stopped."
             raise PcmrsError(text, running=names) from None
 
@@ -668,9 +672,9 @@ class Dispatcher(Generic[C, D]):
         What the state does not allow is decided already, and neither runs nor waits.
         """
         following = submit()
-        for attempt in (*self._lanes.running, *self._lanes.waiting):
-            if attempt.verdict in following:
-                self._stops.wait_for(attempt.name, attempt.verdict)
+        for pending in (*self._locks.running, *self._locks.waiting):
+            if pending.verdict in following:
+                self._stops.wait_for(pending.name, pending.verdict)
         return following
 
     async def _hold_or_doubt(self, number: int) -> None:

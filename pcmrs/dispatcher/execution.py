@@ -12,7 +12,7 @@ from typing import Generic, Literal, Protocol
 import structlog
 
 from pcmrs.clock import Clock
-from pcmrs.dispatcher.locks import Attempt
+from pcmrs.dispatcher.locks import PendingCommand
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.dispatcher.stops import Hold
@@ -27,7 +27,7 @@ performing: ContextVar[int | None] = ContextVar("performing", default=None)
 
 
 @dataclass(frozen=True)
-class Stage(Generic[C, D]):
+class ExecutionContext(Generic[C, D]):
     """The parts of one dispatcher that those who perform share.
 
     Attributes:
@@ -66,7 +66,7 @@ log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Ending:
+class StepResult:
     """How the steps ended: ``done`` with an outcome, ``failed`` or ``unknown`` with a reason."""
 
     kind: Literal["done", "failed", "unknown"]
@@ -87,7 +87,7 @@ def refusal(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> Re
     return None
 
 
-async def take_steps(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> Ending:
+async def take_steps(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> StepResult:
     """Takes the operation's steps in order and in time; cancellation passes through to the caller."""
     step = ""
     try:
@@ -100,13 +100,13 @@ async def take_steps(registry: Registry[C, D], spec: OperationSpec, run: Run[C, 
     except TimeoutError:
         text = f"Step {step} did not end within {spec.timeout_s} s."
         fields = {"step": step, "timeout": spec.timeout_s}
-        return Ending("failed", reason=Reason(code="deadline_passed", text=text, fields=fields))
+        return StepResult("failed", reason=Reason(code="deadline_passed", text=text, fields=fields))
     except Exception as error:
         return _ending_by(error, step, run)
-    return Ending("done", outcome=run.outcome or START_OUTCOME)
+    return StepResult("done", outcome=run.outcome or START_OUTCOME)
 
 
-def take_steps_at_once(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> Ending:
+def take_steps_at_once(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> StepResult:
     """Takes the steps of an operation that touches nothing outside: there is nothing to wait for."""
     step = ""
     try:
@@ -114,17 +114,17 @@ def take_steps_at_once(registry: Registry[C, D], spec: OperationSpec, run: Run[C
             registry.steps[step](run)
     except Exception as error:
         return _ending_by(error, step, run)
-    return Ending("done", outcome=run.outcome or START_OUTCOME)
+    return StepResult("done", outcome=run.outcome or START_OUTCOME)
 
 
-def _ending_by(error: Exception, step: str, run: Run[C, D]) -> Ending:
+def _ending_by(error: Exception, step: str, run: Run[C, D]) -> StepResult:
     if isinstance(error, UnknownOutcomeError):
-        return Ending("unknown", reason=reason_of(error, step=step))
+        return StepResult("unknown", reason=reason_of(error, step=step))
     if isinstance(error, PcmrsError):
-        return Ending("failed", reason=reason_of(error, step=step))
+        return StepResult("failed", reason=reason_of(error, step=step))
     log.error("step_raised", step=step, command=run.command.id, exc_info=error)
     text = f"Step {step} raised an error; the log has it."
-    return Ending("failed", reason=Reason(code="step_raised", text=text, fields={"step": step}))
+    return StepResult("failed", reason=Reason(code="step_raised", text=text, fields={"step": step}))
 
 
 def _heed_cancellation() -> None:
@@ -134,7 +134,7 @@ def _heed_cancellation() -> None:
         raise asyncio.CancelledError
 
 
-def consequence(closure: Closure, ending: Ending, name: str) -> tuple[Decision, Change | None, Reason | None]:
+def consequence(closure: Closure, ending: StepResult, name: str) -> tuple[Decision, Change | None, Reason | None]:
     """The decision, the change to commit and the reason that an ending leads to."""
     if ending.kind == "unknown":
         return "unknown", closure.unknown, ending.reason
@@ -162,21 +162,21 @@ class Checks(Generic[C, D]):
     """Asks checks, and once more what must not have changed while a planner was asked.
 
     Args:
-        stage: What operations are performed with.
+        context: What operations are performed with.
         planner: Asks checks that plan a motion; None to ask all of them here, in the loop.
-        objection: Why an attempt is not allowed now, if it is not: latch, lease, failure and states.
+        objection: Why a command is not allowed now, if it is not: latch, lease, failure and states.
     """
 
     def __init__(
         self,
-        stage: Stage[C, D],
+        context: ExecutionContext[C, D],
         planner: Planner[C, D] | None,
-        objection: Callable[[Attempt], Reason | None],
+        objection: Callable[[PendingCommand], Reason | None],
     ) -> None:
-        self._stage = stage
+        self._context = context
         self._planner = planner
         self._objection = objection
-        self._registry = stage.workflow.registry
+        self._registry = context.workflow.registry
 
     def take_time(self, spec: OperationSpec) -> bool:
         """Whether the checks of an operation are asked by the planner, so that they have to be waited for."""
@@ -186,23 +186,23 @@ class Checks(Generic[C, D]):
         """Return the first refusal of the checks, asked here; None when all agree."""
         return refusal(self._registry, spec, run)
 
-    async def ask(self, attempt: Attempt, run_of: Callable[[], Run[C, D]]) -> tuple[Run[C, D], Reason | None]:
+    async def ask(self, pending: PendingCommand, run_of: Callable[[], Run[C, D]]) -> tuple[Run[C, D], Reason | None]:
         """Return a run with what its checks have found, and why it is refused, if it is.
 
         Args:
-            attempt: Whose checks.
+            pending: Whose checks.
             run_of: Makes a run of it by the present states and data.
         """
         run = run_of()
-        if self._planner is None or not self.take_time(attempt.spec):
-            return run, self.ask_at_once(attempt.spec, run)
+        if self._planner is None or not self.take_time(pending.spec):
+            return run, self.ask_at_once(pending.spec, run)
         for _ in range(MOST_PLANS):
-            refused = attempt.stopped or await self._plan(attempt, run)
-            objection = attempt.stopped or self._objection(attempt)
+            refused = pending.stopped or await self._plan(pending, run)
+            objection = pending.stopped or self._objection(pending)
             if objection is not None or self._still_true(run):
                 return run, objection or refused
             run = run_of()
-        text = f"What {attempt.name} rests on changed {MOST_PLANS} times while it was planned: ask again."
+        text = f"What {pending.name} rests on changed {MOST_PLANS} times while it was planned: ask again."
         return run, Reason(code="changed_while_planning", text=text, fields={"limit": MOST_PLANS})
 
     async def ask_again(self, spec: OperationSpec, run: Run[C, D]) -> Reason | None:
@@ -217,18 +217,18 @@ class Checks(Generic[C, D]):
                 code="check_raised", text="Its checks could not be completed by the planner; the log has why."
             )
 
-    async def _plan(self, attempt: Attempt, run: Run[C, D]) -> Reason | None:
-        attempt.planning = asyncio.ensure_future(self.ask_again(attempt.spec, run))
+    async def _plan(self, pending: PendingCommand, run: Run[C, D]) -> Reason | None:
+        pending.planning = asyncio.ensure_future(self.ask_again(pending.spec, run))
         try:
-            await asyncio.wait([attempt.planning])
-            if attempt.planning.cancelled():
-                text = f"The planning of {attempt.name} was cancelled."
-                return attempt.stopped or Reason(code="step_cancelled", text=text)
-            return attempt.planning.result()
+            await asyncio.wait([pending.planning])
+            if pending.planning.cancelled():
+                text = f"The planning of {pending.name} was cancelled."
+                return pending.stopped or Reason(code="step_cancelled", text=text)
+            return pending.planning.result()
         finally:
-            attempt.planning.cancel()
-            attempt.planning = None
+            pending.planning.cancel()
+            pending.planning = None
 
     def _still_true(self, run: Run[C, D]) -> bool:
-        procedure = self._stage.procedure
+        procedure = self._context.procedure
         return run.states == procedure.joint() and run.data == procedure.data

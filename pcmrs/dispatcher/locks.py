@@ -24,12 +24,12 @@ class Locks:
 
 
 @dataclass(eq=False)
-class Attempt:
+class PendingCommand:
     """One accepted-for-consideration command until its verdict.
 
     Attributes:
         arrived: When it arrived, s of the event loop's clock.
-        worldly: It takes steps in the world.
+        side_effecting: It takes steps in the world.
         since: Number of the newest commit that its checks and steps have seen.
         begun: Its steps have begun, so that cancelling its task reaches them.
         ending: Its steps have ended and it is being committed: too late to stop.
@@ -45,7 +45,7 @@ class Attempt:
     verdict: asyncio.Future[Verdict]
     locks: Locks
     arrived: float
-    worldly: bool
+    side_effecting: bool
     since: int = 0
     task: asyncio.Task[None] | None = None
     progress: float = 0.0
@@ -77,7 +77,7 @@ class Attempt:
         command = self.command
         return Running(branch=command.branch, operation=command.operation, id=command.id, progress=self.progress)
 
-    def replaces(self, other: Attempt) -> bool:
+    def replaces(self, other: PendingCommand) -> bool:
         """Whether both report the same event: the newer one says all that the other does."""
         mine, theirs = self.command, other.command
         return self.spec.event and (mine.source, self.name, mine.arguments) == (
@@ -125,7 +125,7 @@ MAX_WAITING = 32
 """Commands that may wait for locks; one more is rejected. Events are not counted: each waits once at most."""
 
 
-class Lanes:
+class LockManager:
     """Locks are taken all at once, first come first served; events go ahead of commands.
 
     Attributes:
@@ -134,65 +134,65 @@ class Lanes:
     """
 
     def __init__(self, revokers: frozenset[str]) -> None:
-        self.running: list[Attempt] = []
-        self.waiting: list[Attempt] = []
+        self.running: list[PendingCommand] = []
+        self.waiting: list[PendingCommand] = []
         self._revokers = revokers
 
     @property
     def moving(self) -> bool:
         """Whether a motion runs, or waits to run."""
-        return any(attempt.moves for attempt in (*self.running, *self.waiting))
+        return any(pending.moves for pending in (*self.running, *self.waiting))
 
-    def blocked(self, attempt: Attempt) -> bool:
+    def blocked(self, pending: PendingCommand) -> bool:
         """Whether it is in the way of what runs, or of what goes ahead of it."""
-        return any(self._in_the_way_of(attempt))
+        return any(self._in_the_way_of(pending))
 
-    def why_not_wait(self, attempt: Attempt) -> Reason | None:
-        """Why a blocked attempt is turned away; events never are.
+    def why_not_wait(self, pending: PendingCommand) -> Reason | None:
+        """Why a blocked command is turned away; events never are.
 
         Nothing that moves or acts on the patient waits, nor does a plan change while something moves. A motion waits
         for events that take no step in the world: they end as soon as the disk has them.
         """
-        if attempt.spec.event or (attempt.moves and self._may_wait(attempt)):
+        if pending.spec.event or (pending.moves and self._may_wait(pending)):
             return None
-        changes_plan = attempt.locks.writes & self._revokers
-        if attempt.spec.blocked_when_latched or (changes_plan and self.moving):
-            return self.busy(attempt)
+        changes_plan = pending.locks.writes & self._revokers
+        if pending.spec.blocked_when_latched or (changes_plan and self.moving):
+            return self.busy(pending)
         if sum(not other.spec.event for other in self.waiting) >= MAX_WAITING:
             text = f"{MAX_WAITING} commands wait already, which is the limit: ask again later."
             return Reason(code="queue_full", text=text, fields={"limit": MAX_WAITING})
         return None
 
-    def busy(self, attempt: Attempt) -> Reason:
-        """Says that an attempt does not wait for the others."""
+    def busy(self, pending: PendingCommand) -> Reason:
+        """Says that a command does not wait for the others."""
         busy = [other.name for other in self.running]
-        text = f"{attempt.name} does not wait for {' and '.join(busy) or 'others'}: ask again when it has ended."
+        text = f"{pending.name} does not wait for {' and '.join(busy) or 'others'}: ask again when it has ended."
         return Reason(code="busy", text=text, fields={"running": busy})
 
-    def wait(self, attempt: Attempt) -> Attempt | None:
-        """Has an attempt wait; returns the one of the same event that it replaces, if any: the newest counts."""
-        replaced = next((other for other in self.waiting if attempt.replaces(other)), None)
+    def wait(self, pending: PendingCommand) -> PendingCommand | None:
+        """Has a command wait; returns the one of the same event that it replaces, if any: the newest counts."""
+        replaced = next((other for other in self.waiting if pending.replaces(other)), None)
         if replaced is not None:
             self.waiting.remove(replaced)
-        self.waiting.append(attempt)
+        self.waiting.append(pending)
         return replaced
 
-    def take_waiting(self) -> list[Attempt]:
+    def take_waiting(self) -> list[PendingCommand]:
         """Empties the queue and returns what was in it, events first."""
         waiting, self.waiting = self.waiting, []
-        return sorted(waiting, key=lambda attempt: not attempt.spec.event)
+        return sorted(waiting, key=lambda pending: not pending.spec.event)
 
-    def turn_away(self) -> list[Attempt]:
+    def turn_away(self) -> list[PendingCommand]:
         """Empties the queue but for events, which say what has happened already, and returns what was taken out."""
-        taken = [attempt for attempt in self.waiting if not attempt.spec.event]
-        self.waiting = [attempt for attempt in self.waiting if attempt.spec.event]
+        taken = [pending for pending in self.waiting if not pending.spec.event]
+        self.waiting = [pending for pending in self.waiting if pending.spec.event]
         return taken
 
-    def _may_wait(self, motion: Attempt) -> bool:
+    def _may_wait(self, motion: PendingCommand) -> bool:
         if any(other.moves for other in self.waiting):
             return False
-        return all(other.spec.event and not other.worldly for other in self._in_the_way_of(motion))
+        return all(other.spec.event and not other.side_effecting for other in self._in_the_way_of(motion))
 
-    def _in_the_way_of(self, attempt: Attempt) -> Iterable[Attempt]:
-        ahead = (other for other in self.waiting if other.spec.event or not attempt.spec.event)
-        return (other for other in (*self.running, *ahead) if attempt.locks.conflicts(other.locks))
+    def _in_the_way_of(self, pending: PendingCommand) -> Iterable[PendingCommand]:
+        ahead = (other for other in self.waiting if other.spec.event or not pending.spec.event)
+        return (other for other in (*self.running, *ahead) if pending.locks.conflicts(other.locks))

@@ -12,7 +12,7 @@ from pcmrs.dispatcher.stops import NO_STOP
 from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Change, Closure, Denial, Engine, flags_of
-from pcmrs.messages import BlueprintTag, LeaseState, Ongoing, Running, Snapshot, StopState, UnknownOutcome
+from pcmrs.messages import ActiveActivity, BlueprintTag, LeaseState, Running, Snapshot, StopState, UnknownOutcome
 
 
 class Procedure(Generic[C, D]):
@@ -102,7 +102,7 @@ class Procedure(Generic[C, D]):
     def snapshot(
         self,
         running: list[Running],
-        activities: list[Ongoing],
+        activities: list[ActiveActivity],
         unknown: list[UnknownOutcome],
         lease: LeaseState | None = None,
         stop: StopState = NO_STOP,

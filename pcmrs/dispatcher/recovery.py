@@ -7,16 +7,16 @@ from collections.abc import AsyncIterator, Container, Iterable
 from typing import Generic
 
 from pcmrs.dispatcher.activities import Activities
-from pcmrs.dispatcher.decisions import JOURNAL, Conclusion, Decisions
+from pcmrs.dispatcher.decisions import JOURNAL, CompletedCommand, Decisions
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.run import C, D
-from pcmrs.dispatcher.verdict_cache import Memory
+from pcmrs.dispatcher.verdict_cache import VerdictCache
 from pcmrs.fsm import Blueprint, Closure
 from pcmrs.fsm.blueprint import OperationSpec
 from pcmrs.messages import Command, Reason, UnknownOutcome, Verdict
 
 
-class Unsettled:
+class PendingOutcomes:
     """What has ended `unknown` and has not been settled since.
 
     A motion is settled by an operation of its branch that looks: accepted, and with steps of its own, such as
@@ -86,24 +86,24 @@ class Reconciliation(Generic[C, D]):
 
     Args:
         procedure: Where is committed what the disk has.
-        memory: Gets the verdicts that count.
+        verdict_cache: Gets the verdicts that count.
         decisions: Has what is doubtful.
-        unsettled: Drops what has become known.
+        outcomes: Drops what has become known.
         activities: Follow the commits.
     """
 
     def __init__(
         self,
         procedure: Procedure[C, D],
-        memory: Memory,
+        verdict_cache: VerdictCache,
         decisions: Decisions[C, D],
-        unsettled: Unsettled,
+        outcomes: PendingOutcomes,
         activities: Activities[C, D],
     ) -> None:
         self._procedure = procedure
-        self._memory = memory
+        self._verdict_cache = verdict_cache
         self._decisions = decisions
-        self._unsettled = unsettled
+        self._outcomes = outcomes
         self._activities = activities
 
     async def of_all(self, begun: Container[tuple[str, str]]) -> AsyncIterator[Verdict]:
@@ -116,7 +116,7 @@ class Reconciliation(Generic[C, D]):
             JournalError: The journal cannot be read or written; what is left stays doubtful.
         """
         self._procedure.forget_promises()
-        waiting, self._decisions.doubtful = self._decisions.doubtful, []
+        waiting, self._decisions.unconfirmed = self._decisions.unconfirmed, []
         try:
             while waiting:
                 verdict = await self._of(waiting[0], begun)
@@ -124,33 +124,33 @@ class Reconciliation(Generic[C, D]):
                 if verdict is not None:
                     yield verdict
         finally:
-            self._decisions.doubtful[:0] = waiting
+            self._decisions.unconfirmed[:0] = waiting
 
-    async def _of(self, conclusion: Conclusion[C, D], begun: Container[tuple[str, str]]) -> Verdict | None:
-        command = conclusion.command
-        self._memory.forget(command)
-        verdict, is_new = self._memory.verdict_of(command)
+    async def _of(self, completed: CompletedCommand[C, D], begun: Container[tuple[str, str]]) -> Verdict | None:
+        command = completed.command
+        self._verdict_cache.forget(command)
+        verdict, is_new = self._verdict_cache.verdict_of(command)
         if not is_new:
-            return self._take_recorded(conclusion, verdict.result())
+            return self._take_recorded(completed, verdict.result())
         if (command.source, command.id) not in begun:  # then no step was taken, or they touched nothing outside
-            self._memory.forget(command)
-            self._unsettled.withdraw(command.source, command.id)
+            self._verdict_cache.forget(command)
+            self._outcomes.withdraw(command.source, command.id)
             return None
         self._decisions.conclude(self._unknown(command, verdict))
         return await asyncio.shield(verdict)  # others may wait for it when the resume is cancelled
 
-    def _take_recorded(self, conclusion: Conclusion[C, D], recorded: Verdict) -> Verdict:
-        command = conclusion.command
-        self._decisions.commit_recorded(conclusion, recorded)
+    def _take_recorded(self, completed: CompletedCommand[C, D], recorded: Verdict) -> Verdict:
+        command = completed.command
+        self._decisions.commit_recorded(completed, recorded)
         self._activities.follow(command)
         if recorded.decision != "unknown":
-            self._unsettled.withdraw(command.source, command.id)
+            self._outcomes.withdraw(command.source, command.id)
         if recorded.decision == "accepted":
-            self._unsettled.settle_by(command.branch, command.operation)
+            self._outcomes.settle_by(command.branch, command.operation)
         return recorded
 
-    def _unknown(self, command: Command, verdict: asyncio.Future[Verdict]) -> Conclusion[C, D]:
+    def _unknown(self, command: Command, verdict: asyncio.Future[Verdict]) -> CompletedCommand[C, D]:
         """With the state that its operation declares for what nobody knows."""
         closure = self._procedure.ask(command.branch, command.operation)
         change = closure.unknown if isinstance(closure, Closure) else None
-        return Conclusion(command, verdict, "unknown", LOST, change=change)
+        return CompletedCommand(command, verdict, "unknown", LOST, change=change)

@@ -21,7 +21,7 @@ Key = tuple[str, str]
 """Source and id of a command."""
 
 
-class Memory:
+class VerdictCache:
     """Remembers what has been decided, and what is being decided."""
 
     def __init__(self, recorder: Recorder) -> None:

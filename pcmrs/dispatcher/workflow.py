@@ -17,7 +17,7 @@ from pcmrs.fsm.rules.declared import Known, check_declared
 
 Check = Callable[[Run[C, D]], None]
 Step = Callable[[Run[C, D]], Awaitable[None] | None]
-Pursuit = Callable[[Activity[C, D]], Coroutine[Any, Any, None]]
+ActivityTask = Callable[[Activity[C, D]], Coroutine[Any, Any, None]]
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -32,9 +32,9 @@ class Registry(Generic[C, D]):
     payloads: dict[str, type[msgspec.Struct]] = field(default_factory=lambda: {"none": NoArguments})
     checks: dict[str, Check[C, D]] = field(default_factory=dict)
     steps: dict[str, Step[C, D]] = field(default_factory=dict)
-    worldly: set[str] = field(default_factory=set)
+    side_effecting: set[str] = field(default_factory=set)
     lasting: set[str] = field(default_factory=set)
-    activities: dict[str, Pursuit[C, D]] = field(default_factory=dict)
+    activities: dict[str, ActivityTask[C, D]] = field(default_factory=dict)
     moving: set[str] = field(default_factory=set)
     affecting: set[str] = field(default_factory=set)
 
@@ -76,7 +76,7 @@ class Registry(Generic[C, D]):
             moves: It moves the robot: an operation with it must declare `motion`.
             affects_patient: It acts on the patient otherwise: an operation with it must declare `affects_patient`.
         """
-        self.worldly.add(function.__name__)
+        self.side_effecting.add(function.__name__)
         if moves:
             self.moving.add(function.__name__)
         if affects_patient:

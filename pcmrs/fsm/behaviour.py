@@ -42,8 +42,8 @@ def line_of(states: Mapping[str, str]) -> str:
 
 def endings(spec: OperationSpec, closure: Closure) -> dict[str, Change | None]:
     """Every way an allowed operation can end, and what that changes; only steps can fail or leave doubt."""
-    doubtful = {"failed": closure.failure, "unknown": closure.unknown} if spec.steps else {}
-    return {**closure.outcomes, **doubtful}
+    unconfirmed = {"failed": closure.failure, "unknown": closure.unknown} if spec.steps else {}
+    return {**closure.outcomes, **unconfirmed}
 
 
 def behaviour(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> dict[Joint, dict[str, Ruling]]:

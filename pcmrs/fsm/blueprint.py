@@ -138,14 +138,14 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
         return {START_OUTCOME: OutcomeSpec(to=self.to or "")}
 
     @property
-    def doubtful(self) -> dict[str, OutcomeSpec]:
+    def unconfirmed(self) -> dict[str, OutcomeSpec]:
         """Where it leads when it does not end as declared, by ``failed`` and ``unknown``, as far as it says so."""
-        doubtful = {"failed": self.on_failure, "unknown": self.on_unknown}
-        return {name: OutcomeSpec(to=target) for name, target in doubtful.items() if target is not None}
+        unconfirmed = {"failed": self.on_failure, "unknown": self.on_unknown}
+        return {name: OutcomeSpec(to=target) for name, target in unconfirmed.items() if target is not None}
 
     def targets(self) -> set[str]:
         """Every state it can lead to, by success, failure or doubt."""
-        return _states_in([*self.endings.values(), *self.doubtful.values()])
+        return _states_in([*self.endings.values(), *self.unconfirmed.values()])
 
     def declared_targets(self) -> set[str]:
         """Every state that it leads to when it ends as declared."""
@@ -153,7 +153,7 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
 
     def doubtful_targets(self) -> set[str]:
         """Every state that failure or doubt can lead to."""
-        return _states_in([*self.doubtful.values()])
+        return _states_in([*self.unconfirmed.values()])
 
 
 def _states_in(endings: list[OutcomeSpec]) -> set[str]:

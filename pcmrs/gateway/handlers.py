@@ -9,15 +9,15 @@ from uuid import uuid4
 
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
+from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.commands import Action, Plan, Step
-from pcmrs.gateway.core import Core
 from pcmrs.gateway.grammar import Request
 from pcmrs.gateway.outcome import Outcome, of_verdict
 from pcmrs.gateway.records import Records
-from pcmrs.gateway.rejection_log import Refusals
+from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.streams import Streams
 from pcmrs.messages import Command
-from pcmrs.messages.identity import Asker
+from pcmrs.messages.identity import Principal
 
 PAIR_WINDOW = 1.0
 """Seconds of the machine between rotation and translation of one pose."""
@@ -161,10 +161,10 @@ class Services:
     clock: Clock
     streams: Streams
     records: Records
-    refusals: Refusals
+    refusals: RejectionLog
 
 
-class Actions:
+class CommandHandlers:
     """The actions of one peer.
 
     Args:
@@ -174,7 +174,7 @@ class Actions:
         lock: The plan lock of the peer's host, or its own when it signs.
     """
 
-    def __init__(self, source: str, asker: Asker, services: Services, lock: PlanLock) -> None:
+    def __init__(self, source: str, asker: Principal, services: Services, lock: PlanLock) -> None:
         self.source = source
         self._asker = asker
         self._services = services

@@ -20,12 +20,12 @@ from pcmrs.gateway.auth.peers import (
 )
 from pcmrs.gateway.commands import COMMANDS, Action
 from pcmrs.gateway.grammar import Request, parse, parse_tool_points
-from pcmrs.gateway.handlers import Actions, PlanLock, Services
-from pcmrs.gateway.outcome import Memory
-from pcmrs.gateway.session import QUEUE_FULL, Answer, Session
+from pcmrs.gateway.handlers import CommandHandlers, PlanLock, Services
+from pcmrs.gateway.outcome import OutcomeCache
+from pcmrs.gateway.session import QUEUE_FULL, ReplyChannel, Session
 from pcmrs.gateway.signing import Signed, split
 from pcmrs.gateway.tasks import Tasks
-from pcmrs.messages.identity import ON_SITE, Asker
+from pcmrs.messages.identity import ON_SITE, Principal
 
 MAX_SESSIONS = 256
 STREAMS = ("tcp", "openigtlink")
@@ -87,11 +87,11 @@ class Intake:
         self._admission = admission
         self._sessions: dict[str, Session] = {}
         self._locks: dict[str, PlanLock] = {}
-        self._memory = Memory()
+        self._memory = OutcomeCache()
         self._clock: Clock = services.clock
 
     def receive(
-        self, link: str, peer: tuple[str, int], exposed: bool, data: bytes, answer: Answer
+        self, link: str, peer: tuple[str, int], exposed: bool, data: bytes, answer: ReplyChannel
     ) -> PayloadError | RefusalError | None:
         """Take one datagram or frame; what is refused is counted, reported and changes nothing.
 
@@ -149,7 +149,9 @@ class Intake:
         if host not in self._unsigned_peers:
             raise PayloadError(f"Unsigned commands from {host} are refused; list it in unsigned_peers.", host=host)
 
-    def _receive_unsigned(self, link: str, peer: tuple[str, int], data: bytes, answer: Answer, arrived: float) -> None:
+    def _receive_unsigned(
+        self, link: str, peer: tuple[str, int], data: bytes, answer: ReplyChannel, arrived: float
+    ) -> None:
         points_mm = parse_tool_points(data)
         if points_mm is not None:
             self._services.streams.relay_tool_points(points_mm)
@@ -157,7 +159,7 @@ class Intake:
         request = _as_meant(link, parse(data))
         self._session(source_of(link, peer), peer[0], ON_SITE).receive(request, answer, arrived)
 
-    def _receive_signed(self, link: str, signed: Signed, answer: Answer, arrived: float) -> None:
+    def _receive_signed(self, link: str, signed: Signed, answer: ReplyChannel, arrived: float) -> None:
         """What is known to be a peer's is answered, refused or not; what is not raises, and nobody learns of it."""
         if self._admission is None:
             raise RefusalError(UNKNOWN_PEER, "No peer has a key; make one with: pcmrs peers new NAME.")
@@ -171,25 +173,25 @@ class Intake:
             self._admission.enter_when_kept(peer, enter)
 
     def _enter(
-        self, peer: SignedPeer, request: Request, answer: Answer, arrived: float, refusal: RefusalError | None
+        self, peer: SignedPeer, request: Request, answer: ReplyChannel, arrived: float, refusal: RefusalError | None
     ) -> None:
         """Begins a peer's command; its session, lock and ids are its own, whatever address it sends from."""
         if refusal is not None:
             self._count(refusal.refusal_code)
         self._session(peer.source, peer.source, peer.asker).receive(request, answer, arrived, refusal)
 
-    def _session(self, source: str, holder: str, asker: Asker) -> Session:
+    def _session(self, source: str, holder: str, asker: Principal) -> Session:
         """The session of a source, moved to the end of the order in which idle ones are forgotten."""
         session = self._sessions.pop(source, None) or self._new_session(source, holder, asker)
         self._sessions[source] = session
         return session
 
-    def _new_session(self, source: str, holder: str, asker: Asker) -> Session:
+    def _new_session(self, source: str, holder: str, asker: Principal) -> Session:
         if len(self._sessions) >= MAX_SESSIONS:
             oldest_idle = next((key for key, session in self._sessions.items() if session.idle), None)
             if oldest_idle is not None:
                 del self._sessions[oldest_idle]
-        actions = Actions(source, asker, self._services, self.lock(holder))
+        actions = CommandHandlers(source, asker, self._services, self.lock(holder))
         return Session(actions, self._clock, self._tasks, self._memory, self._count_overflow)
 
     def _count(self, reason: str) -> None:

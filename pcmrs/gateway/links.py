@@ -14,15 +14,15 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.errors import ConfigurationError
+from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.auth.admission import NOT_KEPT, Admission
-from pcmrs.gateway.auth.counters import CounterFile, CounterKeeper, check_room
+from pcmrs.gateway.auth.counters import CounterFile, CounterWriter, check_room
 from pcmrs.gateway.auth.peers import SignedPeer
-from pcmrs.gateway.core import Core
 from pcmrs.gateway.handlers import Services
 from pcmrs.gateway.intake import Counters, Intake
 from pcmrs.gateway.periodic_timer import kernel_beats
 from pcmrs.gateway.records import Records
-from pcmrs.gateway.rejection_log import Refusals
+from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.settings import UNIX_NS, GatewayConfig, LinkConfig, PeerConfig
 from pcmrs.gateway.streams import Markers, Send, Streams
 from pcmrs.gateway.tasks import Tasks
@@ -73,7 +73,7 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         stack.push_async_callback(jobs.close)
         streams = Streams(core, kernel_beats, config, await _open_sender(stack), tasks)
         records = Records(core, clock, folder / RECORDS, tasks)
-        refusals = Refusals(core, clock, tasks)
+        refusals = RejectionLog(core, clock, tasks)
         admission = None
         if config.peers:
             admission = _open_admission(stack, core, config, clock, folder / COUNTERS, refusals, tasks)
@@ -104,7 +104,7 @@ def _open_admission(
     config: GatewayConfig,
     clock: Clock,
     path: Path,
-    refusals: Refusals,
+    refusals: RejectionLog,
     tasks: Tasks,
 ) -> Admission:
     file = CounterFile(path)
@@ -113,7 +113,7 @@ def _open_admission(
     if file.made:
         _report_reset(core, config.peers, path)
     peers = {name: SignedPeer(name, peer, file.kept.get(name, 0), clock) for name, peer in config.peers.items()}
-    keeper = CounterKeeper(file, lambda error: refusals.add("gateway", NOT_KEPT, f"{path} cannot be written: {error}."))
+    keeper = CounterWriter(file, lambda error: refusals.add("gateway", NOT_KEPT, f"{path} cannot be written: {error}."))
     stack.push_async_callback(keeper.close)
     return Admission(peers, keeper, clock, tasks)
 

@@ -75,7 +75,7 @@ MAX_REMEMBERED = 10_000
 """Outcomes kept, of all peers together; of older commands the daemon still recalls those that it performed."""
 
 
-class Memory:
+class OutcomeCache:
     """Remembers what commands with an id came to, and which are under way."""
 
     def __init__(self) -> None:

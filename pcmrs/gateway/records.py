@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
-from pcmrs.gateway.core import Core
+from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.tasks import Tasks
 from pcmrs.spatial import Transform
 

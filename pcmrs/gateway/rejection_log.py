@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import structlog
 
 from pcmrs.clock import Clock
-from pcmrs.gateway.core import Core
+from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.tasks import Tasks
 from pcmrs.messages import DeviceEvent
 
@@ -20,7 +20,7 @@ _log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Untold:
+class PendingReport:
     """What was refused for one reason since it was told last: how often, and the newest."""
 
     count: int
@@ -28,7 +28,7 @@ class Untold:
     text: str
 
 
-class Refusals:
+class RejectionLog:
     """Reports the first of each reason at once; as long as more come, the newest every `PERIOD`, with their number.
 
     What the dispatcher refuses it journals itself. What does not get there is journalled by this: nothing is refused
@@ -47,7 +47,7 @@ class Refusals:
         self._core = core
         self._clock = clock
         self._tasks = tasks
-        self._untold: dict[str, Untold] = {}
+        self._untold: dict[str, PendingReport] = {}
         self._told: set[str] = set()
         self._waiting = False
 
@@ -61,10 +61,10 @@ class Refusals:
             each: It is reported at once, by itself.
         """
         if each:
-            self._tell(reason, Untold(1, source, text))
+            self._tell(reason, PendingReport(1, source, text))
             return
         before = self._untold.get(reason)
-        self._untold[reason] = Untold(1 if before is None else before.count + 1, source, text)
+        self._untold[reason] = PendingReport(1 if before is None else before.count + 1, source, text)
         if reason not in self._told:
             self._report(reason)
         if not self._waiting:
@@ -83,7 +83,7 @@ class Refusals:
         self._told.add(reason)
         self._tell(reason, self._untold.pop(reason))
 
-    def _tell(self, reason: str, untold: Untold) -> None:
+    def _tell(self, reason: str, untold: PendingReport) -> None:
         fields = {"count": untold.count, "source": untold.source, "reason": reason}
         _log.warning(REFUSED, text=untold.text, **fields)
         self._core.report(DeviceEvent(device=self._edge, code=REFUSED, text=untold.text, fields=fields))

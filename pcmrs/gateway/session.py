@@ -14,8 +14,8 @@ from pcmrs.clock import Clock
 from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.gateway.commands import Action, Second
 from pcmrs.gateway.grammar import Request
-from pcmrs.gateway.handlers import Actions, Job
-from pcmrs.gateway.outcome import NO_DATA, Memory, Outcome
+from pcmrs.gateway.handlers import CommandHandlers, Job
+from pcmrs.gateway.outcome import NO_DATA, Outcome, OutcomeCache
 from pcmrs.gateway.tasks import Tasks
 
 ACKNOWLEDGEMENT = "ack"
@@ -36,7 +36,7 @@ Send = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class ReplyChannel:
     """Where answers to one datagram go.
 
     Attributes:
@@ -82,7 +82,12 @@ class Session:
     """
 
     def __init__(
-        self, actions: Actions, clock: Clock, tasks: Tasks, memory: Memory, on_overflow: Callable[[], None]
+        self,
+        actions: CommandHandlers,
+        clock: Clock,
+        tasks: Tasks,
+        memory: OutcomeCache,
+        on_overflow: Callable[[], None],
     ) -> None:
         self._actions = actions
         self._clock = clock
@@ -100,7 +105,9 @@ class Session:
         """Whether nothing waits or runs."""
         return not self._queue and self._running == 0
 
-    def receive(self, request: Request, answer: Answer, arrived: float, refusal: RefusalError | None = None) -> None:
+    def receive(
+        self, request: Request, answer: ReplyChannel, arrived: float, refusal: RefusalError | None = None
+    ) -> None:
         """Begins a command, or rejects it with `refusal`, unless it was begun before; never waits.
 
         Args:

@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 from pcmrs.devices.lsl.markers import MarkerOutlet
-from pcmrs.gateway.core import Core
+from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.grammar import TOOL_POINTS_PREFIX
 from pcmrs.gateway.periodic_timer import Beats
 from pcmrs.gateway.settings import GatewayConfig
-from pcmrs.gateway.tasks import Repetition, Tasks
+from pcmrs.gateway.tasks import PeriodicTask, Tasks
 from pcmrs.messages import DeviceEvent, Snapshot, Verdict
 from pcmrs.spatial import Floats, Transform
 
@@ -37,8 +37,8 @@ class Streams:
         self._core = core
         self._config = config
         self._send = send
-        self._poses = Repetition(beats, config.stream_rate_hz, self._send_poses, tasks)
-        self._tip = Repetition(beats, config.stream_rate_hz, self._send_tip, tasks)
+        self._poses = PeriodicTask(beats, config.stream_rate_hz, self._send_poses, tasks)
+        self._tip = PeriodicTask(beats, config.stream_rate_hz, self._send_tip, tasks)
         self._sent_to_unity: dict[str, str] = {}
 
     def start_poses(self) -> None:

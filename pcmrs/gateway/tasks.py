@@ -49,7 +49,7 @@ class Tasks:
             _log.error("gateway_task_failed", task=repr(task.get_coro()), exc_info=error)
 
 
-class Repetition:
+class PeriodicTask:
     """Something done at a steady rate between `start` and `stop`, whatever the network says to it.
 
     Args:

@@ -19,7 +19,7 @@ from pcmrs.clock import Clock
 from pcmrs.errors import PayloadError, RefusalError
 from pcmrs.gateway.grammar import MAX_BYTES, may_become_command
 from pcmrs.gateway.intake import Intake
-from pcmrs.gateway.session import Answer
+from pcmrs.gateway.session import ReplyChannel
 from pcmrs.gateway.tasks import Tasks
 from pcmrs.hosts import is_loopback
 
@@ -198,7 +198,7 @@ class _Connection:
         self._peer = peer
         self._exposed = exposed
         self._frames = Frames()
-        self._answer = Answer(verdict=self._send, acknowledge=self._send)
+        self._answer = ReplyChannel(verdict=self._send, acknowledge=self._send)
         self.known = intake.takes_unsigned(peer[0], exposed)
 
     async def read(self) -> bool:

@@ -6,7 +6,7 @@ import asyncio
 from typing import Any, cast
 
 from pcmrs.gateway.intake import Intake
-from pcmrs.gateway.session import Answer
+from pcmrs.gateway.session import ReplyChannel
 from pcmrs.gateway.settings import LinkConfig
 from pcmrs.hosts import is_loopback
 
@@ -44,7 +44,7 @@ class UdpLink(asyncio.DatagramProtocol):
         """Called by the event loop for every datagram."""
         host, port = addr[:2]
         reply_port = self._config.reply_port
-        answer = Answer(
+        answer = ReplyChannel(
             verdict=lambda text: self._send(text, addr),
             acknowledge=None if reply_port is None else lambda text: self._send(text, (host, reply_port, *addr[2:])),
         )

@@ -5,7 +5,16 @@ that an age is (sent - captured) at the sender plus (now - received) at the rece
 """
 
 from pcmrs.messages.base import Message
-from pcmrs.messages.decisions import Command, Decision, JournalPage, JournalQuery, Prospect, Question, Reason, Verdict
+from pcmrs.messages.decisions import (
+    Command,
+    Decision,
+    DryRunResult,
+    JournalPage,
+    JournalQuery,
+    Question,
+    Reason,
+    Verdict,
+)
 from pcmrs.messages.device import (
     ActToken,
     Beat,
@@ -28,10 +37,10 @@ from pcmrs.messages.robot import (
 )
 from pcmrs.messages.scene import HeadBurst, HeadMotion, HeadStep, SceneTruth
 from pcmrs.messages.snapshot import (
+    ActiveActivity,
     BlueprintTag,
     Flags,
     LeaseState,
-    Ongoing,
     Running,
     Snapshot,
     StopState,
@@ -42,6 +51,7 @@ from pcmrs.messages.teleop import TeleopSetpoint, TeleopStatus
 
 __all__ = [
     "ActToken",
+    "ActiveActivity",
     "Beat",
     "BlueprintTag",
     "BodyPose",
@@ -51,6 +61,7 @@ __all__ = [
     "DeviceHealth",
     "DeviceReply",
     "DeviceRequest",
+    "DryRunResult",
     "Epoch",
     "FiredPulse",
     "Flags",
@@ -69,10 +80,8 @@ __all__ = [
     "MotionOutcome",
     "MotionResult",
     "NodeBeat",
-    "Ongoing",
     "PoseMessage",
     "PressRequest",
-    "Prospect",
     "Question",
     "Reason",
     "Running",

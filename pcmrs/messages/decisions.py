@@ -19,7 +19,7 @@ class Command(Message, frozen=True, kw_only=True):
     Attributes:
         id: Unique per source; a repeat returns the recorded verdict and runs nothing.
         source: Who asks and which way, such as ``udp:planner:127.0.0.1`` or ``bus:local``.
-        user: Who that is: see `Asker`.
+        user: Who that is: see `Principal`.
         role: What they may do; the dispatcher holds them to it.
         sent: Unix seconds at which it was sent, if the sender said so.
         ttl: Seconds after `sent` beyond which it is refused as expired.
@@ -77,7 +77,7 @@ class Question(Message, frozen=True, kw_only=True):
     arguments: dict[str, Any] = {}
 
 
-class Prospect(Message, frozen=True, kw_only=True, omit_defaults=False):
+class DryRunResult(Message, frozen=True, kw_only=True, omit_defaults=False):
     """What would be said to a command now, by its states and checks; its steps have still to go well.
 
     Attributes:

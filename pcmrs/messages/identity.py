@@ -68,7 +68,7 @@ class Identity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         return any(fnmatchcase(cell, each) for each in self.cells)
 
 
-class Asker(NamedTuple):
+class Principal(NamedTuple):
     """Somebody who asks for operations.
 
     Attributes:
@@ -80,7 +80,7 @@ class Asker(NamedTuple):
     role: Role
 
 
-ON_SITE: Final = Asker(LOCAL, "operator")
+ON_SITE: Final = Principal(LOCAL, "operator")
 """Whoever works on the cell's own machine."""
 
 

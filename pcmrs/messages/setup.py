@@ -119,7 +119,7 @@ class StimulationShown(Message, frozen=True, kw_only=True, omit_defaults=False):
     hunt: dict[str, Any] | None = None
 
 
-class Gathered(Message, frozen=True, kw_only=True, omit_defaults=False):
+class ProcedureDataView(Message, frozen=True, kw_only=True, omit_defaults=False):
     """What the procedure has gathered so far: told on ``state/data`` when it changes, and asked for by ``svc/data``.
 
     Attributes:

@@ -16,7 +16,7 @@ class Running(Message, frozen=True, kw_only=True, omit_defaults=False):
     progress: float = 0.0
 
 
-class Ongoing(Message, frozen=True, kw_only=True, omit_defaults=False):
+class ActiveActivity(Message, frozen=True, kw_only=True, omit_defaults=False):
     """The activity of the state that a branch is in; `values` are what it shows of itself."""
 
     branch: str
@@ -92,7 +92,7 @@ class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
     blueprint: BlueprintTag
     plan: str | None = None
     registration: str | None = None
-    activities: list[Ongoing] = []
+    activities: list[ActiveActivity] = []
     unknown: list[UnknownOutcome] = []
     lease: LeaseState | None = None
     stop: StopState = StopState()

@@ -19,7 +19,7 @@ from pcmrs.clock import Clock
 from pcmrs.errors import ConfigurationError, FileFormatError
 from pcmrs.messages import Message
 from pcmrs.recording.reading import Reading
-from pcmrs.recording.tap import Heard
+from pcmrs.recording.subscriber import RawSample
 from pcmrs.recording.topics import TopicFilter
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ class Player:
     async def _wait_until(self, due: float) -> None:
         await self._clock.sleep(max(0.0, due - self._clock.monotonic()))
 
-    def _publish(self, heard: Heard) -> None:
+    def _publish(self, heard: RawSample) -> None:
         if heard.key not in self._publishers:
             publisher = declare_publisher(self._session, f"{self.prefix}/{heard.key}", class_of(heard.key))
             self._publishers[heard.key] = publisher
@@ -166,7 +166,7 @@ class Player:
             publisher.undeclare()
 
 
-def _timed(readings: Sequence[Reading]) -> Iterator[tuple[float, Heard, int, str]]:
+def _timed(readings: Sequence[Reading]) -> Iterator[tuple[float, RawSample, int, str]]:
     """Messages in order: s since the first, the message, bytes read of all files until then, and the file's name."""
     first_ns, before = None, 0
     for reading in readings:

@@ -14,7 +14,7 @@ from pcmrs.bus.codec import MAX_BYTES
 from pcmrs.errors import FileFormatError
 from pcmrs.recording import raw
 from pcmrs.recording.file import METADATA
-from pcmrs.recording.tap import Heard
+from pcmrs.recording.subscriber import RawSample
 
 LARGEST_CHUNK: Final = 2 * MAX_BYTES
 """Bytes of a chunk when decompressed: more than the largest message of the bus and its view, after `CHUNK`."""
@@ -66,7 +66,7 @@ class Reading:
                     return
                 yield from batch
 
-    def bus_messages(self) -> Iterator[tuple[int, Heard]]:
+    def bus_messages(self) -> Iterator[tuple[int, RawSample]]:
         """What came over the bus, and when, ns since 1970; other topics are passed over.
 
         Raises:
@@ -78,7 +78,7 @@ class Reading:
                 keys[record.id] = record.topic.removeprefix(raw.PREFIX)
             elif isinstance(record, Message) and record.channel_id in keys:
                 monotonic, payload = raw.decode(record.data)
-                yield record.log_time, Heard(keys[record.channel_id], payload, monotonic)
+                yield record.log_time, RawSample(keys[record.channel_id], payload, monotonic)
 
     def _whole_records(self, file: BinaryIO) -> Iterator[list[McapRecord]]:
         """Record by record; a chunk is taken apart first, and counts only as a whole."""

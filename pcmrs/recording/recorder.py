@@ -18,7 +18,7 @@ from pcmrs.messages import DeviceEvent, Message
 from pcmrs.recording.file import RecordingFile, Topics
 from pcmrs.recording.series import Limits, path_of, remove_oldest
 from pcmrs.recording.shapes import line
-from pcmrs.recording.tap import Heard, Tap
+from pcmrs.recording.subscriber import RawSample, Subscriber
 from pcmrs.recording.views import LOG, Views
 
 PERIOD: Final = 0.05
@@ -100,7 +100,7 @@ class Recorder:
         self.messages = self._number = self._removed = self._dropped = 0
         self._file = self._next_file()
 
-    async def run(self, tap: Tap, ended: asyncio.Event) -> Report:
+    async def run(self, tap: Subscriber, ended: asyncio.Event) -> Report:
         """Records until `ended` is set, or nothing more can be written: then the daemon is told why.
 
         Args:
@@ -125,7 +125,7 @@ class Recorder:
             error=None if error is None else error.text,
         )
 
-    def _work(self, tap: Tap) -> RecordingError | None:
+    def _work(self, tap: Subscriber) -> RecordingError | None:
         """Writes what has come; returns why it cannot go on."""
         for heard in tap.heard():
             self._write(heard)
@@ -137,7 +137,7 @@ class Recorder:
         except OSError as error:
             return self._failed(error)
 
-    def _write(self, heard: Heard) -> None:
+    def _write(self, heard: RawSample) -> None:
         at_ns = self._ns(heard.at)
         self._topics.write_raw(heard.key, heard.at, heard.payload, at_ns)
         for topic, view in self._views.of(heard, at_ns):

@@ -12,11 +12,11 @@ from pcmrs.errors import PcmrsError
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.messages import BodyPose, DeviceHealth, Epoch, JointState, Message, PoseMessage, Snapshot, Target, Verdict
 from pcmrs.messages.health import Health
-from pcmrs.messages.setup import Gathered
+from pcmrs.messages.setup import ProcedureDataView
 from pcmrs.recording import shapes
 from pcmrs.recording.chain import Chain, Link, Mounting
 from pcmrs.recording.shapes import View
-from pcmrs.recording.tap import Heard
+from pcmrs.recording.subscriber import RawSample
 from pcmrs.spatial import Frame, Transform
 
 T = TypeVar("T")
@@ -47,11 +47,11 @@ class Views:
         self._fixed = mounting.links()
         self._rate = rate
         self._latest: dict[str, tuple[str, Any]] = {}
-        self._translators: list[tuple[str, Callable[[Heard, int], Iterator[Shown]]]] = [
+        self._translators: list[tuple[str, Callable[[RawSample, int], Iterator[Shown]]]] = [
             ("state/pose/", self._pose),
             ("state/joints", self._joints),
             ("state/fsm", self._last(STATE, Snapshot)),
-            ("state/data", self._last(DATA, Gathered)),
+            ("state/data", self._last(DATA, ProcedureDataView)),
             ("state/epoch", self._epoch),
             ("state/health", self._last(DAEMON, Health)),
             ("state/target", self._target),
@@ -59,7 +59,7 @@ class Views:
             ("dev/", self._device),
         ]
 
-    def of(self, heard: Heard, at_ns: int) -> list[Shown]:
+    def of(self, heard: RawSample, at_ns: int) -> list[Shown]:
         """What there is to see of a message.
 
         Args:
@@ -82,7 +82,7 @@ class Views:
         fixed = [(TF_CALIBRATION, self._linked(link, at_ns)) for link in self._fixed]
         return [*fixed, *((topic, view(at_ns)) for topic, view in self._latest.values())]
 
-    def _pose(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
+    def _pose(self, heard: RawSample, at_ns: int) -> Iterator[Shown]:
         pose = unpack(heard.payload, BodyPose)
         if not pose.valid:
             return
@@ -93,7 +93,7 @@ class Views:
         if base is not None:
             yield self._kept("base", TF_BASE, lambda at: self._linked(base, at), captured_ns)
 
-    def _joints(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
+    def _joints(self, heard: RawSample, at_ns: int) -> Iterator[Shown]:
         state = unpack(heard.payload, JointState)
         captured_ns = at_ns - self._age_ns(state.sent - state.captured)
         flange = self._chain.joints(state)
@@ -101,23 +101,23 @@ class Views:
             yield JOINTS, shapes.joints(self._names, state.positions, state.velocities, captured_ns)
         yield TF_ARM, self._linked(flange, captured_ns)
 
-    def _last(self, topic: str, kind: type[Message]) -> Callable[[Heard, int], Iterator[Shown]]:
+    def _last(self, topic: str, kind: type[Message]) -> Callable[[RawSample, int], Iterator[Shown]]:
         """Shows messages of which the last one holds until the next."""
 
-        def translate(heard: Heard, at_ns: int) -> Iterator[Shown]:
+        def translate(heard: RawSample, at_ns: int) -> Iterator[Shown]:
             message = unpack(heard.payload, kind)
             yield self._kept(heard.key, topic, lambda _: message, at_ns)
 
         return translate
 
-    def _device(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
+    def _device(self, heard: RawSample, at_ns: int) -> Iterator[Shown]:
         if heard.key.endswith("/state"):
             yield from self._last(HEALTH, DeviceHealth)(heard, at_ns)
 
-    def _epoch(self, heard: Heard, _: int) -> Iterator[Shown]:
+    def _epoch(self, heard: RawSample, _: int) -> Iterator[Shown]:
         yield EPOCH, unpack(heard.payload, Epoch)
 
-    def _target(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
+    def _target(self, heard: RawSample, at_ns: int) -> Iterator[Shown]:
         target = unpack(heard.payload, Target)
         self._latest.pop("image", None)
         self._latest.pop("target", None)
@@ -129,7 +129,7 @@ class Views:
             image_from_coil = _transform(target.pose)
             yield self._kept("target", TARGET, lambda at: shapes.pose_in(Frame.IMAGE, image_from_coil, at), at_ns)
 
-    def _event(self, heard: Heard, at_ns: int) -> Iterator[Shown]:
+    def _event(self, heard: RawSample, at_ns: int) -> Iterator[Shown]:
         event = convert_event(unpack(heard.payload, dict))
         if isinstance(event, Verdict):
             level = _LEVELS.get(event.decision, LogLevel.Error)

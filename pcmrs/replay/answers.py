@@ -90,7 +90,7 @@ class Holds:
         return danger is None or danger.operation != NOT_CONFIRMED
 
 
-def quieten(pursued: Sequence[Pursued], source: str | None) -> bool:
+def end_activities(pursued: Sequence[Pursued], source: str | None) -> bool:
     """Activities that were told to end have ended: the one that is `source`, or else all; whether there was any."""
     waiting = [each for each in pursued if each.told.is_set() and not each.quiet.done()]
     for each in [each for each in waiting if source == f"activity:{each.name}"] or waiting:

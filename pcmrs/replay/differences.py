@@ -11,9 +11,9 @@ import msgspec
 from pcmrs.dispatcher.events import NOT_CONFIRMED
 from pcmrs.journal import JournalRow, StoredRow
 from pcmrs.messages import Verdict
-from pcmrs.replay.book import Decided
 from pcmrs.replay.durability import name_of
 from pcmrs.replay.keys import event_key
+from pcmrs.replay.recorder import Decided
 
 RELATIVE, ABSOLUTE = 1e-9, 1e-12
 """Numbers worked out anew may differ so much: another machine's linear algebra rounds differently."""

@@ -19,12 +19,12 @@ from pcmrs.journal import JournalReader, StoredRow
 from pcmrs.messages import BlueprintTag
 from pcmrs.replay.differences import Difference
 from pcmrs.replay.keys import COMPARED, is_rejected_report
-from pcmrs.service.restart.state import ENDED, Kept, Ledger
+from pcmrs.service.restart.state import ENDED, PersistedState, RestartState
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 
 
-class Heritage:
+class CarryOver:
     """Follows the runs in order.
 
     Attributes:
@@ -32,7 +32,7 @@ class Heritage:
     """
 
     def __init__(self) -> None:
-        self.kept = Kept()
+        self.kept = PersistedState()
 
     def begin(self, run: DaemonRun, workflow: Workflow[Cell, PlacementData]) -> Iterator[Difference]:
         """Closes what the run before has begun: where this run has not done so, or closed something else.
@@ -52,7 +52,7 @@ class Heritage:
             row = closed[asked].row
             name = f"outcome {row.branch}.{row.operation}"
             yield Difference(sequence=closed[asked].sequence, row=name, what="row", recorded="unknown")
-        ledger = Ledger(workflow.blueprint, self.kept)
+        ledger = RestartState(workflow.blueprint, self.kept)
         started = [each for each in run.rows if each.row.kind == "config"][:1]
         for stored in (*started, *closed.values()):
             ledger.take(stored.row)
@@ -81,7 +81,7 @@ class Heritage:
 
     def end(self, run: DaemonRun, workflow: Workflow[Cell, PlacementData]) -> None:
         """Takes in what a run leaves."""
-        ledger = Ledger(workflow.blueprint, self.kept)
+        ledger = RestartState(workflow.blueprint, self.kept)
         for stored in run.decided():
             ledger.take(stored.row)
         self.kept = ledger.kept

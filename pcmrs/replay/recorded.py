@@ -17,7 +17,7 @@ from pcmrs.errors import PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import Closure, Denial
 from pcmrs.journal import JournalRow
 from pcmrs.messages import Reason
-from pcmrs.replay.book import Book
+from pcmrs.replay.recorder import ReplayRecorder
 from pcmrs.replay.world import NotRecordedError, RecordedClock
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
@@ -78,10 +78,10 @@ class RecordedWorkflow:
     """
 
     def __init__(
-        self, workflow: Workflow[Cell, PlacementData], book: Book, ask: Callable[[str, str], Closure | Denial]
+        self, workflow: Workflow[Cell, PlacementData], book: ReplayRecorder, ask: Callable[[str, str], Closure | Denial]
     ) -> None:
         real = workflow.registry
-        registry: Registry[Cell, PlacementData] = Registry(payloads=real.payloads, worldly=real.worldly)
+        registry: Registry[Cell, PlacementData] = Registry(payloads=real.payloads, side_effecting=real.side_effecting)
         registry.checks = {name: partial(self._check, name, check) for name, check in real.checks.items()}
         registry.steps = {name: partial(self._step, step) for name, step in real.steps.items()}
         registry.activities = dict.fromkeys(real.activities, self._go_on)
@@ -89,7 +89,7 @@ class RecordedWorkflow:
         self.waiting: list[Steps] = []
         self.pursued: list[Pursued] = []
         self.answered: set[Asked] = set()
-        self._worldly = real.worldly
+        self._worldly = real.side_effecting
         self._taken: set[Asked] = set()
         self._book = book
         self._ask = ask

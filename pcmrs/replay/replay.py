@@ -16,8 +16,8 @@ from pcmrs.errors import ConfigurationError, PcmrsError, ReplayError
 from pcmrs.fsm import Blueprint, load_blueprint
 from pcmrs.messages import BlueprintTag
 from pcmrs.replay.differences import Difference, added, compared, missing, reported_already
-from pcmrs.replay.feeding import Feeding
-from pcmrs.replay.history import DaemonRun, Heritage, read_runs
+from pcmrs.replay.history import CarryOver, DaemonRun, read_runs
+from pcmrs.replay.player import JournalPlayer
 from pcmrs.replay.world import RecordedCell
 from pcmrs.settings import read_settings
 from pcmrs.simulated_time.loop import SimulatedLoop
@@ -85,7 +85,7 @@ def replay_runs(
     progress: ShowProgress | None = None,
 ) -> Replayed:
     """Decides runs of a daemon anew; see `replay`."""
-    begun, heritage = clock.monotonic(), Heritage()
+    begun, heritage = clock.monotonic(), CarryOver()
     differences: list[Difference] = []
     answered, total = 0, sum(len(run.rows) for run in runs)
     for run in runs:
@@ -108,11 +108,11 @@ def replay_runs(
 
 
 async def _replay_run(
-    name: str, run: DaemonRun, workflow: AnyWorkflow, heritage: Heritage, show: Callable[[int], None]
+    name: str, run: DaemonRun, workflow: AnyWorkflow, heritage: CarryOver, show: Callable[[int], None]
 ) -> tuple[list[Difference], int]:
     rows, cell = run.decided(), RecordedCell(_procedure_settings(name, run), run.calibration)
     access = (run.settings or {}).get("access", {})
-    feeding = Feeding(heritage.inherited(workflow), cell, rows, lease_required=bool(access.get("identity")))
+    feeding = JournalPlayer(heritage.inherited(workflow), cell, rows, lease_required=bool(access.get("identity")))
     heritage.give_to(feeding.dispatcher, run)
     differences: list[Difference] = []
     extra = 0

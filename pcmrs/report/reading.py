@@ -41,7 +41,7 @@ from pcmrs.report.record import (
     Unknown,
 )
 from pcmrs.report.source import Source, files_of, open_source
-from pcmrs.service.restart.state import Kept, Ledger
+from pcmrs.service.restart.state import PersistedState, RestartState
 from pcmrs.settings import DEVICES, read_settings
 from pcmrs.spatial import Transform
 from pcmrs.workflows import find_workflow
@@ -137,7 +137,7 @@ class _Known:
     """What was unsettled and latched at the end of a session, as the daemon itself would take it over."""
 
     def __init__(self, rows: Iterable[StoredRow], last: int, blueprint: Blueprint) -> None:
-        ledger = Ledger(blueprint, Kept())
+        ledger = RestartState(blueprint, PersistedState())
         for stored in rows:
             if stored.sequence <= last:
                 ledger.take(stored.row)

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 from pcmrs.bus import Bus, BusSettings
 from pcmrs.bus.settings import SECURED
 from pcmrs.clock import Clock
@@ -66,7 +66,7 @@ async def open_devices(
     tracker = Ros2Tracker(Accepted(own.names, own.frame, own.max_age, own.latency), clock)
     bus = await Bus.open(_bus(settings, clock))
     try:
-        async with meanwhile(tracker.run(), "frames of ROS 2"):
+        async with background_task(tracker.run(), "frames of ROS 2"):
             with closing(tracker):
                 tracker.listen(bus)
                 yield {"tracker": tracker}

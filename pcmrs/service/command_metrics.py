@@ -29,7 +29,7 @@ class Submit(Protocol):
         """Decide on a command."""
 
 
-class Tally:
+class CommandMetrics:
     """What has been decided since the start.
 
     Args:

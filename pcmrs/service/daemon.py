@@ -21,16 +21,16 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.files import make_private
 from pcmrs.fsm import Blueprint
 from pcmrs.gateway.links import Gateway, open_gateway
-from pcmrs.gateway.rejection_log import Refusals
+from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.tasks import Tasks
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag
 from pcmrs.service.command_metrics import Source, counted
 from pcmrs.service.health.inspection import Inspection
 from pcmrs.service.health.metrics import MetricsServer
-from pcmrs.service.health.service_manager import ServiceManager, keep_informed
+from pcmrs.service.health.service_manager import ServiceManager, run_watchdog
 from pcmrs.service.procedure import Clocks, RunningProcedure
-from pcmrs.service.processes.child import Companion
+from pcmrs.service.processes.child import ChildProcess
 from pcmrs.service.processes.console import is_served, open_console
 from pcmrs.service.processes.heart import HeartProcess
 from pcmrs.service.processes.nodes import NodeProcesses
@@ -134,7 +134,7 @@ class Daemon:
             nodes, recording, console = await stack.enter_async_context(children)
             stack.push_async_callback(heart.stop)
             stack.push_async_callback(planner.stop)
-            asyncio.get_running_loop().set_exception_handler(supervisor.take_stray)
+            asyncio.get_running_loop().set_exception_handler(supervisor.handle_loop_exception)
             await stack.enter_async_context(supervisor)
             supervisor.start("journal", lambda: keep_journal(journal, recorder, dispatcher, machine))
             space = SpaceWatch(
@@ -189,7 +189,7 @@ class Daemon:
             if earlier:
                 supervisor.spawn("audit", audit(journal.reader.path, dispatcher.report_later))
             if manager:
-                supervisor.start("service manager", lambda: keep_informed(manager, inspection.health, machine))
+                supervisor.start("service manager", lambda: run_watchdog(manager, inspection.health, machine))
             # Entered last, so left first: the arm stands, and latched, before anything else ends.
             stack.push_async_callback(dispatcher.close)
             manager.tell("READY=1")
@@ -200,12 +200,14 @@ class Daemon:
 @asynccontextmanager
 async def _child_processes(
     settings: Settings, session: str, device_key: bytes, procedure: RunningProcedure, machine: Clock
-) -> AsyncIterator[tuple[NodeProcesses, Companion, Companion]]:
+) -> AsyncIterator[tuple[NodeProcesses, ChildProcess, ChildProcess]]:
     """Device nodes, recorder and console, not yet started; on leaving they are stopped in this order."""
     report = procedure.dispatcher.report_later
     nodes = NodeProcesses(settings, device_key, procedure.lose, report, machine)
-    recording = Companion("recording", partial(open_recorder, settings, session, machine, device_key), report, machine)
-    console = Companion("console", partial(open_console, settings), report, machine)
+    recording = ChildProcess(
+        "recording", partial(open_recorder, settings, session, machine, device_key), report, machine
+    )
+    console = ChildProcess("console", partial(open_console, settings), report, machine)
     async with AsyncExitStack() as stack:
         stack.push_async_callback(console.stop)
         stack.push_async_callback(recording.stop)  # after the nodes: it writes what they have said last
@@ -219,7 +221,7 @@ async def _edges(bus: Bus, procedure: RunningProcedure, settings: Settings, mach
     async with AsyncExitStack() as stack:
         reporting = Tasks()
         stack.push_async_callback(reporting.close)
-        refusals = Refusals(procedure.core, machine, reporting, edge="bus")
+        refusals = RejectionLog(procedure.core, machine, reporting, edge="bus")
         edge = await CommandEdge.open(bus, procedure.tally.submit, refusals.add, procedure.stop)
         stack.push_async_callback(edge.close)
         links = open_gateway(procedure.core, settings.gateway, machine, settings.cell.path())

@@ -25,9 +25,9 @@ from pcmrs.fsm import Blueprint
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import Beat, BodyPose, DeviceEvent, DeviceHealth, JointState, NodeBeat, Snapshot, Verdict
-from pcmrs.messages.setup import Gathered
-from pcmrs.service.command_metrics import Tally
-from pcmrs.service.core import GatewayCore
+from pcmrs.messages.setup import ProcedureDataView
+from pcmrs.service.command_metrics import CommandMetrics
+from pcmrs.service.gateway_adapter import GatewayAdapter
 from pcmrs.service.processes.heart import Heart, LoopHeart
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.setup_view import gathered
@@ -37,7 +37,7 @@ from pcmrs.service.watches.abandoned import AbandonedWatch
 from pcmrs.service.watches.devices import HealthWatch
 from pcmrs.service.watches.gates import GateWatch
 from pcmrs.service.watches.lease import LeaseWatch
-from pcmrs.service.watches.readiness import Hearing, awaited
+from pcmrs.service.watches.readiness import DeviceReadiness, awaited
 from pcmrs.service.watches.reference import ReferenceWatch
 from pcmrs.service.watches.robot import RobotWatch
 from pcmrs.settings import DWELL, Settings
@@ -122,9 +122,9 @@ class RunningProcedure:
             planner=planner,
             rejections=Rejections(clocks.machine),
         )
-        self.tally = Tally(self.dispatcher.submit, clocks.machine)
-        self.core = GatewayCore(self.dispatcher, self.cell, self.tally.submit)
-        self.hearing = Hearing(awaited(settings, workflow.blueprint.branches), clocks.machine)
+        self.tally = CommandMetrics(self.dispatcher.submit, clocks.machine)
+        self.core = GatewayAdapter(self.dispatcher, self.cell, self.tally.submit)
+        self.hearing = DeviceReadiness(awaited(settings, workflow.blueprint.branches), clocks.machine)
         dispatcher = self.dispatcher
         self.watch = RobotWatch(
             self._heart.sign,
@@ -168,7 +168,7 @@ class RunningProcedure:
         """Whether the workflow holds the robot for connected."""
         return self.dispatcher.procedure.joint().get("robot") == "1"
 
-    def gathered(self) -> Gathered:
+    def gathered(self) -> ProcedureDataView:
         """What the procedure has gathered so far."""
         return gathered(self.cell, self.dispatcher.procedure.data)
 

@@ -20,18 +20,18 @@ from pcmrs.journal.rows import encode_row
 from pcmrs.messages import (
     Command,
     DeviceEvent,
+    DryRunResult,
     Flags,
     JournalPage,
     JournalQuery,
     Message,
-    Prospect,
     Question,
     Snapshot,
     Target,
     Verdict,
 )
 from pcmrs.messages.health import Health
-from pcmrs.messages.setup import Gathered, Setup
+from pcmrs.messages.setup import ProcedureDataView, Setup
 from pcmrs.service import setup_view
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
@@ -84,7 +84,7 @@ def answer_queries(
     journal: JournalReader,
     health: Callable[[], Health],
     setup: Callable[[], Setup],
-    gathered: Callable[[], Gathered],
+    gathered: Callable[[], ProcedureDataView],
 ) -> None:
     """Serves the read-only queries below ``svc/``.
 
@@ -103,7 +103,7 @@ def answer_queries(
     async def well(_key: str, _request: Empty) -> Health:
         return health()
 
-    async def data(_key: str, _request: Empty) -> Gathered:
+    async def data(_key: str, _request: Empty) -> ProcedureDataView:
         return gathered()
 
     async def laid_out(key: str, _request: Empty) -> Setup:
@@ -113,7 +113,7 @@ def answer_queries(
                 shown.append(await asyncio.to_thread(setup))
         return msgspec.structs.replace(shown[0], user=user, role=bus.settings.role_of(user))
 
-    async def checked(key: str, question: Question) -> Prospect:
+    async def checked(key: str, question: Question) -> DryRunResult:
         user = key.rpartition("/")[2]
         command = Command(
             id=uuid.uuid4().hex,
@@ -124,7 +124,7 @@ def answer_queries(
             role=bus.settings.role_of(user),
             arguments=question.arguments,
         )
-        return await dispatcher.prospect(command)
+        return await dispatcher.dry_run(command)
 
     async def page(_key: str, query: JournalQuery) -> JournalPage:
         async with files:

@@ -11,15 +11,15 @@ from pcmrs.fsm.files.dump import blueprint_toml
 from pcmrs.messages.setup import (
     ArmShown,
     BoxShown,
-    Gathered,
     LandmarkShown,
+    ProcedureDataView,
     Setup,
     SliceShown,
     StimulationShown,
     SurfaceShown,
 )
 from pcmrs.settings import Settings
-from pcmrs.workflows.accuracy import sigma_in_force
+from pcmrs.workflows.accuracy import active_noise_sigma
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message
 from pcmrs.workflows.tms.data import Data
@@ -61,10 +61,10 @@ def setup_of(cell: Cell, settings: Settings, blueprint: Blueprint) -> Setup:
     )
 
 
-def gathered(cell: Cell, data: PlacementData) -> Gathered:
+def gathered(cell: Cell, data: PlacementData) -> ProcedureDataView:
     """What the procedure has gathered so far, for people."""
     registered = data.registered
-    return Gathered(
+    return ProcedureDataView(
         landmarks=[
             LandmarkShown(name=each.name, planned=each.position, digitized=point)
             for each, point in zip_longest(data.landmarks, data.digitized)
@@ -72,7 +72,7 @@ def gathered(cell: Cell, data: PlacementData) -> Gathered:
         body_ref_from_image=None if registered is None else registered.body_ref_from_image,
         residual=None if registered is None else registered.residual,
         plan=data.plan,
-        sigma=sigma_in_force(cell, data),
+        sigma=active_noise_sigma(cell, data),
         covariance=[] if registered is None else list(registered.covariance),
         stimulation=_stimulation(data) if isinstance(data, Data) else None,
     )

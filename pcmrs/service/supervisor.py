@@ -143,7 +143,7 @@ class Supervisor:
         restarted = {f"restarts.{each.name}": each.restarts for each in self.statuses() if each.restarts}
         return {"tasks.died": self.died, "tasks.strays": self.strays, **restarted}
 
-    def take_stray(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    def handle_loop_exception(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """The loop's exception handler: logs and counts what no task can be begun anew for."""
         self.strays += 1
         log.error("stray_failure", what=context.get("message"), exc_info=context.get("exception"))

@@ -96,7 +96,7 @@ async def _put_away(client: Client) -> None:
     await accept(client, "robot.disconnect")
 
 
-async def calmed(client: Client) -> None:
+async def wait_until_stationary(client: Client) -> None:
     """Takes the cell out of whatever an earlier fault has left, with the registration as it is.
 
     Raises:

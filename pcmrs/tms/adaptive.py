@@ -21,7 +21,7 @@ from scipy.spatial.distance import cdist
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 from pcmrs.spatial import Floats, Transform
-from pcmrs.tms.scalp import Chart, as_message, as_transform
+from pcmrs.tms.scalp import ScalpPatch, as_message, as_transform
 from pcmrs.tms.settings import Hotspot, MapPulse
 
 LENGTH = 0.018
@@ -62,7 +62,7 @@ class Peaks(NamedTuple):
     variances: Floats
 
 
-def proposal(chart: Chart, pulses: tuple[MapPulse, ...]) -> Transform:
+def proposal(chart: ScalpPatch, pulses: tuple[MapPulse, ...]) -> Transform:
     """The place and heading that tell most: the centre at first."""
     if not pulses:
         return chart.places[0]
@@ -73,7 +73,7 @@ def proposal(chart: Chart, pulses: tuple[MapPulse, ...]) -> Transform:
     return chart.poses[int(np.argmax(told))]
 
 
-def estimate(chart: Chart, pulses: tuple[MapPulse, ...]) -> Hotspot:
+def estimate(chart: ScalpPatch, pulses: tuple[MapPulse, ...]) -> Hotspot:
     """The mean peak and its scatter, after at least one pulse."""
     drawn = _draw(chart, pulses)
     mean = drawn.weights @ drawn.peaks
@@ -86,7 +86,7 @@ def estimate(chart: Chart, pulses: tuple[MapPulse, ...]) -> Hotspot:
     )
 
 
-def expected(chart: Chart, pulses: Sequence[MapPulse], poses: Sequence[Transform]) -> Floats:
+def expected(chart: ScalpPatch, pulses: Sequence[MapPulse], poses: Sequence[Transform]) -> Floats:
     """Median amplitudes that the process expects at poses, V, (K,): the map, for pictures."""
     mean, _ = condition(_features(chart, poses), *_data(chart, pulses))
     amplitudes: Floats = 10.0 ** (REST_DECADES + mean)
@@ -107,7 +107,7 @@ def condition(candidates: Floats, inputs: Floats, outputs: Floats) -> tuple[Floa
 
 
 @lru_cache(maxsize=4)
-def _draw(chart: Chart, pulses: tuple[MapPulse, ...]) -> Peaks:
+def _draw(chart: ScalpPatch, pulses: tuple[MapPulse, ...]) -> Peaks:
     """The same draws for the same pulses: a search can be replayed."""
     candidates = _candidates(chart)
     normals = np.random.default_rng((SEED, len(pulses))).normal(size=(len(candidates), DRAWS))
@@ -118,7 +118,7 @@ def _draw(chart: Chart, pulses: tuple[MapPulse, ...]) -> Peaks:
     return Peaks(values, peaks, _weights(chart, peaks), np.maximum(np.diag(covariance), 0.0))
 
 
-def _weights(chart: Chart, peaks: Floats) -> Floats:
+def _weights(chart: ScalpPatch, peaks: Floats) -> Floats:
     """How probable peaks (K, 4) are before any pulse: hot-spots lie around the centre, normally distributed."""
     place, heading = chart.settings.prior_mm / 1e3 / LENGTH, math.radians(chart.settings.prior_deg) / HEADING_LENGTH
     deviations = (peaks - _features(chart, chart.places[:1])) / np.array((place, place, place, heading))
@@ -135,18 +135,18 @@ def _threads() -> Any:
 
 
 @lru_cache(maxsize=4)
-def _candidates(chart: Chart) -> Floats:
+def _candidates(chart: ScalpPatch) -> Floats:
     return _features(chart, chart.poses)
 
 
-def _data(chart: Chart, pulses: Sequence[MapPulse]) -> tuple[Floats, Floats]:
+def _data(chart: ScalpPatch, pulses: Sequence[MapPulse]) -> tuple[Floats, Floats]:
     """What the process learns from: scaled poses (N, 4), and decades above rest (N,)."""
     poses = [as_transform(pulse.image_from_coil) for pulse in pulses]
     amplitudes = np.array([max(pulse.amplitude, LEAST) for pulse in pulses])
     return _features(chart, poses), np.log10(amplitudes) - REST_DECADES
 
 
-def _features(chart: Chart, poses: Sequence[Transform]) -> Floats:
+def _features(chart: ScalpPatch, poses: Sequence[Transform]) -> Floats:
     """Places and headings as the process sees them: in its own lengths, (K, 4)."""
     located = [chart.located(pose) for pose in poses]
     return np.array([(*(position / LENGTH), angle / HEADING_LENGTH) for position, angle in located])

@@ -12,7 +12,7 @@ from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Floats, Transform
 from pcmrs.tms import adaptive, mapping
 from pcmrs.tms.grid import grid_on_scalp
-from pcmrs.tms.scalp import Chart, Closest, as_message, as_transform, chart_of
+from pcmrs.tms.scalp import Closest, ScalpPatch, as_message, as_transform, chart_of
 from pcmrs.tms.settings import Hotspot, HotspotSettings, MapPulse
 
 MOST_AMPLITUDE = 0.1
@@ -125,5 +125,5 @@ class HotspotSearch(msgspec.Struct, frozen=True):
         return self.estimate.uncertainty * 1e3 <= self.settings.uncertainty_mm
 
     @property
-    def _chart(self) -> Chart:
+    def _chart(self) -> ScalpPatch:
         return chart_of(self.settings, self.places)

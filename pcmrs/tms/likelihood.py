@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
 from pcmrs.spatial import Floats
-from pcmrs.tms.settings import Estimate, Pulse, Standing, ThresholdSettings
+from pcmrs.tms.settings import Estimate, EstimatorState, Pulse, ThresholdSettings
 
 SPREAD = 0.07
 """Of the threshold: Awiszus 2003."""
@@ -38,7 +38,7 @@ TAIL = 0.025
 
 
 @lru_cache(maxsize=256)
-def standing(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> Standing:
+def standing(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> EstimatorState:
     """Where the threshold is thought to be after these pulses, and whether that is certain enough."""
     estimate, low, high = _estimate(settings, pulses)
     ceiling = math.floor(settings.ceiling)
@@ -48,7 +48,7 @@ def standing(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> Standing
         refusal = "above_ceiling"
     elif pulses and (high < settings.floor or (certain and estimate <= settings.floor)):
         refusal = "below_floor"
-    return Standing(
+    return EstimatorState(
         estimate=Estimate(estimate, low, high),
         intensity=float(min(max(round(estimate), 1), ceiling)),
         finished=certain and refusal is None,

@@ -11,16 +11,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from pcmrs.spatial import Floats, Transform
-from pcmrs.tms.scalp import Chart, as_message, as_transform
+from pcmrs.tms.scalp import ScalpPatch, as_message, as_transform
 from pcmrs.tms.settings import Hotspot, MapPulse
 
 
-def total(chart: Chart) -> int:
+def total(chart: ScalpPatch) -> int:
     """Pulses of a whole map."""
     return chart.settings.pulses_per_place * (len(chart.places) + len(chart.headings))
 
 
-def proposal(chart: Chart, pulses: Sequence[MapPulse]) -> Transform:
+def proposal(chart: ScalpPatch, pulses: Sequence[MapPulse]) -> Transform:
     """The pose that is next: a place with the handle as at the centre, or the middle of the map with its turned."""
     index = len(pulses) // chart.settings.pulses_per_place
     if index < len(chart.places):
@@ -29,7 +29,7 @@ def proposal(chart: Chart, pulses: Sequence[MapPulse]) -> Transform:
     return chart.pose(position, float(chart.headings[(index - len(chart.places)) % len(chart.headings)]))
 
 
-def estimate(chart: Chart, pulses: Sequence[MapPulse]) -> Hotspot:
+def estimate(chart: ScalpPatch, pulses: Sequence[MapPulse]) -> Hotspot:
     """The middle of what is mapped; its uncertainty counts the scatter of the amplitudes, not what is not mapped."""
     position, uncertainty = _middle_of_places(chart, pulses)
     turning = pulses[_spatial(chart) :]
@@ -41,12 +41,12 @@ def estimate(chart: Chart, pulses: Sequence[MapPulse]) -> Hotspot:
     return Hotspot(as_message(chart.pose(position, float(angle[0]))), uncertainty, spread)
 
 
-def _spatial(chart: Chart) -> int:
+def _spatial(chart: ScalpPatch) -> int:
     """Pulses over the places."""
     return chart.settings.pulses_per_place * len(chart.places)
 
 
-def _middle_of_places(chart: Chart, pulses: Sequence[MapPulse]) -> tuple[Floats, float]:
+def _middle_of_places(chart: ScalpPatch, pulses: Sequence[MapPulse]) -> tuple[Floats, float]:
     mapped = pulses[: _spatial(chart)]
     weights = _weights(chart, mapped)
     if not weights.any():
@@ -54,7 +54,7 @@ def _middle_of_places(chart: Chart, pulses: Sequence[MapPulse]) -> tuple[Floats,
     return _weighted_mean(np.array([pulse.image_from_coil.position for pulse in mapped]), weights)
 
 
-def _weights(chart: Chart, pulses: Sequence[MapPulse]) -> Floats:
+def _weights(chart: ScalpPatch, pulses: Sequence[MapPulse]) -> Floats:
     """Amplitudes, V, (N,); what is no response weighs nothing."""
     amplitudes = np.array([pulse.amplitude for pulse in pulses])
     return np.where(amplitudes >= chart.settings.response_uv * 1e-6, amplitudes, 0.0)

@@ -22,7 +22,7 @@ NEIGHBOURS = 12
 """Places that the scalp around a point is fitted to: a quadric has 6 coefficients."""
 
 
-class Chart:
+class ScalpPatch:
     """Places and headings that may be asked for, and the scalp between them.
 
     Args:
@@ -68,9 +68,9 @@ class Chart:
 
 
 @lru_cache(maxsize=8)
-def chart_of(settings: HotspotSettings, places: tuple[PoseMessage, ...]) -> Chart:
+def chart_of(settings: HotspotSettings, places: tuple[PoseMessage, ...]) -> ScalpPatch:
     """The chart of a search; it stays the same for all its pulses."""
-    return Chart(settings, places)
+    return ScalpPatch(settings, places)
 
 
 def as_transform(pose: PoseMessage) -> Transform:

@@ -165,7 +165,7 @@ class Estimate(msgspec.Struct, frozen=True):
     high: float | None = None
 
 
-class Standing(msgspec.Struct, frozen=True):
+class EstimatorState(msgspec.Struct, frozen=True):
     """How a hunt stands after its pulses.
 
     Attributes:

@@ -9,16 +9,16 @@ from typing import Self
 import msgspec
 
 from pcmrs.errors import RefusalError
-from pcmrs.tms import likelihood, relative_frequency
-from pcmrs.tms.settings import Estimate, Pulse, Standing, ThresholdSettings
+from pcmrs.tms import likelihood, rossini_rothwell
+from pcmrs.tms.settings import Estimate, EstimatorState, Pulse, ThresholdSettings
 
-METHODS: dict[str, Callable[[ThresholdSettings, tuple[Pulse, ...]], Standing]] = {
+METHODS: dict[str, Callable[[ThresholdSettings, tuple[Pulse, ...]], EstimatorState]] = {
     "ml": likelihood.standing,
-    "relative_frequency": relative_frequency.standing,
+    "relative_frequency": rossini_rothwell.standing,
 }
 
 
-class ThresholdHunt(msgspec.Struct, frozen=True):
+class MotorThresholdEstimator(msgspec.Struct, frozen=True):
     """What has been asked and answered; nothing else counts, so that it can be journalled and replayed.
 
     ``hunt = ThresholdHunt.begin(settings)``, then ``hunt = hunt.after(hunt.next_intensity(), responded)`` until
@@ -103,7 +103,7 @@ class ThresholdHunt(msgspec.Struct, frozen=True):
         return standing.refusal or ("not_converged" if exhausted else None)
 
     @property
-    def _standing(self) -> Standing:
+    def _standing(self) -> EstimatorState:
         return METHODS[self.settings.method](self.settings, self.pulses)
 
     def _refuse_hopeless(self) -> None:

@@ -28,7 +28,7 @@ def pointer_id(cell: Cell) -> str:
     return hashlib.sha256(msgspec.json.encode(used)).hexdigest()[:16]
 
 
-def sigma_in_force(cell: Cell, data: PlacementData) -> float:
+def active_noise_sigma(cell: Cell, data: PlacementData) -> float:
     """Deviation of a landmark per axis, m: of the prior and of this pointer's accepted registrations, bounded."""
     settings = cell.settings.registration
     prior = settings.sigma_mm / 1000.0
@@ -55,7 +55,7 @@ def limits_in_force(cell: Cell, data: PlacementData) -> RegistrationLimits:
     settings = cell.settings.registration
     return RegistrationLimits(
         residual=settings.residual_limit_mm / 1000.0,
-        sigma=sigma_in_force(cell, data),
+        sigma=active_noise_sigma(cell, data),
         tre=settings.tre_limit_mm / 1000.0,
         false_alarm=settings.false_alarm,
     )
@@ -65,7 +65,7 @@ def tre_at(cell: Cell, data: PlacementData, registered: Registered, target: Floa
     """Predicted rms error of a registration at a target in the image (3,), m."""
     landmarks = np.array([landmark.position for landmark in registered.landmarks])
     body_ref_from_image, covariance = as_transform(registered.body_ref_from_image), registered.covariance
-    return float(tre_over(landmarks, body_ref_from_image, covariance, sigma_in_force(cell, data), target[None])[0])
+    return float(tre_over(landmarks, body_ref_from_image, covariance, active_noise_sigma(cell, data), target[None])[0])
 
 
 def tre_over(
@@ -81,7 +81,7 @@ def tre_over(
         landmarks: That it was made of, in the image, m, (N, 3).
         body_ref_from_image: The registration.
         covariance: Of `Registered`: empty where no surface has refined it.
-        sigma: Of `sigma_in_force`, m; counts where it is empty.
+        sigma: Of `active_noise_sigma`, m; counts where it is empty.
         targets: m.
     """
     if not covariance:

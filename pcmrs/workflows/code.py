@@ -43,7 +43,7 @@ def load_code(place: Place) -> Code:
     """
     if not place.code.is_file():
         return Code()
-    module = told_with_line(place.code, _import, place)
+    module = add_source_location(place.code, _import, place)
     register, data = getattr(module, "register", None), getattr(module, "Data", PlacementData)
     if not callable(register):
         raise ConfigurationError(f"{place.code}: defines no function register(registry): add it.", file=str(place.code))
@@ -58,7 +58,7 @@ def load_code(place: Place) -> Code:
     return Code(register, data, fits)
 
 
-def told_with_line(file: Path, function: Callable[..., Any], *arguments: Any) -> Any:
+def add_source_location(file: Path, function: Callable[..., Any], *arguments: Any) -> Any:
     """Calls a function of the user's file.
 
     Raises:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
-from pcmrs.kinematics.passage import Violation
+from pcmrs.kinematics.sampled_clearance import Violation
 from pcmrs.kinematics.time_parameterization import Allowed
 from pcmrs.kinematics.trajectory import joint_motion, straight_motion
 from pcmrs.messages import JointTrajectory
@@ -29,7 +29,7 @@ PART = 32
 """So many samples of a motion are looked at in one go, which takes about a millisecond."""
 
 
-class Floors:
+class ClearanceLimits:
     """Least distances of a motion: as near as allowed, or as planned where that is nearer, less the drift.
 
     Args:
@@ -90,7 +90,7 @@ def check_towards(cell: Cell, data: PlacementData, trajectory: JointTrajectory, 
         RefusalError: It passes a zone, comes near the body away from the target, or to the target beside the cone or
             too deep.
     """
-    arrange(cell, data)
+    update_collision_scene(cell, data)
     passage = cell.zones.look_at(trajectory.positions)
     points = np.array([cell.arm.forward(q) @ cell.flange_from_coil.translation for q in passage.postures])
     limits = cell.zones.limits_towards(base_from_target, points)
@@ -104,18 +104,18 @@ def check_away(cell: Cell, data: PlacementData, trajectory: JointTrajectory) -> 
     Raises:
         RefusalError: It leads into a zone.
     """
-    arrange(cell, data)
+    update_collision_scene(cell, data)
     passage = cell.zones.look_at(trajectory.positions)
     _refuse(passage.first_approach(cell.zones.model, cell.zones.retreat_limits), BACK)
 
 
 def check_postures(cell: Cell, *postures: Floats) -> None:
-    """Refuses postures in a zone, rad, (n,) each; the zones are where `arrange` has placed them last."""
+    """Refuses postures in a zone, rad, (n,) each; the zones are where `update_collision_scene` has placed them last."""
     for posture in postures:
         _refuse(cell.zones.look_at([posture]).first_violation(cell.zones.model, cell.zones.limits), ELSEWHERE)
 
 
-def arrange(cell: Cell, data: PlacementData) -> None:
+def update_collision_scene(cell: Cell, data: PlacementData) -> None:
     """Places body and lines of sight where they are seen now, or were seen last."""
     with suppress(RefusalError):
         cell.frames(data)
@@ -138,19 +138,19 @@ def place_body(cell: Cell, base_from_tracker: Transform, base_from_body_ref: Tra
         cell.zones.place_body(base_from_body_ref @ cell.body_ref_from_image)
 
 
-def joint_way(run: AnyRun[Cell, P], start: npt.ArrayLike, goal: npt.ArrayLike) -> JointTrajectory:
+def plan_joint_path(run: AnyRun[Cell, P], start: npt.ArrayLike, goal: npt.ArrayLike) -> JointTrajectory:
     """All joints together from rest to rest, rad, (n,), slower near the body.
 
     Raises:
         UnreachableError: `goal` breaks a joint limit.
     """
     cell = run.cell
-    arrange(cell, run.data)
+    update_collision_scene(cell, run.data)
     limits, coil, allowed = cell.motion_limits(), cell.flange_from_coil, _allowed(cell)
     return joint_motion(cell.arm, start, goal, limits, flange_from_tool=coil, allowed=allowed)
 
 
-def straight_way(
+def plan_linear_path(
     run: AnyRun[Cell, P], start: npt.ArrayLike, base_from_coil: Transform, *, near: bool = False
 ) -> JointTrajectory:
     """The tool straight from joint positions, rad, (n,), to a pose, slower near the body, or slow all the way.
@@ -159,7 +159,7 @@ def straight_way(
         UnreachableError: The arm cannot follow the line to its end.
     """
     cell = run.cell
-    arrange(cell, run.data)
+    update_collision_scene(cell, run.data)
     limits, motion = cell.motion_limits(), cell.settings.motion
     if near:
         limits = replace(limits, linear_velocity=min(limits.linear_velocity, motion.near_velocity))

@@ -11,7 +11,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.messages import JointTrajectory, MotionResult, PressRequest
 from pcmrs.spatial import Frame
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import check_towards, straight_way
+from pcmrs.workflows.collision_checks import check_towards, plan_linear_path
 from pcmrs.workflows.data import PlacementData, Point, as_point
 from pcmrs.workflows.guard import guarded
 from pcmrs.workflows.paths import along_axis
@@ -49,7 +49,7 @@ def press_possible(run: Run) -> None:
     base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
     travel = _allowed_travel(cell, float((base_from_target.inverse() @ base_from_coil.translation)[2]))
     check_nudges(run, _nudged_by(run.data, travel), run.data.nudge_rotation_zyx)
-    way = straight_way(run, cell.posture(), base_from_coil @ along_axis(-travel), near=True)
+    way = plan_linear_path(run, cell.posture(), base_from_coil @ along_axis(-travel), near=True)
     check_towards(cell, run.data, way, base_from_target)
     request = PressRequest(
         force=contact.force if run.payload.force is None else run.payload.force,

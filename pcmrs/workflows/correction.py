@@ -11,7 +11,7 @@ from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
 from pcmrs.spatial import Transform
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import straight_way
+from pcmrs.workflows.collision_checks import plan_linear_path
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.motion import follow, measure_coil
 from pcmrs.workflows.placement import target
@@ -41,7 +41,7 @@ async def correct_from_tracker(run: Run) -> None:
         if _decided(rounds, limits):
             return
         goal = cell.arm.forward(commanded) @ cell.flange_from_coil @ measured_from_desired
-        correction = straight_way(run, commanded, goal, near=True)
+        correction = plan_linear_path(run, commanded, goal, near=True)
         await follow(run, correction)
         commanded = correction.positions[-1]
 

@@ -18,7 +18,7 @@ from pcmrs.spatial import Floats, Frame, Transform
 from pcmrs.workflows.alignment import BODIES, AlignmentWatch, Exposure, desired_in_body_ref, measured_from_desired
 from pcmrs.workflows.body_track import BodyTrack
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import Floors, arrange, place_body
+from pcmrs.workflows.collision_checks import ClearanceLimits, place_body, update_collision_scene
 from pcmrs.workflows.correction import check_correctable
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.placement import confirm_possible, target
@@ -59,7 +59,7 @@ class Follower:
             raise RefusalError("not_registered", "There is no registration and plan to follow the body by.")
         self._desired = desired
         graph = cell.frames(data)
-        arrange(cell, data)
+        update_collision_scene(cell, data)
         self._base_from_tracker = graph.get(Frame.ROBOT_BASE, Frame.TRACKER)
         self._base_from_coil = graph.get(Frame.ROBOT_BASE, Frame.COIL)
         self._begun = graph.get(Frame.TRACKER, Frame.BODY_REF).translation
@@ -73,7 +73,7 @@ class Follower:
         self._beside = 0.0
         self.positions = cell.posture()
         self.moved = 0.0
-        self._floors = Floors.at(cell, self.positions)
+        self._floors = ClearanceLimits.at(cell, self.positions)
 
     def take(self, frame: Exposure) -> Transform:
         """Takes a frame, and returns the tool's error in it, ``measured_from_desired``.

@@ -10,7 +10,7 @@ from contextlib import asynccontextmanager, suppress
 from pcmrs.errors import RefusalError
 from pcmrs.messages import JointState, JointTrajectory, MotionResult
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import Floors
+from pcmrs.workflows.collision_checks import ClearanceLimits
 
 BODY = "body_ref"
 
@@ -42,7 +42,7 @@ async def guarded(cell: Cell, trajectory: JointTrajectory, *, towards_body: bool
     Raises:
         RefusalError: The arm was held: it came nearer to a zone than planned, or the body was not seen.
     """
-    floors = await Floors.along(cell, trajectory.positions)
+    floors = await ClearanceLimits.along(cell, trajectory.positions)
     guard = _Guard(cell, floors, _Sight(cell) if towards_body else None)
     cell.watchers.append(guard.watch)
     try:
@@ -54,7 +54,7 @@ async def guarded(cell: Cell, trajectory: JointTrajectory, *, towards_body: bool
 
 
 class _Guard:
-    def __init__(self, cell: Cell, floors: Floors, sight: _Sight | None) -> None:
+    def __init__(self, cell: Cell, floors: ClearanceLimits, sight: _Sight | None) -> None:
         self._cell = cell
         self._sight = sight
         self._floors = floors

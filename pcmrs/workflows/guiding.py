@@ -21,7 +21,7 @@ from pcmrs.spatial import Floats, Frame, Transform
 from pcmrs.workflows.alignment import BODIES, desired_in_body_ref
 from pcmrs.workflows.body_track import BodyTrack
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import arrange, place_body
+from pcmrs.workflows.collision_checks import place_body, update_collision_scene
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.following import FIRST_FRAMES
 from pcmrs.workflows.setpoints import Admission, within
@@ -163,7 +163,7 @@ class Guiding:
         cell = act.cell
         self._act, self._settings = act, cell.settings.teleoperation
         self._body_ref_from_plan = planned_in_body_ref(cell, act.data)
-        arrange(cell, act.data)
+        update_collision_scene(cell, act.data)
         graph = cell.frames(act.data)
         self._base_from_tracker = graph.get(Frame.ROBOT_BASE, Frame.TRACKER)
         base_from_body_ref = graph.get(Frame.ROBOT_BASE, Frame.BODY_REF)

@@ -10,7 +10,7 @@ from pcmrs.errors import BlueprintError, ConfigurationError
 from pcmrs.fsm import load_blueprint
 from pcmrs.workflows.alignment import register_alignment
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.code import Code, load_code, told_with_line
+from pcmrs.workflows.code import Code, add_source_location, load_code
 from pcmrs.workflows.connection import register_calibration_checks, register_connection_operations
 from pcmrs.workflows.contact import register_contact_operations
 from pcmrs.workflows.correction import register_correction_steps
@@ -53,7 +53,7 @@ def _open(place: Place) -> Workflow[Cell, PlacementData]:
     blueprint = load_blueprint(place.blueprint, warn=lambda warning: _log.warning("%s", warning.heading))
     code = load_code(place)
     registry = _registry_with(place, code)
-    initial = told_with_line(place.code, code.data.begin, blueprint)
+    initial = add_source_location(place.code, code.data.begin, blueprint)
     try:
         return Workflow(blueprint, registry, initial, code.settle)
     except BlueprintError as error:
@@ -66,7 +66,7 @@ def _open(place: Place) -> Workflow[Cell, PlacementData]:
 def _registry_with(place: Place, code: Code) -> Registry[Cell, PlacementData]:
     """The shared registry and what the workflow adds; a name of the one never means something of the other."""
     shared, registry = placement_registry(), placement_registry()
-    told_with_line(place.code, code.register, registry)
+    add_source_location(place.code, code.register, registry)
     kinds: list[tuple[dict[str, Any], dict[str, Any]]] = [
         (shared.payloads, registry.payloads),
         (shared.checks, registry.checks),

@@ -18,7 +18,7 @@ from pcmrs.spatial import Floats, Frame, Transform
 from pcmrs.workflows.accuracy import check_tre
 from pcmrs.workflows.arguments import Retreat
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import check_away, check_towards, joint_way, straight_way
+from pcmrs.workflows.collision_checks import check_away, check_towards, plan_joint_path, plan_linear_path
 from pcmrs.workflows.data import PlacementData, Point, as_transform
 from pcmrs.workflows.earlier_body import check_confirmed
 from pcmrs.workflows.paths import (
@@ -155,7 +155,7 @@ def _approach_by(run: Run, posture: Floats) -> JointTrajectory:
     """The way to a posture at the standoff, from which the target can be reached."""
     cell = run.cell
     base_from_image = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE)
-    way = joint_way(run, cell.posture(), posture)
+    way = plan_joint_path(run, cell.posture(), posture)
     check_passes_clear(cell, way, run.data)
     base_from_target = base_from_image @ planned(run.data)
     check_towards(cell, run.data, way, base_from_target)
@@ -172,7 +172,7 @@ def _straight_to(run: Run, image_from_coil: Transform) -> JointTrajectory:
 
 def _line_to(run: Run, start: Floats, base_from_coil: Transform, base_from_target: Transform) -> JointTrajectory:
     """The straight way of the coil from joint positions to a pose near the target of the plan."""
-    way = straight_way(run, start, base_from_coil, near=True)
+    way = plan_linear_path(run, start, base_from_coil, near=True)
     check_towards(run.cell, run.data, way, base_from_target)
     return way
 
@@ -182,7 +182,7 @@ def _retreat_to(run: Run, posture: list[float]) -> JointTrajectory:
     cell = run.cell
     way = None if run.states["placement"] == "retracted" else _back_off(run)[0]
     start = cell.posture() if way is None else way.positions[-1]
-    trajectory = joint_way(run, start, posture)
+    trajectory = plan_joint_path(run, start, posture)
     trajectory = trajectory if way is None else concatenate(way, trajectory)
     check_confirmed(run, trajectory)
     check_only_grows(cell, trajectory, run.data)
@@ -208,7 +208,7 @@ def _back_off(run: Run) -> tuple[JointTrajectory, bool]:
 def _then_home(run: Run, straight: JointTrajectory, *, checked_later: bool) -> JointTrajectory:
     """On home from the end of a straight way that was cut short; the straight way alone where that is refused."""
     cell = run.cell
-    home = joint_way(run, straight.positions[-1], cell.home)
+    home = plan_joint_path(run, straight.positions[-1], cell.home)
     if not checked_later:
         try:
             check_confirmed(run, home)
@@ -224,7 +224,7 @@ def _straight_away(run: Run, length: float) -> JointTrajectory:
     """Straight along the tool's +z axis. Raises `UnreachableError` where the arm cannot follow it to its end."""
     cell = run.cell
     base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
-    return straight_way(run, cell.posture(), base_from_coil @ along_axis(length))
+    return plan_linear_path(run, cell.posture(), base_from_coil @ along_axis(length))
 
 
 def _length_of_retreat(run: Run) -> float:

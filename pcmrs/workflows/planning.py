@@ -18,7 +18,7 @@ from pcmrs.formats.mesh import Mesh
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import Command, Reason
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import arrange
+from pcmrs.workflows.collision_checks import update_collision_scene
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.settings import ProcedureSettings
 
@@ -106,7 +106,7 @@ def take_answer(run: Run, request: PlanRequest, answer: PlanAnswer) -> Reason | 
     run.prepared, run.undecided = answer.prepared, answer.undecided
     run.result |= answer.result
     # The checks have placed the zones of their own cell; the guard of the motion asks those of this one.
-    arrange(run.cell, run.data)
+    update_collision_scene(run.cell, run.data)
     return answer.refused
 
 

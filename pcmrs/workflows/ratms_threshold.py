@@ -5,8 +5,8 @@ from __future__ import annotations
 from pcmrs.dispatcher import Registry
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.tms.aim import register_aim
 from pcmrs.workflows.tms.arming import register_arming
+from pcmrs.workflows.tms.coil_alignment import register_aim
 from pcmrs.workflows.tms.data import Data, register_device_checks, settle
 from pcmrs.workflows.tms.hotspot import register_hotspot
 from pcmrs.workflows.tms.intensity import register_intensity

@@ -8,7 +8,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.spatial import Frame
 from pcmrs.workflows.alignment import BODIES
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import arrange
+from pcmrs.workflows.collision_checks import update_collision_scene
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.following import FIRST_FRAMES, FIRST_TIME
 from pcmrs.workflows.guiding import TELL_EVERY, Activity, Guide, Guiding, planned_in_body_ref
@@ -25,7 +25,7 @@ def guide_possible(run: Run) -> None:
     check_at_present_plan(run.data)
     cell = run.cell
     body_ref_from_plan = planned_in_body_ref(cell, run.data)
-    arrange(cell, run.data)
+    update_collision_scene(cell, run.data)
     Guide(cell, cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.BODY_REF) @ body_ref_from_plan)
 
 

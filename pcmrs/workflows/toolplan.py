@@ -21,7 +21,7 @@ from pcmrs.spatial import Floats, Frame, Transform
 from pcmrs.workflows.accuracy import check_tre
 from pcmrs.workflows.arguments import check_metres
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import arrange, check_postures
+from pcmrs.workflows.collision_checks import check_postures, update_collision_scene
 from pcmrs.workflows.data import PlacementData, Planned, Point, as_message, as_transform
 from pcmrs.workflows.landmarks import check_same_head
 from pcmrs.workflows.paths import along_axis
@@ -162,7 +162,7 @@ def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Itera
     """
     cell, placement = run.cell, run.cell.settings.placement
     base_from_coil = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE) @ image_from_coil
-    arrange(cell, run.data)
+    update_collision_scene(cell, run.data)
     standoff = cell.flange_for(base_from_coil @ along_axis(placement.standoff))
     target = cell.flange_for(base_from_coil @ along_axis(placement.confirm_offset))
     body = _ball_around_body(cell)
@@ -183,7 +183,7 @@ def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Itera
 
 
 def _ball_around_body(cell: Cell) -> Floats | None:
-    """Where `arrange` has placed the body: x, y, z and radius in the robot's base, m, (4,); None without a surface."""
+    """Centre and radius of the body, (4,), m, robot base, as in the collision scene; None without a surface."""
     model = cell.zones.model
     return model.ball(BODY) if model.of_zone(BODY).any() else None
 

@@ -12,7 +12,7 @@ from pcmrs.formats.mesh import Mesh
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.collision import Solid, box, hull
 from pcmrs.kinematics.cone import ApproachCone
-from pcmrs.kinematics.passage import BOUND, Passage, look_at
+from pcmrs.kinematics.sampled_clearance import BOUND, SampledClearance, look_at
 from pcmrs.kinematics.zones import SIGHT_OF_BODY, SIGHT_OF_TOOL, ToolShape, Zone, ZoneModel
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.settings import ProcedureSettings, ToolSettings, ZoneSettings
@@ -68,7 +68,7 @@ class CellZones:
         if self._of_body.any():
             self.model.place(BODY, base_from_image)
 
-    def look_at(self, positions: npt.ArrayLike) -> Passage:
+    def look_at(self, positions: npt.ArrayLike) -> SampledClearance:
         """A motion past the zones: joint positions rad, (N, n)."""
         return look_at(self.model, self._facts, self._tool_reach, positions)
 

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import structlog
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 from pcmrs.clock import Clock
 from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.devices.protocols import Device
@@ -176,7 +176,7 @@ async def running_cell(settings: Mapping[str, Any], clock: Clock) -> AsyncIterat
     """
     own = read_settings(settings)
     cell = Cell(own, _arm(settings, own), _force_settings(settings), clock)
-    async with meanwhile(cell.run(), "simulated cell"):
+    async with background_task(cell.run(), "simulated cell"):
         yield cell
 
 

@@ -24,7 +24,7 @@ from pcmrs.tms.hotspot import HotspotSearch
 from pcmrs.tms.mep import Mep, judge_mep
 from pcmrs.tms.scalp import as_message, as_transform, hand_area, turned
 from pcmrs.tms.settings import HotspotSettings, MepSettings, ThresholdSettings
-from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold import MotorThresholdEstimator
 from pcmrs.workflows.settings import BodySettings
 from pcmrs.workflows.surface import find_surface
 from pcmrs_sim.tms.recruitment import Recruitment
@@ -100,7 +100,7 @@ def record() -> SessionRecord:
         pose = search.next()
         mep = maker.pulse("hotspot", SEARCH_PERCENT, as_transform(pose))
         search = search.after(pose, mep.peak_to_peak)
-    hunt = ThresholdHunt.begin(ThresholdSettings())
+    hunt = MotorThresholdEstimator.begin(ThresholdSettings())
     while not hunt.finished:
         mep = maker.pulse("threshold", hunt.next_intensity(), as_transform(search.estimate.image_from_coil))
         hunt = hunt.after(hunt.next_intensity(), mep.peak_to_peak >= 50e-6, mep.peak_to_peak)

@@ -12,7 +12,7 @@ from pcmrs.analysis.threshold_plot import draw_hunt, hunt_figure
 from pcmrs.messages import Epoch
 from pcmrs.tms.mep import judge_mep
 from pcmrs.tms.settings import MepSettings, ThresholdMethod, ThresholdSettings
-from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold import MotorThresholdEstimator
 from pcmrs_sim.tms.recruitment import Recruitment
 
 RATE_HZ = 4000.0
@@ -26,9 +26,9 @@ def epoch(pulse: int, microvolts: float, rest_uv: float = 2.0) -> Epoch:
     return Epoch(pulse=pulse, muscle="FDI", rate_hz=RATE_HZ, start=-0.12, samples=samples.tolist())
 
 
-def hunt(method: ThresholdMethod, pulses: int) -> ThresholdHunt:
+def hunt(method: ThresholdMethod, pulses: int) -> MotorThresholdEstimator:
     subject, rng = Recruitment(55.0), np.random.default_rng(1)
-    made = ThresholdHunt.begin(ThresholdSettings(method=method))
+    made = MotorThresholdEstimator.begin(ThresholdSettings(method=method))
     while not made.finished and len(made.pulses) < pulses:
         amplitude = subject.sample(made.next_intensity(), rng)
         made = made.after(made.next_intensity(), amplitude >= 50e-6, amplitude)
@@ -58,7 +58,7 @@ def test_hunts_are_drawn_at_any_time(tmp_path: Path, method: ThresholdMethod, pu
 
 
 def test_a_hunt_that_found_nothing_says_so() -> None:
-    made = ThresholdHunt.begin(ThresholdSettings(ceiling=50.0))
+    made = MotorThresholdEstimator.begin(ThresholdSettings(ceiling=50.0))
     while made.refusal is None:
         made = made.after(made.next_intensity(), responded=False)
     (axes,) = hunt_figure(made).axes

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pcmrs_lab.campaign.network_impairment import NetworkImpairment
 from pcmrs_lab.campaign.proxy import tcp_proxy, udp_proxy
-from pcmrs_lab.campaign.weather import Weather
 
 
 @given(seed=st.integers(0, 1000), loss=st.floats(0.0, 1.0), doubled=st.floats(0.0, 1.0))
 def test_what_is_counted_is_what_happens(seed: int, loss: float, doubled: float) -> None:
-    weather = Weather(seed=seed, loss=loss, doubled=doubled)
+    weather = NetworkImpairment(seed=seed, loss=loss, doubled=doubled)
     arrived = sum(len(weather.delays(0.0)) for _ in range(200))
     assert arrived == 200 - weather.counted["lost"] + weather.counted["doubled"]
     assert abs(weather.counted["lost"] - 200 * loss) <= 5 * (200 * loss * (1 - loss)) ** 0.5 + 1
@@ -23,7 +23,7 @@ def test_what_is_counted_is_what_happens(seed: int, loss: float, doubled: float)
 
 @given(seed=st.integers(0, 1000))
 def test_a_seed_always_gives_the_same_weather(seed: int) -> None:
-    first, second = (Weather(seed=seed, loss=0.3, doubled=0.3, jitter=0.2) for _ in range(2))
+    first, second = (NetworkImpairment(seed=seed, loss=0.3, doubled=0.3, jitter=0.2) for _ in range(2))
     assert [first.delays(0.0) for _ in range(50)] == [second.delays(0.0) for _ in range(50)]
 
 
@@ -43,7 +43,7 @@ class _Client(asyncio.DatagramProtocol):
         self.received.put_nowait(data)
 
 
-async def _echoes(weather: Weather, sent: int, expected: int) -> list[bytes]:
+async def _echoes(weather: NetworkImpairment, sent: int, expected: int) -> list[bytes]:
     """What comes back of numbered datagrams, until as many have come as are expected."""
     loop = asyncio.get_running_loop()
     server, _ = await loop.create_datagram_endpoint(_Echo, local_addr=("127.0.0.1", 0))
@@ -59,16 +59,16 @@ async def _echoes(weather: Weather, sent: int, expected: int) -> list[bytes]:
 
 
 async def test_in_fair_weather_everything_comes_back_in_order() -> None:
-    assert await _echoes(Weather(), 50, 50) == [b"%d" % number for number in range(50)]
+    assert await _echoes(NetworkImpairment(), 50, 50) == [b"%d" % number for number in range(50)]
 
 
 async def test_what_is_doubled_both_ways_comes_four_times() -> None:
-    received = await _echoes(Weather(doubled=1.0), 5, 20)
+    received = await _echoes(NetworkImpairment(doubled=1.0), 5, 20)
     assert sorted(received) == sorted([b"%d" % number for number in range(5)] * 4)
 
 
 async def test_datagrams_overtake_each_other() -> None:
-    weather = Weather(seed=1, jitter=0.1)
+    weather = NetworkImpairment(seed=1, jitter=0.1)
     received = await _echoes(weather, 40, 40)
     assert sorted(received) == sorted(b"%d" % number for number in range(40))
     assert weather.counted["overtaken"] > 0
@@ -89,7 +89,7 @@ async def echoing() -> Any:
 
 @pytest.mark.parametrize("cut", ["towards", "back"])
 async def test_a_cut_direction_stalls_and_loses_nothing(echoing: tuple[str, int], cut: str) -> None:
-    weather = Weather()
+    weather = NetworkImpairment()
     async with tcp_proxy(echoing, weather) as address:
         reader, writer = await asyncio.open_connection(*address)
         writer.write(b"before")
@@ -109,7 +109,7 @@ async def test_a_cut_direction_stalls_and_loses_nothing(echoing: tuple[str, int]
 
 
 async def test_a_server_that_is_not_there_closes_the_connection() -> None:
-    async with tcp_proxy(("127.0.0.1", 9), Weather()) as address:
+    async with tcp_proxy(("127.0.0.1", 9), NetworkImpairment()) as address:
         reader, writer = await asyncio.open_connection(*address)
         async with asyncio.timeout(10.0):
             assert await reader.read() == b""

@@ -34,11 +34,11 @@ from pcmrs.messages import BodyPose, JointState, PoseMessage, Target
 from pcmrs.spatial import Transform
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.daemon import free_port
-from pcmrs.testing.driving import MOVES, calmed, plan, until
+from pcmrs.testing.driving import MOVES, plan, until, wait_until_stationary
 from pcmrs_lab.campaign.checks import stands
 from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.network_impairment import NetworkImpairment
 from pcmrs_lab.campaign.proxy import udp_proxy
-from pcmrs_lab.campaign.weather import Weather
 
 pytest.importorskip("mujoco")
 
@@ -169,7 +169,7 @@ async def test_a_procedure_is_run_and_seen_by_the_client(programs: Path, tmp_pat
 
 async def over_a_bad_line_every_signed_command_runs_once(programs: Path, cell: RunningCell, key: Path) -> None:
     """The whole way to the standoff of the planned pose."""
-    weather = Weather(seed=3, loss=0.15, doubled=0.25, jitter=0.02)
+    weather = NetworkImpairment(seed=3, loss=0.15, doubled=0.25, jitter=0.02)
     async with (
         udp_proxy(cell.ready.links["planner"], weather) as (_, port),
         cell_probe(programs, port, "unity", str(key)) as probe,
@@ -273,7 +273,7 @@ async def a_scene_shows_the_target(programs: Path, *ports: int) -> None:
 
 
 async def what_is_revoked_is_forgotten(cell: RunningCell, probe: CellProbe) -> None:
-    await calmed(cell.client)
+    await wait_until_stationary(cell.client)
     await probe.demand("home")
     await probe.known("pose Target")
     await probe.demand("reinitiate")

@@ -14,7 +14,7 @@ from pcmrs.console.geometry import Arm, Sight, as_stl, placement, residuals
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import BodyPose, PoseMessage
-from pcmrs.messages.setup import ArmShown, Gathered, LandmarkShown, Setup
+from pcmrs.messages.setup import ArmShown, LandmarkShown, ProcedureDataView, Setup
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.workflows.data import as_message
 
@@ -103,13 +103,15 @@ def test_the_error_is_the_measured_pose_in_the_planned_one(seed: int) -> None:
     image_from_plan, body_from_image, tracker_from_body = (some_pose(seed + each) for each in range(3))
     planned_from_measured = Transform.from_rotvec((0.001, -0.002, 0.002), (0.0, 0.0, 0.01))
     tracker_from_coil = tracker_from_body @ body_from_image @ image_from_plan @ planned_from_measured
-    data = Gathered(landmarks=[], body_ref_from_image=as_message(body_from_image), plan=as_message(image_from_plan))
+    data = ProcedureDataView(
+        landmarks=[], body_ref_from_image=as_message(body_from_image), plan=as_message(image_from_plan)
+    )
     found = placement(data, body("coil", tracker_from_coil), body("body_ref", tracker_from_body))
     assert found is not None
     assert found.mm == pytest.approx((3.0, 1.0, -2.0, 2.0), abs=1e-6)
     assert found.degrees == pytest.approx(np.degrees(0.01), abs=1e-6)
     assert placement(data, body("coil", tracker_from_coil, valid=False), body("body_ref", tracker_from_body)) is None
-    assert placement(Gathered(landmarks=[]), None, None) is None
+    assert placement(ProcedureDataView(landmarks=[]), None, None) is None
 
 
 def test_residuals_are_in_body_ref() -> None:
@@ -118,11 +120,11 @@ def test_residuals_are_in_body_ref() -> None:
         LandmarkShown(name="a", planned=(0.01, 0.0, 0.0), digitized=(0.1, 0.013, 0.0)),
         LandmarkShown(name="b", planned=(0.0, 0.01, 0.0)),
     ]
-    data = Gathered(landmarks=landmarks, body_ref_from_image=as_message(registered))
+    data = ProcedureDataView(landmarks=landmarks, body_ref_from_image=as_message(registered))
     first, second = residuals(data)
     assert first == pytest.approx(0.003)
     assert second is None
-    assert residuals(Gathered(landmarks=landmarks)) == [None, None]
+    assert residuals(ProcedureDataView(landmarks=landmarks)) == [None, None]
 
 
 def test_the_browser_gets_the_surface_that_the_daemon_has() -> None:

@@ -19,7 +19,7 @@ from pcmrs.console.texts import Texts
 from pcmrs.errors import GeometryError
 from pcmrs.formats.landmarks import read_landmarks
 from pcmrs.formats.mesh import read_mesh
-from pcmrs.messages import Prospect, Reason
+from pcmrs.messages import DryRunResult, Reason
 from pcmrs.registration.triangles import TriangleSurface
 from pcmrs.spatial import Floats, rotation_angle
 from pcmrs.workflows import femoroplasty, grid_mapping, read_workflow
@@ -166,13 +166,13 @@ def test_every_plan_is_taken_by_the_payload_of_its_operation(workflow: str) -> N
 
 def test_the_line_says_what_the_daemon_would_say() -> None:
     texts = Texts("en")
-    good = Prospect(result={"tre": 0.0012})
-    bad = Prospect(reason=Reason(code="unreachable", text="Too far."))
-    open_ = Prospect(undecided=["Whether the arm reaches it is not known before a registration."])
+    good = DryRunResult(result={"tre": 0.0012})
+    bad = DryRunResult(reason=Reason(code="unreachable", text="Too far."))
+    open_ = DryRunResult(undecided=["Whether the arm reaches it is not known before a registration."])
     assert said([good], texts)[1] == GOOD
     assert "1.20 mm" in said([good], texts)[0]
-    assert said([Prospect()], texts)[1] == GOOD
-    assert "eachable" not in said([Prospect()], texts)[0], "nobody has looked at its reach"
+    assert said([DryRunResult()], texts)[1] == GOOD
+    assert "eachable" not in said([DryRunResult()], texts)[0], "nobody has looked at its reach"
     assert said([open_], texts) == (f"? {open_.undecided[0]}", OPEN)
     assert said([bad], texts) == ("✗ Too far.", BAD)
-    assert said([Prospect(), good, bad], texts) == ("✗ Point 2: Too far.", BAD)
+    assert said([DryRunResult(), good, bad], texts) == ("✗ Point 2: Too far.", BAD)

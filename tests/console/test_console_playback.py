@@ -16,13 +16,13 @@ from recorded import recording
 from test_console_geometry import body, setup, some_pose
 
 from pcmrs.bus.codec import pack
+from pcmrs.console.cell_view_model import EPOCHS, NOTHING
 from pcmrs.console.playback import RATE_HZ, Playback, Recorded, read_recorded
-from pcmrs.console.told import EPOCHS, NOTHING
 from pcmrs.errors import FileFormatError
 from pcmrs.fsm import Blueprint
 from pcmrs.messages import BlueprintTag, DeviceEvent, Epoch, JointState, Snapshot, Target, Verdict
 from pcmrs.messages.health import Health
-from pcmrs.messages.setup import Gathered, LandmarkShown, StimulationShown
+from pcmrs.messages.setup import LandmarkShown, ProcedureDataView, StimulationShown
 from pcmrs.recording.file import RecordingFile, Topics
 from pcmrs.recording.series import recordings_in
 from pcmrs.service.health.report import report
@@ -50,10 +50,10 @@ def verdict(number: int) -> Verdict:
     return Verdict(id=str(number), branch="robot", operation="connect", decision="accepted", state="1", sequence=number)
 
 
-def landmarks(digitized: int) -> Gathered:
+def landmarks(digitized: int) -> ProcedureDataView:
     """Three that are planned, so many of them digitized; with all, they are registered."""
     points = [(0.1 * n, 0.0, 0.0) for n in range(3)]
-    return Gathered(
+    return ProcedureDataView(
         landmarks=[
             LandmarkShown(name=f"l{n}", planned=point, digitized=point if n < digitized else None)
             for n, point in enumerate(points)
@@ -158,7 +158,7 @@ def test_an_older_recording_shows_plan_and_registration_by_its_targets(tmp_path:
     path = write(tmp_path / "older.mcap", [each for each in said() if each[1] not in newer])
     playback = Playback(read_recorded([path], lambda _: None), setup(), BLUEPRINT)
     playback.seek(LENGTH)
-    assert playback.data == Gathered(landmarks=[], plan=as_message(some_pose(3)))
+    assert playback.data == ProcedureDataView(landmarks=[], plan=as_message(some_pose(3)))
     assert (list(playback.epochs), playback.health, playback.trouble) == ([], None, "")
 
 

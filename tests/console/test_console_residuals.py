@@ -7,7 +7,7 @@ import numpy as np
 
 from pcmrs.console.residuals import each_in_words, mean_in_words
 from pcmrs.console.texts import Texts
-from pcmrs.messages.setup import Gathered, LandmarkShown
+from pcmrs.messages.setup import LandmarkShown, ProcedureDataView
 from pcmrs.spatial import Transform
 from pcmrs.workflows.data import as_message
 
@@ -21,7 +21,7 @@ def landmark(name: str, planned: tuple[float, float, float], off: float | None) 
     return LandmarkShown(name=name, planned=planned, digitized=None if off is None else (x, y + off, z))
 
 
-REGISTERED = Gathered(
+REGISTERED = ProcedureDataView(
     landmarks=[
         landmark("nasion", (0.0, 0.1, 0.0), 0.00123),
         landmark("inion", (0.0, -0.1, 0.0), None),

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from test_console_geometry import body
 
+from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.signals.responses import hunted, responses, waves
 from pcmrs.console.signals.traces import SHOWN, Traces
-from pcmrs.console.told import Told
 from pcmrs.messages import Epoch, Verdict
 from pcmrs.spatial import Transform
 from pcmrs.tms.settings import MepSettings, ThresholdSettings
-from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold import MotorThresholdEstimator
 
 
-class At(Told):
+class At(CellViewModel):
     """What is known at a moment that the test chooses."""
 
     now = 0.0
@@ -56,7 +56,7 @@ def test_only_the_last_minute_is_kept_and_a_replay_that_goes_back_begins_anew() 
 
 
 def test_a_hunt_is_drawn_as_it_went() -> None:
-    hunt = ThresholdHunt.begin(ThresholdSettings())
+    hunt = MotorThresholdEstimator.begin(ThresholdSettings())
     while not hunt.finished:
         asked = hunt.next_intensity()
         hunt = hunt.after(asked, asked >= 55.0)
@@ -75,7 +75,7 @@ def test_a_hunt_is_drawn_as_it_went() -> None:
 
 
 def test_a_hunt_without_an_interval_has_gaps_and_one_without_pulses_has_nothing() -> None:
-    hunt = ThresholdHunt.begin(ThresholdSettings(method="relative_frequency"))
+    hunt = MotorThresholdEstimator.begin(ThresholdSettings(method="relative_frequency"))
     assert hunted(msgspec.to_builtins(hunt)).estimates == []  # type: ignore[union-attr]
     shown = hunted(msgspec.to_builtins(hunt.after(35.0, responded=False)))
     assert shown is not None

@@ -13,13 +13,13 @@ from test_console_geometry import some_pose
 
 from pcmrs.console.geometry import as_zone
 from pcmrs.console.residuals import coloured, colours, gradient, predicted
-from pcmrs.messages.setup import Gathered, LandmarkShown, SurfaceShown
+from pcmrs.messages.setup import LandmarkShown, ProcedureDataView, SurfaceShown
 from pcmrs.registration import predict_tre
 from pcmrs.workflows.data import as_message
 
 LANDMARKS = np.array([(0.09, 0.0, 0.0), (0.0, 0.09, 0.0), (-0.09, 0.0, 0.0), (0.0, 0.0, 0.09)])
 HEAD = trimesh.creation.icosphere(subdivisions=3, radius=0.1)
-DATA = Gathered(
+DATA = ProcedureDataView(
     landmarks=[LandmarkShown(name=str(n), planned=tuple(point)) for n, point in enumerate(LANDMARKS.tolist())],
     body_ref_from_image=as_message(some_pose(1)),
     sigma=0.002,

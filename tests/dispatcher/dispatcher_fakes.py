@@ -150,10 +150,10 @@ def make_workflow(
         registry.activities |= {a.run: script.go_on for a in branch.activities.values()}
         for spec in branch.operations.values():
             registry.checks |= dict.fromkeys(spec.checks, script.check)
-            worldly = branch_name in worldly_branches
-            registry.steps |= dict.fromkeys(spec.steps, script.world_step if worldly else script.data_step)
-            if worldly:
-                registry.worldly.update(spec.steps)
+            side_effecting = branch_name in worldly_branches
+            registry.steps |= dict.fromkeys(spec.steps, script.world_step if side_effecting else script.data_step)
+            if side_effecting:
+                registry.side_effecting.update(spec.steps)
             if spec.payload != "none":
                 registry.payload(spec.payload, Numbers)
     return Workflow(blueprint, registry, Notes(), _settle)

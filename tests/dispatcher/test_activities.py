@@ -17,7 +17,7 @@ from trials import examples
 from pcmrs.authoring.trial.tour import plan_tour
 from pcmrs.dispatcher import Activity, Registry, Workflow
 from pcmrs.errors import BlueprintError, DeviceError, ReentrancyError, UnknownOutcomeError
-from pcmrs.messages import DeviceEvent, Ongoing, Reason, Verdict
+from pcmrs.messages import ActiveActivity, DeviceEvent, Reason, Verdict
 from pcmrs.testing.clock import settle
 from pcmrs_lab.experiment.tours.rehearsal import rehearse
 
@@ -76,7 +76,9 @@ async def test_entering_the_state_begins_it_once_that_is_durable(bench: Bench) -
         "following",
         "follow",
     )
-    assert bench.snapshots()[-1].activities == [Ongoing(branch="placement", state="following", name="follow_head")]
+    assert bench.snapshots()[-1].activities == [
+        ActiveActivity(branch="placement", state="following", name="follow_head")
+    ]
     assert events(bench) == ["activity_started"]
 
 

@@ -117,11 +117,11 @@ async def test_a_motion_waits_for_no_command(bench: Bench) -> None:
 async def test_a_motion_that_waits_counts_as_moving(bench: Bench) -> None:
     gate, event = await within_on_its_way(bench)
     motion = await bench.begin("placement.nudge")
-    prospect = await bench.dispatcher.prospect(bench.command("digitization.clear_surface"))
+    dry_run = await bench.dispatcher.dry_run(bench.command("digitization.clear_surface"))
     plan = await bench.begin("toolplan.plan")
     gate.set()
-    assert prospect.reason is not None
-    assert (prospect.reason.code, code(await plan)) == ("busy", "busy")
+    assert dry_run.reason is not None
+    assert (dry_run.reason.code, code(await plan)) == ("busy", "busy")
     assert [(await task).decision for task in (event, motion)] == ["accepted", "accepted"]
 
 
@@ -130,8 +130,8 @@ async def test_a_motion_is_asked_again_whether_it_may_still_wait(bench: Bench) -
     gate, _ = await within_on_its_way(bench)
     motion = await bench.begin("placement.nudge")
     outside = await bench.begin("alignment.outside", source=TRACKER)
-    (waiting,) = (each for each in bench.dispatcher._lanes.waiting if each.spec.event)
-    waiting.worldly = True
+    (waiting,) = (each for each in bench.dispatcher._locks.waiting if each.spec.event)
+    waiting.side_effecting = True
     gate.set()
     assert code(await motion) == "busy"
     await outside
@@ -215,7 +215,7 @@ async def test_what_fails_after_a_verdict_is_fail_stop_and_keeps_no_locks(
     await settle()
     assert bench.dispatcher.broken is not None
     assert bench.dispatcher.broken.code == "internal_error"
-    assert bench.dispatcher._lanes.running == []
+    assert bench.dispatcher._locks.running == []
     assert (bench.holds, bench.dispatcher.snapshot().latched) == (1, True)
     assert code(await bench.do("toolplan.plan")) == "internal_error"
 

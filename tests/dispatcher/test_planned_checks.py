@@ -151,14 +151,14 @@ async def test_what_would_be_said_comes_from_the_planner(bench: Bench, planner: 
     await bench.go(RETRACTED)
     planner.refused = Reason(code="unreachable", text="Too far.")
     before = len(bench.recorder.rows)
-    prospect = await bench.dispatcher.prospect(bench.command("placement.approach"))
-    assert prospect.reason == planner.refused
+    dry_run = await bench.dispatcher.dry_run(bench.command("placement.approach"))
+    assert dry_run.reason == planner.refused
     assert (len(bench.recorder.rows), bench.joint) == (before, RETRACTED)
     planner.refused = None
     planner.meanwhile = bench.dispatcher.procedure.latch
-    prospect = await bench.dispatcher.prospect(bench.command("placement.approach"))
-    assert prospect.reason is not None
-    assert prospect.reason.code == "latched"
+    dry_run = await bench.dispatcher.dry_run(bench.command("placement.approach"))
+    assert dry_run.reason is not None
+    assert dry_run.reason.code == "latched"
 
 
 @pytest.mark.parametrize("refuses", [True, False])

@@ -12,7 +12,7 @@ from dispatcher_fakes import HELD, Bench
 from pcmrs.dispatcher.events import PRESSED_AGAIN
 from pcmrs.dispatcher.stops import SOURCES
 from pcmrs.messages import DeviceEvent, Verdict
-from pcmrs.service.core import GatewayCore
+from pcmrs.service.gateway_adapter import GatewayAdapter
 from pcmrs.testing.clock import settle
 from pcmrs.workflows.cell import Cell
 
@@ -20,13 +20,13 @@ PRESSES = 5_000
 
 
 @pytest.fixture
-async def held() -> AsyncIterator[tuple[Bench, GatewayCore, asyncio.Event]]:
+async def held() -> AsyncIterator[tuple[Bench, GatewayAdapter, asyncio.Event]]:
     """A bench whose holds are answered when the event is set, and the gateway's way to its Stop."""
     bench = Bench()
     await bench.go(HELD)
     answered = asyncio.Event()
     bench.hold = answered.wait
-    core = GatewayCore(cast(Any, bench.dispatcher), cast(Cell, None), bench.dispatcher.submit)
+    core = GatewayAdapter(cast(Any, bench.dispatcher), cast(Cell, None), bench.dispatcher.submit)
     yield bench, core, answered
     answered.set()
     await bench.dispatcher.close()
@@ -41,7 +41,7 @@ def events(bench: Bench) -> list[DeviceEvent]:
 
 
 async def test_thousands_of_presses_are_one_stop_and_one_row_with_their_number(
-    held: tuple[Bench, GatewayCore, asyncio.Event],
+    held: tuple[Bench, GatewayAdapter, asyncio.Event],
 ) -> None:
     bench, core, answered = held
     before, rows = bench.dispatcher.stop_number, len(bench.recorder.rows)
@@ -58,7 +58,7 @@ async def test_thousands_of_presses_are_one_stop_and_one_row_with_their_number(
 
 
 async def test_when_the_robot_stands_the_next_press_is_a_stop_of_its_own(
-    held: tuple[Bench, GatewayCore, asyncio.Event],
+    held: tuple[Bench, GatewayAdapter, asyncio.Event],
 ) -> None:
     bench, core, answered = held
     answered.set()
@@ -68,7 +68,7 @@ async def test_when_the_robot_stands_the_next_press_is_a_stop_of_its_own(
     assert bench.dispatcher.stop_number == before + 3
 
 
-async def test_a_press_ends_what_has_begun_since_the_stop(held: tuple[Bench, GatewayCore, asyncio.Event]) -> None:
+async def test_a_press_ends_what_has_begun_since_the_stop(held: tuple[Bench, GatewayAdapter, asyncio.Event]) -> None:
     bench, core, answered = held
     first = asyncio.create_task(core.stop("bus:eve"))
     await settle()
@@ -84,7 +84,7 @@ async def test_a_press_ends_what_has_begun_since_the_stop(held: tuple[Bench, Gat
 
 
 async def test_everybody_has_a_stop_of_their_own_up_to_a_number(
-    held: tuple[Bench, GatewayCore, asyncio.Event],
+    held: tuple[Bench, GatewayAdapter, asyncio.Event],
 ) -> None:
     bench, core, answered = held
     before = bench.dispatcher.stop_number
@@ -102,7 +102,7 @@ async def test_everybody_has_a_stop_of_their_own_up_to_a_number(
 
 
 async def test_nothing_releases_the_latch_while_presses_are_counted(
-    held: tuple[Bench, GatewayCore, asyncio.Event],
+    held: tuple[Bench, GatewayAdapter, asyncio.Event],
 ) -> None:
     bench, core, answered = held
     stops = [asyncio.create_task(core.stop("bus:eve")) for _ in range(2)]

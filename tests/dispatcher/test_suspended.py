@@ -48,7 +48,7 @@ async def test_nobody_is_kept_from_retreating(bench: Bench) -> None:
     bench.dispatcher.suspend(FULL)
 
     assert (await bench.do("robot.acknowledge", arguments={"stop": 1})).decision == "accepted"
-    assert (await bench.dispatcher.prospect(bench.command("placement.back_off"))).reason is None
+    assert (await bench.dispatcher.dry_run(bench.command("placement.back_off"))).reason is None
     assert (await bench.do("placement.back_off")).decision == "accepted"
     assert (await bench.do("placement.home")).decision == "accepted"
     assert bench.joint == RETRACTED

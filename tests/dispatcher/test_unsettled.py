@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pcmrs.dispatcher.recovery import Unsettled
+from pcmrs.dispatcher.recovery import PendingOutcomes
 from pcmrs.messages import UnknownOutcome
 from pcmrs.workflows.opening import open_workflow
 
@@ -30,7 +30,7 @@ def test_only_some_operations_settle_what_is_unknown(name: str) -> None:
     settling = set()
     for other, declared in BLUEPRINT.branches.items():
         for each in declared.operations:
-            unsettled = Unsettled(BLUEPRINT, [unknown])
+            unsettled = PendingOutcomes(BLUEPRINT, [unknown])
             unsettled.settle_by(other, each)
             if not unsettled.shown():
                 settling.add(f"{other}.{each}")

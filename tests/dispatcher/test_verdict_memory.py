@@ -7,14 +7,14 @@ from dispatcher_fakes import MemoryRecorder
 
 from pcmrs.dispatcher import verdict_cache
 from pcmrs.dispatcher.recorder import Recorded
-from pcmrs.dispatcher.verdict_cache import Memory
+from pcmrs.dispatcher.verdict_cache import VerdictCache
 from pcmrs.messages import Command, Verdict
 
 
 @pytest.fixture
-def remembered(monkeypatch: pytest.MonkeyPatch) -> Memory:
+def remembered(monkeypatch: pytest.MonkeyPatch) -> VerdictCache:
     monkeypatch.setattr(verdict_cache, "MAX_REMEMBERED", 2)
-    return Memory(MemoryRecorder())
+    return VerdictCache(MemoryRecorder())
 
 
 def command(name: str) -> Command:
@@ -28,7 +28,7 @@ def verdict(name: str, sequence: int) -> Verdict:
 async def test_older_verdicts_are_those_of_the_journal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verdict_cache, "MAX_REMEMBERED", 2)
     recorder = MemoryRecorder()
-    remembered = Memory(recorder)
+    remembered = VerdictCache(recorder)
     for number, name in enumerate(("c1", "c2", "c3")):
         asked, _ = remembered.verdict_of(command(name))
         remembered.settle(asked, verdict(name, number))
@@ -38,7 +38,7 @@ async def test_older_verdicts_are_those_of_the_journal(monkeypatch: pytest.Monke
     assert {name: asked.result().sequence for name, (asked, _) in found.items()} == {"c3": 2, "c1": 100}
 
 
-async def test_the_first_answer_stands(remembered: Memory) -> None:
+async def test_the_first_answer_stands(remembered: VerdictCache) -> None:
     """What breaks after the answer is concluded a second time."""
     asked, _ = remembered.verdict_of(command("c1"))
     remembered.settle(asked, verdict("c1", 1))
@@ -46,7 +46,7 @@ async def test_the_first_answer_stands(remembered: Memory) -> None:
     assert asked.result().sequence == 1
 
 
-async def test_what_is_under_way_is_never_forgotten(remembered: Memory) -> None:
+async def test_what_is_under_way_is_never_forgotten(remembered: VerdictCache) -> None:
     """Its verdict is not in the journal yet: a repeat would be taken for a new command, and perform it again."""
     running, _ = remembered.verdict_of(command("motion"))
     for number in range(10):

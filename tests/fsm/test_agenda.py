@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from random_blueprints import blueprints
 from trials import examples
 
-from pcmrs.authoring.trial.agenda import Agenda
+from pcmrs.authoring.trial.coverage_plan import CoveragePlan
 from pcmrs.authoring.trial.tour import Move, all_moves
 from pcmrs.fsm import Blueprint
 
@@ -35,7 +35,7 @@ class World:
 
 
 def tour(world: World, start: tuple[str, ...], most: int) -> tuple[set[Move], dict[Move, str]]:
-    agenda = Agenda(world.moves, {})
+    agenda = CoveragePlan(world.moves, {})
     seen: set[Move] = set()
     here = start
     for _ in range(most):
@@ -68,7 +68,7 @@ def test_what_is_never_wanted_again_is_walked_over_no_more() -> None:
     here, there = ("a",), ("b",)
     way = Move(branch="x", operation="go", ending="done", before=here, after=there)
     goal = Move(branch="x", operation="stay", ending="done", before=there, after=there)
-    agenda = Agenda({here: [way], there: [goal]}, {})
+    agenda = CoveragePlan({here: [way], there: [goal]}, {})
     agenda.made(way)
     assert agenda.next(here, lambda _: True) == way
     agenda.drop(lambda move: move == way)
@@ -79,7 +79,7 @@ def test_what_is_never_wanted_again_is_walked_over_no_more() -> None:
 def test_what_was_put_aside_is_tried_again_once_something_else_was_gained() -> None:
     here = ("a",)
     shy, bold = (Move(branch="x", operation=name, ending="done", before=here, after=here) for name in ("shy", "bold"))
-    agenda = Agenda({here: [shy, bold]}, {"x.shy": 1})
+    agenda = CoveragePlan({here: [shy, bold]}, {"x.shy": 1})
     assert agenda.next(here, lambda _: True) == shy
     agenda.missed(shy, "not now")
     assert agenda.next(here, lambda _: True) == bold
@@ -93,7 +93,7 @@ def test_what_was_put_aside_is_tried_again_once_something_else_was_gained() -> N
 def test_what_cannot_be_done_at_present_is_neither_wanted_nor_walked() -> None:
     here, there = ("a",), ("b",)
     motion = Move(branch="x", operation="move", ending="done", before=here, after=there)
-    agenda = Agenda({here: [motion], there: []}, {})
+    agenda = CoveragePlan({here: [motion], there: []}, {})
     assert agenda.next(here, lambda move: move.operation != "move") is None
     assert agenda.towards(here, {there}, lambda move: move.operation != "move") is None
     assert agenda.towards(here, {there}, lambda _: True) == motion

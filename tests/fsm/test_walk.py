@@ -14,7 +14,7 @@ from random_blueprints import blueprints
 from ratms_oracle import BLUEPRINT, INITIAL, Joint, all_operations, as_dict, expected
 from trials import examples
 
-from pcmrs.authoring.trial.walk import Step, Walk
+from pcmrs.authoring.trial.session import SimulationSession, Step
 from pcmrs.cli import main
 from pcmrs.errors import RefusalError
 from pcmrs.fsm import Blueprint, load_blueprint
@@ -26,14 +26,14 @@ def simulate(*words: str, lines: str | bytes | None = None) -> Result:
     return CliRunner().invoke(main, ["fsm", "simulate", *words], input=lines)
 
 
-def joint(walk: Walk) -> Joint:
+def joint(walk: SimulationSession) -> Joint:
     return tuple(walk.states().values())  # type: ignore[return-value]
 
 
 @given(st.integers(0, 10_000))
 @examples(20)
 def test_every_random_step_is_what_the_specification_says(seed: int) -> None:
-    walk = Walk(RATMS)
+    walk = SimulationSession(RATMS)
     before = INITIAL
     for step in walk.wander(40, seed):
         name, _, ending = step.command.partition(":")
@@ -48,7 +48,7 @@ def test_every_random_step_is_what_the_specification_says(seed: int) -> None:
 
 
 def test_the_same_seed_is_the_same_walk() -> None:
-    walks = [list(Walk(RATMS).wander(100, seed)) for seed in (7, 7, 8)]
+    walks = [list(SimulationSession(RATMS).wander(100, seed)) for seed in (7, 7, 8)]
     assert walks[0] == walks[1] != walks[2]
     assert {step.decision for step in walks[0]} == {"accepted", "rejected", "failed", "unknown"}
 
@@ -56,7 +56,7 @@ def test_the_same_seed_is_the_same_walk() -> None:
 @given(blueprints(), st.integers(0, 1000))
 @examples(30)
 def test_everything_can_be_taken_back(blueprint: Blueprint, seed: int) -> None:
-    walk = Walk(blueprint)
+    walk = SimulationSession(blueprint)
     passed = [walk.states()]
     for step in walk.wander(10, seed):
         assert walk.states() == step.states
@@ -70,7 +70,7 @@ def test_everything_can_be_taken_back(blueprint: Blueprint, seed: int) -> None:
 @given(blueprints(), st.randoms(use_true_random=False))
 @examples(30)
 def test_what_is_offered_is_accepted_and_the_rest_refused(blueprint: Blueprint, rng: Random) -> None:
-    walk = Walk(blueprint)
+    walk = SimulationSession(blueprint)
     list(walk.wander(5, rng.randrange(1000)))
     offered = {choice.partition(":")[0] for choice in walk.choices()}
     for name, branch in blueprint.branches.items():
@@ -83,7 +83,7 @@ def test_what_is_offered_is_accepted_and_the_rest_refused(blueprint: Blueprint, 
 
 
 def test_the_choices_of_ratms_are_those_of_the_specification() -> None:
-    walk = Walk(RATMS)
+    walk = SimulationSession(RATMS)
     offered = {choice.partition(":")[0] for choice in walk.choices()}
     assert offered == {f"{b}.{o}" for b, o in all_operations() if expected(INITIAL, b, o) is not None}
 
@@ -98,7 +98,7 @@ def test_the_choices_of_ratms_are_those_of_the_specification() -> None:
     ],
 )
 def test_what_there_is_not_is_an_error_that_changes_nothing(command: str, code: str) -> None:
-    walk = Walk(RATMS)
+    walk = SimulationSession(RATMS)
     with pytest.raises(RefusalError) as refused:
         walk.ask(command)
     assert refused.value.refusal_code == code
@@ -107,7 +107,7 @@ def test_what_there_is_not_is_an_error_that_changes_nothing(command: str, code: 
 
 
 def test_an_operation_with_several_outcomes_has_to_be_told_which() -> None:
-    walk = Walk(RATMS)
+    walk = SimulationSession(RATMS)
     walk.ask("robot.connect")
     with pytest.raises(RefusalError, match=r"placement\.locate:retracted"):
         walk.ask("placement.locate")
@@ -122,7 +122,7 @@ def test_a_script_is_followed_line_by_line() -> None:
     run = simulate("ratms", lines=lines)
     assert run.exit_code == 0
     told = [line for line in run.output.splitlines() if line and line[0] != " "]
-    denial = Walk(RATMS).denial("placement.approach")
+    denial = SimulationSession(RATMS).denial("placement.approach")
     assert denial is not None
     assert told[:6] == [
         "registration.plan_landmarks: accepted",
@@ -137,7 +137,7 @@ def test_a_script_is_followed_line_by_line() -> None:
 
 
 def test_a_number_is_that_line_of_the_list() -> None:
-    choices = Walk(RATMS).choices()
+    choices = SimulationSession(RATMS).choices()
     run = simulate("ratms", lines=f"{choices.index('robot.connect') + 1}\n0\n{len(choices) * 2}\n")
     assert "robot.connect: accepted" in run.output
     assert run.stderr.count("is not in the list") == 2
@@ -161,7 +161,7 @@ def test_any_bytes_can_be_typed(lines: bytes) -> None:
 def test_random_steps_as_json_are_one_object_a_line() -> None:
     run = simulate("ratms", "--random", "30", "--seed", "5", "--json")
     steps = [msgspec.json.decode(line, type=Step) for line in run.output.splitlines()]
-    assert steps == list(Walk(RATMS).wander(30, 5))
+    assert steps == list(SimulationSession(RATMS).wander(30, 5))
 
 
 def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:

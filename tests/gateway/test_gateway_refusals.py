@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 import pytest
 from gateway_fakes import FakeCore
 
-from pcmrs.gateway.rejection_log import PERIOD, Refusals
+from pcmrs.gateway.rejection_log import PERIOD, RejectionLog
 from pcmrs.gateway.tasks import Tasks
 from pcmrs.testing.clock import ManualClock, settle
 
@@ -17,7 +17,7 @@ SOURCE = "udp:planner:127.0.0.1:4000"
 class Bench:
     def __init__(self) -> None:
         self.core, self.clock, self.tasks = FakeCore(), ManualClock(), Tasks()
-        self.refusals = Refusals(self.core, self.clock, self.tasks)
+        self.refusals = RejectionLog(self.core, self.clock, self.tasks)
 
     async def refuse(self, times: int, reason: str = "malformed") -> None:
         for number in range(times):

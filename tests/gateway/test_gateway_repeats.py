@@ -10,7 +10,7 @@ from gateway_fakes import UdpClient
 
 from pcmrs.gateway import intake, outcome
 from pcmrs.gateway.links import open_gateway
-from pcmrs.gateway.outcome import Memory, Outcome
+from pcmrs.gateway.outcome import Outcome, OutcomeCache
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ async def test_ids_start_anew_with_each_opening(cell: Any, tmp_path: Any) -> Non
 
 @pytest.mark.usefixtures("outcomes_are_forgotten")
 async def test_a_command_under_way_is_not_forgotten() -> None:
-    remembered, loop = Memory(), asyncio.get_running_loop()
+    remembered, loop = OutcomeCache(), asyncio.get_running_loop()
     running, done = loop.create_future(), loop.create_future()
     done.set_result(Outcome("accepted", "robot", "1"))
     remembered.keep("a", "1", running)

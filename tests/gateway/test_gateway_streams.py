@@ -24,7 +24,7 @@ from pcmrs.gateway.periodic_timer import beats_of, kernel_beats
 from pcmrs.gateway.records import Records, placement_text
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from pcmrs.gateway.streams import Streams, point_message, pose_message, unity_message
-from pcmrs.gateway.tasks import Repetition, Tasks
+from pcmrs.gateway.tasks import PeriodicTask, Tasks
 from pcmrs.spatial import Transform
 
 _rotvecs = st.tuples(*[st.floats(-1.5, 1.5)] * 3)
@@ -192,7 +192,7 @@ async def test_ticks_missed_in_a_stall_are_not_made_up_for() -> None:
         if len(times) == 8:
             enough.set()
 
-    repetition = Repetition(beats_of(clock), 10.0, tick, tasks)
+    repetition = PeriodicTask(beats_of(clock), 10.0, tick, tasks)
     repetition.start()
     await enough.wait()
     repetition.stop()
@@ -221,7 +221,7 @@ def open_files() -> list[str]:
 async def test_beats_that_end_leave_no_timer_behind() -> None:
     before = open_files()
     tasks = Tasks()
-    repetition = Repetition(kernel_beats, 1000.0, lambda: None, tasks)
+    repetition = PeriodicTask(kernel_beats, 1000.0, lambda: None, tasks)
     for _ in range(3):
         repetition.start()
         await asyncio.sleep(0.01)

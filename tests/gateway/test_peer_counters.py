@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from signed_room import config, open_room, peer, signer
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.gateway.auth.counters import MOST_NAMES, CounterFile, CounterKeeper, check_room
+from pcmrs.gateway.auth.counters import MOST_NAMES, CounterFile, CounterWriter, check_room
 from pcmrs.gateway.links import COUNTERS, open_gateway
 from pcmrs.gateway.settings import MAX_PEERS
 from pcmrs.testing.clock import ManualClock, settle
@@ -203,7 +203,7 @@ async def test_who_waits_for_the_disk_when_it_closes_is_cancelled(
         sync(descriptor)
 
     monkeypatch.setattr("pcmrs.gateway.auth.counters.os.fdatasync", hanging)
-    keeper = CounterKeeper(file, errors.append)
+    keeper = CounterWriter(file, errors.append)
     waits = keeper.keep("planner", 5)
     closing = asyncio.create_task(keeper.close())
     await settle()

@@ -13,7 +13,7 @@ from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.devices.remote import RemoteScene
 from pcmrs.messages import JointState
-from pcmrs.testing.driving import accept, calmed, showing, to_standoff, until
+from pcmrs.testing.driving import accept, showing, to_standoff, until, wait_until_stationary
 from pcmrs.workflows.data import as_transform
 
 LIMIT = 8.0
@@ -48,7 +48,7 @@ class Bedside:
 
     async def place(self) -> None:
         """From wherever the coil is to its place at the head, anew."""
-        await calmed(self.client)
+        await wait_until_stationary(self.client)
         await to_standoff(self.client)
         await accept(self.client, "placement.confirm")
 

@@ -34,7 +34,7 @@ from pcmrs.client import Client
 from pcmrs.journal import JournalReader
 from pcmrs.messages import DeviceEvent, JointState, Snapshot
 from pcmrs.messages.health import Health
-from pcmrs.messages.setup import Gathered
+from pcmrs.messages.setup import ProcedureDataView
 from pcmrs.recording.playing import Played
 from pcmrs.recording.reading import Reading
 from pcmrs.recording.recorder import Report
@@ -91,7 +91,7 @@ async def test_what_was_recorded_is_heard_again_byte_for_byte_and_never_at_a_liv
     assert len(recorded) == report.messages
     assert {"state/fsm", "state/flags", "state/event", "state/joints", "state/pose/coil"} <= {m.key for m in recorded}
 
-    assert gathered in [unpack(m.payload, Gathered) for m in recorded if m.key == "state/data"]
+    assert gathered in [unpack(m.payload, ProcedureDataView) for m in recorded if m.key == "state/data"]
     assert unpack(next(m.payload for m in recorded if m.key == "state/health"), Health).status == "ok"
 
     snapshots: list[Snapshot] = []

@@ -13,7 +13,7 @@ from whole_journal import LOG, Sample, sample
 from pcmrs.testing.errors import Unmet
 from pcmrs.testing.journal import HEAD, NAME, place
 from pcmrs_lab.campaign.damage import Damage
-from pcmrs_lab.campaign.taking_up import taken_up
+from pcmrs_lab.campaign.journal_recovery_check import taken_up
 
 
 @pytest.fixture(params=["killed", "closed"])

@@ -14,7 +14,7 @@ from pcmrs.errors import GeometryError
 from pcmrs.kinematics.arms import IIWA14_R820, ArmFacts
 from pcmrs.kinematics.collision import box, hull
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.passage import BOUND, look_at
+from pcmrs.kinematics.sampled_clearance import BOUND, look_at
 from pcmrs.kinematics.zones import MOUNT_RADIUS, SIGHT_OF_BODY, SIGHT_OF_TOOL, ToolShape, Zone, ZoneModel
 from pcmrs.spatial import Floats, Transform
 

@@ -276,7 +276,7 @@ class Daemon:
         )
 
     async def allows(self, name: str, **arguments: Any) -> bool:
-        return (await self.dispatcher.prospect(self.command(name, **arguments))).reason is None
+        return (await self.dispatcher.dry_run(self.command(name, **arguments))).reason is None
 
 
 class Replay:

@@ -171,10 +171,13 @@ DEFECTS: dict[str, tuple[str, Callable[..., object]]] = {
         lambda gate, token: gate._change(epoch=gate.state.epoch, latched=False, daemon=token.daemon),
     ),
     "an acknowledgement is never refused": ("pcmrs.dispatcher.stops:Stops.objection", nothing),
-    "Stop ends no motion": ("pcmrs.dispatcher.locks:Attempt.stop", nothing),
+    "Stop ends no motion": ("pcmrs.dispatcher.locks:PendingCommand.stop", nothing),
     "nothing is locked": ("pcmrs.dispatcher.locks:Locks.conflicts", never),
     "what a beat says of a latch is not looked at": ("pcmrs.service.watches.gates:GateWatch._compare", nothing),
-    "a motion that was under way latches nothing after a crash": ("pcmrs.service.restart.state:Ledger._doubt", nothing),
+    "a motion that was under way latches nothing after a crash": (
+        "pcmrs.service.restart.state:RestartState._doubt",
+        nothing,
+    ),
     "nothing follows from danger": (
         "pcmrs.dispatcher.dispatcher:Dispatcher._follow_danger",
         lambda _, submit: submit(),

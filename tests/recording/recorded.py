@@ -22,7 +22,7 @@ from pcmrs.messages import BodyPose, JointState
 from pcmrs.recording.chain import Mounting
 from pcmrs.recording.recorder import PERIOD, Plan, Recorder, Report
 from pcmrs.recording.series import Limits, files_of
-from pcmrs.recording.tap import Tap
+from pcmrs.recording.subscriber import Subscriber
 from pcmrs.recording.topics import TOPICS
 from pcmrs.recording.views import Views
 from pcmrs.testing.daemon import free_port
@@ -42,7 +42,7 @@ class Recording:
         bus: Where to say something.
     """
 
-    def __init__(self, bus: Bus, tap: Tap, recorder: Recorder) -> None:
+    def __init__(self, bus: Bus, tap: Subscriber, recorder: Recorder) -> None:
         self.bus = bus
         self._recorder = recorder
         self._ended = asyncio.Event()
@@ -83,7 +83,7 @@ async def recording(
     key = new_key()
     bus = await Bus.open(router, Seal(key))
     try:
-        tap = await Tap.open(msgspec.structs.replace(router, mode="client"), topics, clock, Seal(key))
+        tap = await Subscriber.open(msgspec.structs.replace(router, mode="client"), topics, clock, Seal(key))
         work = Recording(bus, tap, Recorder(plan, Views(ARM, MOUNTING, 1.0), clock))
         try:
             yield work

@@ -35,7 +35,7 @@ from pcmrs.messages import (
     Verdict,
 )
 from pcmrs.messages.health import Health
-from pcmrs.messages.setup import Gathered, LandmarkShown, StimulationShown
+from pcmrs.messages.setup import LandmarkShown, ProcedureDataView, StimulationShown
 from pcmrs.recording import raw
 from pcmrs.recording.file import CountingFile
 from pcmrs.recording.series import Limits, check_new, files_of, path_of
@@ -70,7 +70,7 @@ VERDICT = Verdict(
 )
 EVENT = DeviceEvent(device="robot", code="force_limit", text="Too much force.", danger=True)
 
-GATHERED = Gathered(
+GATHERED = ProcedureDataView(
     landmarks=[
         LandmarkShown(name="nasion", planned=(0.0, 0.1, 0.0), digitized=(0.0, 0.1, 0.001)),
         LandmarkShown(name="inion", planned=(0.0, -0.1, 0.0)),
@@ -143,7 +143,7 @@ async def test_everything_said_is_in_the_file_as_foxglove_shows_it_and_byte_for_
     ]
 
 
-@pytest.mark.parametrize("kind", [Snapshot, Gathered, Epoch, Health, DeviceHealth])
+@pytest.mark.parametrize("kind", [Snapshot, ProcedureDataView, Epoch, Health, DeviceHealth])
 def test_the_schema_of_a_message_has_no_word_that_foxglove_refuses(kind: type[Message]) -> None:
     """As its reader of JSON schemas does, packages/mcap-support/src/parseJsonSchema.ts of Foxglove Studio 1."""
     schemas = [json_schema(kind)]
@@ -205,14 +205,14 @@ def test_the_tree_of_frames_joins_what_the_tracker_sees_with_what_the_joints_say
     "payload", [b"", b"\xc1", b"{", pack(joints([0.0] * 3)), pack(joints([math.pi] * 6 + [1e300]))[:-9]]
 )
 def test_what_cannot_be_read_is_said_in_the_log_and_kept_as_it_was(payload: bytes) -> None:
-    from pcmrs.recording.tap import Heard
+    from pcmrs.recording.subscriber import RawSample
 
     views = Views(ARM, MOUNTING, 1.0)
     read = ("joints", "pose/coil", "fsm", "target", "data", "epoch", "health", "event")
     for key in (*(f"state/{each}" for each in read), "dev/robot/state"):
-        shown = views.of(Heard(key, payload, 1.0), 10**18)
+        shown = views.of(RawSample(key, payload, 1.0), 10**18)
         assert [topic for topic, _ in shown] in (["/log"], []), key
-    assert views.of(Heard("state/unheard", payload, 1.0), 10**18) == []
+    assert views.of(RawSample("state/unheard", payload, 1.0), 10**18) == []
 
 
 async def test_files_follow_each_other_the_oldest_go_and_each_can_be_understood_alone(tmp_path: Path) -> None:

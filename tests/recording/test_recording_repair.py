@@ -29,7 +29,7 @@ from pcmrs.recording.playing import Excerpt, Player, recorded_cell
 from pcmrs.recording.raw import encode
 from pcmrs.recording.reading import Reading
 from pcmrs.recording.repair import repair
-from pcmrs.recording.tap import Heard
+from pcmrs.recording.subscriber import RawSample
 from pcmrs.recording.views import Views
 from pcmrs.testing.daemon import free_port
 
@@ -48,7 +48,7 @@ def written(path: Path) -> list[bytes]:
     payloads = []
     for number in range(MESSAGES):
         message = joints([noise.random() for _ in ARM.joints]) if number % 2 else pose("coil", number)
-        heard = Heard("state/joints" if number % 2 else "state/pose/coil", pack(message), float(number))
+        heard = RawSample("state/joints" if number % 2 else "state/pose/coil", pack(message), float(number))
         topics.write_raw(heard.key, heard.at, heard.payload, BEGUN + number * SPACING)
         for topic, view in views.of(heard, BEGUN + number * SPACING):
             topics.write(topic, view, BEGUN + number * SPACING)

@@ -109,7 +109,7 @@ class Course:
     # -- what a course is made of -----------------------------------------------------------------------
 
     def submit(self, index: int, value: float, source: str = "bus:test", repeat: bool = False) -> None:
-        if self.dispatcher._lanes.waiting:
+        if self.dispatcher._locks.waiting:
             return  # that somebody came while another waited is not on record: see docs/replay.md
         branch, operation = OPERATIONS[index % len(OPERATIONS)]
         self._number += 0 if repeat and self._number else 1
@@ -233,10 +233,10 @@ def make_workflow(course: Course) -> Workflow[Any, Any]:
         registry.activities |= dict.fromkeys((each.run for each in branch.activities.values()), go_on)
         for spec in branch.operations.values():
             registry.checks |= dict.fromkeys(spec.checks, check)
-            worldly = name in WORLDLY_BRANCHES
-            registry.steps |= dict.fromkeys(spec.steps, world_step if worldly else data_step)
-            if worldly:
-                registry.worldly.update(spec.steps)
+            side_effecting = name in WORLDLY_BRANCHES
+            registry.steps |= dict.fromkeys(spec.steps, world_step if side_effecting else data_step)
+            if side_effecting:
+                registry.side_effecting.update(spec.steps)
             if spec.payload != "none":
                 registry.payload(spec.payload, Numbers)
     return Workflow(RATMS, registry, Notes(), _settle)

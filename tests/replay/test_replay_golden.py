@@ -15,7 +15,7 @@ from ratms_oracle import BLUEPRINT
 
 from pcmrs.cli import main
 from pcmrs.clock import SystemClock
-from pcmrs.dispatcher.locks import Lanes
+from pcmrs.dispatcher.locks import LockManager
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.fsm import load_blueprint
 from pcmrs.fsm.files.load import read_blueprint
@@ -75,8 +75,8 @@ def _never_latched(self: Procedure[Any, Any]) -> None:
     ("where", "name", "instead"),
     [
         (Procedure, "latch", _never_latched),
-        (Lanes, "blocked", lambda *_: False),
-        (Lanes, "why_not_wait", lambda *_: None),
+        (LockManager, "blocked", lambda *_: False),
+        (LockManager, "why_not_wait", lambda *_: None),
     ],
     ids=["Stop does not latch", "no locks", "motions wait"],
 )

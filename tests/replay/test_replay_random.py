@@ -12,7 +12,7 @@ from random_course import OPERATIONS, Course, is_event
 from trials import examples
 
 from pcmrs.clock import SystemClock
-from pcmrs.dispatcher.locks import Lanes
+from pcmrs.dispatcher.locks import LockManager
 from pcmrs.replay.replay import Replayed, replay_runs
 from pcmrs.simulated_time.loop import SimulatedLoop
 
@@ -154,7 +154,7 @@ def test_that_stop_turns_away_what_waits_is_decided_again(monkeypatch: pytest.Mo
     waited = [each.row.verdict for each in course.rows if each.row.operation == "clear_landmarks"]
     assert [verdict.reason.code for verdict in waited if verdict and verdict.reason] == ["stopped"]
     assert decide_anew(course).differences == []
-    monkeypatch.setattr(Lanes, "turn_away", lambda _: [])
+    monkeypatch.setattr(LockManager, "turn_away", lambda _: [])
     assert decide_anew(course).differences
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.messages import BodyPose
-from pcmrs.service.core import GatewayCore
+from pcmrs.service.gateway_adapter import GatewayAdapter
 from pcmrs.spatial import Transform, distance
 from pcmrs.testing.clock import ManualClock
 
@@ -42,7 +42,7 @@ def show(feed: PoseFeed, clock: ManualClock, number: int, *bodies: str) -> None:
 async def test_a_log_of_poses_has_a_gap_while_tool_or_body_is_not_seen(hidden: str) -> None:
     clock = ManualClock()
     feed = PoseFeed(clock, MAX_AGE)
-    core = GatewayCore(cast(Any, None), cast(Any, SimpleNamespace(poses=feed)), cast(Any, None))
+    core = GatewayAdapter(cast(Any, None), cast(Any, SimpleNamespace(poses=feed)), cast(Any, None))
     assert core.tracked() is None
     show(feed, clock, 1, *SEEN)
     tracked = core.tracked()

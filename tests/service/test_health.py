@@ -9,12 +9,12 @@ from pcmrs.devices.poses import PoseFeed
 from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceHealth
 from pcmrs.service.watches.devices import HealthWatch
-from pcmrs.service.watches.readiness import Hearing
+from pcmrs.service.watches.readiness import DeviceReadiness
 from pcmrs.testing.clock import ManualClock
 
 
 async def test_a_device_is_told_when_it_is_lost_for_another_reason_and_there_again() -> None:
-    hearing = Hearing({"tracker"}, ManualClock())
+    hearing = DeviceReadiness({"tracker"}, ManualClock())
     watch = HealthWatch(hearing, PoseFeed(ManualClock(), 0.25))
     with capture_logs() as told:
         for connected, text in (
@@ -36,7 +36,7 @@ async def test_a_device_is_told_when_it_is_lost_for_another_reason_and_there_aga
 
 async def test_a_refusal_for_want_of_poses_says_what_the_tracker_says_of_itself() -> None:
     feed = PoseFeed(ManualClock(), 0.25)
-    watch = HealthWatch(Hearing(set(), ManualClock()), feed)
+    watch = HealthWatch(DeviceReadiness(set(), ManualClock()), feed)
     watch.take("", DeviceHealth(device="tracker", connected=False, text="Nothing listens there. Check its cable."))
     with pytest.raises(RefusalError, match=r"not been seen \(Nothing listens there. Check its cable\)\."):
         feed.newest("coil")

@@ -8,7 +8,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from pcmrs.errors import DeviceError
-from pcmrs.service.watches.readiness import DEVICES_TIME, NOTED_AFTER, Hearing, awaited
+from pcmrs.service.watches.readiness import DEVICES_TIME, NOTED_AFTER, DeviceReadiness, awaited
 from pcmrs.settings import DeviceSettings, RobotSettings, Settings
 from pcmrs.testing.clock import ManualClock, settle
 
@@ -35,7 +35,7 @@ def test_what_is_started_here_or_needed_by_the_workflow_is_waited_for(
 
 
 async def test_all_awaited_devices_must_be_heard() -> None:
-    hearing = Hearing({"robot", "tracker"}, ManualClock())
+    hearing = DeviceReadiness({"robot", "tracker"}, ManualClock())
     hearing.hear("tracker")
     assert not hearing.complete
     hearing.hear("robot")
@@ -48,11 +48,11 @@ async def test_all_awaited_devices_must_be_heard() -> None:
 
 
 async def test_nothing_awaited_is_nothing_waited_for() -> None:
-    await Hearing(set(), ManualClock()).wait()
+    await DeviceReadiness(set(), ManualClock()).wait()
 
 
 async def test_a_device_that_ends_ends_the_wait() -> None:
-    hearing = Hearing({"robot"}, ManualClock())
+    hearing = DeviceReadiness({"robot"}, ManualClock())
     hearing.fail(DeviceError("The node of robot ended."))
     with pytest.raises(DeviceError, match="ended"):
         await hearing.wait()
@@ -60,7 +60,7 @@ async def test_a_device_that_ends_ends_the_wait() -> None:
 
 async def test_a_device_that_is_not_heard_in_time_is_named() -> None:
     clock = ManualClock()
-    hearing = Hearing({"robot", "tracker"}, clock)
+    hearing = DeviceReadiness({"robot", "tracker"}, clock)
     with capture_logs() as log:
         waiting = asyncio.create_task(hearing.wait())
         await settle()
@@ -80,7 +80,7 @@ async def test_a_device_that_is_not_heard_in_time_is_named() -> None:
 async def test_a_slow_start_is_no_failure() -> None:
     """Beside many processes that compute, a simulated cell takes more than 30 s until it is heard."""
     clock = ManualClock()
-    hearing = Hearing({"robot"}, clock)
+    hearing = DeviceReadiness({"robot"}, clock)
     waiting = asyncio.create_task(hearing.wait())
     await settle()
     await clock.advance(60.0)

@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from pcmrs.messages import JointState
-from pcmrs.service.core import GatewayCore
+from pcmrs.service.gateway_adapter import GatewayAdapter
 
 JOINTS = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]
 
@@ -29,7 +29,7 @@ def test_only_a_posture_at_rest_and_clear_of_the_body_is_kept(
     cell = SimpleNamespace(joints=state, initial_joints=None)
     procedure = SimpleNamespace(joint=lambda: {"robot": "1", "placement": placement})
     dispatcher = SimpleNamespace(procedure=procedure, idle=idle, report_later=lambda _: None)
-    core = GatewayCore(cast(Any, dispatcher), cast(Any, cell), cast(Any, None))
+    core = GatewayAdapter(cast(Any, dispatcher), cast(Any, cell), cast(Any, None))
 
     assert core.remember_initial_joints() == taken
     assert cell.initial_joints == taken

@@ -16,7 +16,7 @@ from structlog.testing import capture_logs
 
 from pcmrs.messages.health import Health, HealthFacts, TaskStanding
 from pcmrs.service.health.report import report
-from pcmrs.service.health.service_manager import STATUS_PERIOD, ServiceManager, keep_informed
+from pcmrs.service.health.service_manager import STATUS_PERIOD, ServiceManager, run_watchdog
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.testing.clock import ManualClock, settle
 
@@ -62,7 +62,7 @@ class Daemon:
         self.facts: HealthFacts = WELL
         self.clock = ManualClock()
         self.period = manager.period
-        self._task = asyncio.create_task(keep_informed(manager, self._health, self.clock))
+        self._task = asyncio.create_task(run_watchdog(manager, self._health, self.clock))
 
     def _health(self) -> Health:
         return report(self.facts)
@@ -102,7 +102,7 @@ async def test_a_task_that_hangs_ends_the_feeding_and_the_status_says_which(hear
 
     supervisor = Supervisor(clock)
     async with supervisor:
-        supervisor.start("service manager", lambda: keep_informed(manager, health, clock))
+        supervisor.start("service manager", lambda: run_watchdog(manager, health, clock))
         supervisor.start("hanging", hangs, quiet=5.0)
         await settle()
         await clock.advance(4.5)

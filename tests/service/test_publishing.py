@@ -18,7 +18,7 @@ from pcmrs.dispatcher import Dispatcher
 from pcmrs.journal import Journal, JournalReader, JournalRow
 from pcmrs.messages import BlueprintTag, JournalPage, JournalQuery
 from pcmrs.messages.health import Health
-from pcmrs.messages.setup import Gathered, Setup
+from pcmrs.messages.setup import ProcedureDataView, Setup
 from pcmrs.service.health.report import report
 from pcmrs.service.publishing import HEALTH_PERIOD, LARGEST_PAGE, PAGE_BYTES, answer_queries, tell_health
 from pcmrs.testing.clock import ManualClock, settle
@@ -61,7 +61,7 @@ def no_setup() -> Setup:
     raise AssertionError
 
 
-def no_data() -> Gathered:
+def no_data() -> ProcedureDataView:
     raise AssertionError
 
 

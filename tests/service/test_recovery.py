@@ -24,7 +24,7 @@ from pcmrs.messages import BlueprintTag, Command, Decision, DeviceEvent, PoseMes
 from pcmrs.service.restart import recorder as recorder_module
 from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.service.restart.recovery import keep_journal, recover
-from pcmrs.service.restart.state import Kept, Ledger
+from pcmrs.service.restart.state import PersistedState, RestartState
 from pcmrs.settings import Settings, read_settings
 from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.workflows.data import PlacementData, Planned
@@ -136,13 +136,13 @@ def as_row(kind: str, name: str, number: Any, decision: str | None) -> JournalRo
 def test_reading_on_from_any_snapshot_says_what_reading_everything_says(rows: list[Any], data: st.DataObject) -> None:
     made = [as_row(*row) for row in rows]
     cut = data.draw(st.integers(0, len(made)))
-    whole, before = Ledger(RATMS, Kept()), Ledger(RATMS, Kept())
+    whole, before = RestartState(RATMS, PersistedState()), RestartState(RATMS, PersistedState())
     for row in made:
         whole.take(row)
     for row in made[:cut]:
         before.take(row)
-    stored = msgspec.convert(msgspec.msgpack.decode(msgspec.msgpack.encode(before.kept)), Kept)
-    after = Ledger(RATMS, stored)
+    stored = msgspec.convert(msgspec.msgpack.decode(msgspec.msgpack.encode(before.kept)), PersistedState)
+    after = RestartState(RATMS, stored)
     for row in made[cut:]:
         after.take(row)
     assert after.kept == whole.kept
@@ -179,15 +179,15 @@ def test_reading_on_from_any_snapshot_says_what_reading_everything_says(rows: li
     ],
 )
 def test_the_latch_outlives_a_run_until_somebody_acknowledges(rows: list[Any], latched: bool) -> None:
-    ledger = Ledger(RATMS, Kept())
+    ledger = RestartState(RATMS, PersistedState())
     for row in rows:
         ledger.take(as_row(*row))
     assert ledger.kept.latched == latched
 
 
-def after_an_unsure_end(robot: str) -> Kept:
+def after_an_unsure_end(robot: str) -> PersistedState:
     """Ledger after an orderly end with the robot in this state, which did not confirm that it stood."""
-    ledger = Ledger(RATMS, Kept())
+    ledger = RestartState(RATMS, PersistedState())
     ledger.take(as_row("device", f"{SHUTDOWN}.stopped", True, None))
     unsure = as_row("device", f"{SHUTDOWN}.{NOT_CONFIRMED}", True, None)
     ledger.take(msgspec.structs.replace(unsure, states={"robot": robot}))
@@ -346,7 +346,7 @@ async def test_a_declared_migration_is_journalled_before_anything_is_decided(
 
 
 def test_only_what_explicit_operations_use_is_taken_back() -> None:
-    ledger = Ledger(RATMS, Kept())
+    ledger = RestartState(RATMS, PersistedState())
     row = as_row("outcome", "toolplan.plan", 1, "accepted")
     assert row.result is not None
     ledger.take(msgspec.structs.replace(row, result={**row.result, "plan_id": "p", "registration_id": "r"}))

@@ -203,7 +203,7 @@ async def test_a_failure_that_is_nobodys_is_logged_and_counted() -> None:
     with capture_logs() as told:
         async with bench.supervisor as supervisor:
             loop = asyncio.get_running_loop()
-            loop.set_exception_handler(supervisor.take_stray)
+            loop.set_exception_handler(supervisor.handle_loop_exception)
             loop.call_soon(handler)
             await settle()
             assert supervisor.counters()["tasks.strays"] == 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pcmrs.messages import Command, DeviceEvent, Reason, Verdict
 from pcmrs.messages.decisions import Decision
-from pcmrs.service.command_metrics import BOUNDS, RECENT, Tally
+from pcmrs.service.command_metrics import BOUNDS, RECENT, CommandMetrics
 from pcmrs.testing.clock import ManualClock
 
 
@@ -18,7 +18,7 @@ class Bench:
 
     def __init__(self) -> None:
         self.clock = ManualClock()
-        self.tally = Tally(self._decide, self.clock)
+        self.tally = CommandMetrics(self._decide, self.clock)
         self._takes, self._decision = 0.0, verdict("accepted")
 
     async def submit(self, takes: float, decision: Decision = "accepted") -> Verdict:

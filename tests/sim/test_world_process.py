@@ -19,7 +19,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 from pcmrs.clock import SystemClock
 from pcmrs.devices.protocols import OpenDriver
 from pcmrs.errors import (
@@ -236,7 +236,7 @@ async def linked(machine: SystemClock = CLOCK) -> AsyncIterator[tuple[Server, Ma
     serving = asyncio.create_task(server.run())
     try:
         await world.open(("robot", "stimulator"), {})
-        async with meanwhile(world.beat(0.1)):
+        async with background_task(world.beat(0.1)):
             yield server, devices_of(world, ("robot", "stimulator"), CLOCK)
     finally:
         world.close()

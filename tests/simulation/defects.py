@@ -193,7 +193,7 @@ DEFECTS: dict[str, Defect] = {
             found_by=("dangers_are_decided_first", "no_event_is_turned_away"),
             put_back={
                 "pcmrs.dispatcher.dispatcher:Dispatcher.report": _submits_after_the_hold,
-                "pcmrs.dispatcher.locks:Lanes.why_not_wait": _turns_events_away,
+                "pcmrs.dispatcher.locks:LockManager.why_not_wait": _turns_events_away,
                 "pcmrs.dispatcher.stops:Stops.objection": _waits_for_nothing_pending,
             },
         ),
@@ -221,7 +221,7 @@ DEFECTS: dict[str, Defect] = {
                 "pcmrs.gateway.session:Session._drain": _one_after_the_other,
                 "pcmrs.gateway.session:Session._give_up": _waits_for_nothing,
                 "pcmrs.gateway.session:Session._too_late": _does_nothing,
-                "pcmrs.service.core:GatewayCore.submit": _forgets_the_arrival,
+                "pcmrs.service.gateway_adapter:GatewayAdapter.submit": _forgets_the_arrival,
             },
         ),
         Defect(
@@ -243,7 +243,7 @@ DEFECTS: dict[str, Defect] = {
             name="a_crash_while_following_starts_unlatched",
             harm="What moves the robot besides operations does not count as begun.",
             found_by=("a_crash_in_motion_latches",),
-            put_back={"pcmrs.service.restart.state:Ledger._follow_activity": _does_nothing},
+            put_back={"pcmrs.service.restart.state:RestartState._follow_activity": _does_nothing},
         ),
         Defect(
             name="one_frame_ends_all_poses",

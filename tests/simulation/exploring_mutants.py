@@ -10,7 +10,7 @@ import pytest
 
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.dispatcher.verdict_cache import Memory
+from pcmrs.dispatcher.verdict_cache import VerdictCache
 from pcmrs_sim.deterministic.disk import SimulatedJournal
 
 Mutation = Callable[[pytest.MonkeyPatch], None]
@@ -65,7 +65,7 @@ def repeats_are_performed(patch: pytest.MonkeyPatch) -> None:
     def verdict_of(_self: Any, _command: Any) -> tuple[asyncio.Future[Any], bool]:
         return asyncio.get_running_loop().create_future(), True
 
-    patch.setattr(Memory, "verdict_of", verdict_of)
+    patch.setattr(VerdictCache, "verdict_of", verdict_of)
 
 
 MUTANTS: dict[str, Mutation] = {

@@ -15,7 +15,7 @@ from pcmrs.errors import ConfigurationError
 from pcmrs_lab.campaign.explore.exploring import explore, run_seeds
 from pcmrs_lab.campaign.explore.faults import FAULTS, SCENE
 from pcmrs_lab.campaign.explore.generate import draw_script
-from pcmrs_lab.campaign.explore.going_on import WITH_STIMULATOR
+from pcmrs_lab.campaign.explore.next_step_policy import WITH_STIMULATOR
 from pcmrs_lab.campaign.explore.script import Act, Script, read_script, shrink, write_script
 from pcmrs_lab.campaign.explore.session import run_session
 from pcmrs_lab.campaign.explore.settings import workflow_of

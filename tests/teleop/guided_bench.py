@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from workflow_bench import WorkflowBench
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 from pcmrs.messages import Command, DeviceEvent, TeleopSetpoint, TeleopStatus, Verdict
 from pcmrs.messages.teleop import AT_REST, Twist
 from pcmrs.spatial import Transform
@@ -97,7 +97,7 @@ class Teleoperator:
                     group.create_task(self.send_late(self.setpoint()))
                     await self.bench.clock.sleep(PERIOD)
 
-        async with meanwhile(run()):
+        async with background_task(run()):
             yield
 
     async def steer(self, twist: Twist, seconds: float) -> None:

@@ -16,16 +16,16 @@ from trials import examples
 from pcmrs.errors import RefusalError
 from pcmrs.tms.intervals import IntervalSettings, check_count, check_interval
 from pcmrs.tms.settings import ThresholdMethod, ThresholdSettings
-from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold import MotorThresholdEstimator
 from pcmrs_sim.tms.recruitment import Recruitment
 
 Answer = Callable[[float], tuple[bool, float | None]]
 METHODS: tuple[ThresholdMethod, ...] = ("ml", "relative_frequency")
 
 
-def hunted(settings_: ThresholdSettings, answer: Answer) -> ThresholdHunt:
+def hunted(settings_: ThresholdSettings, answer: Answer) -> MotorThresholdEstimator:
     """Pulses until it ends, one way or the other."""
-    hunt = ThresholdHunt.begin(settings_)
+    hunt = MotorThresholdEstimator.begin(settings_)
     while not hunt.finished and hunt.refusal is None:
         intensity = hunt.next_intensity()
         assert 1.0 <= intensity <= settings_.ceiling
@@ -74,7 +74,7 @@ def test_a_muscle_without_variability_is_found_within_a_step(method: ThresholdMe
     assert hunt.estimate.threshold == pytest.approx(threshold, abs=1.0 + 0.02 * threshold)
 
 
-def brute_force(hunt: ThresholdHunt) -> tuple[float, float, float]:
+def brute_force(hunt: MotorThresholdEstimator) -> tuple[float, float, float]:
     """Yes and no only: prior times cumulative Gaussians, value by value."""
     prior = norm(hunt.settings.prior_mean, hunt.settings.prior_sd)
     grid = np.arange(4, 600) / 4.0
@@ -91,7 +91,7 @@ def brute_force(hunt: ThresholdHunt) -> tuple[float, float, float]:
 @given(st.lists(st.tuples(st.integers(45, 75), st.booleans()), min_size=1, max_size=8))
 @examples(15)
 def test_the_estimate_is_the_maximum_of_the_likelihood(pulses: list[tuple[int, bool]]) -> None:
-    hunt = ThresholdHunt.begin(ThresholdSettings(interval=0.001, floor=1.0))
+    hunt = MotorThresholdEstimator.begin(ThresholdSettings(interval=0.001, floor=1.0))
     for intensity, responded in pulses:
         if hunt.refusal is None:
             hunt = hunt.after(float(intensity), responded)
@@ -110,7 +110,7 @@ def test_amplitudes_tell_more_than_yes_and_no() -> None:
 
 
 def test_the_larger_the_response_the_lower_the_threshold() -> None:
-    base = ThresholdHunt.begin(ThresholdSettings())
+    base = MotorThresholdEstimator.begin(ThresholdSettings())
     small, large = (base.after(60.0, True, amplitude).estimate.threshold for amplitude in (51e-6, 1e-3))
     none, almost = (base.after(60.0, False, amplitude).estimate.threshold for amplitude in (5e-6, 49e-6))
     assert large < small < none
@@ -180,14 +180,14 @@ def test_a_finished_hunt_takes_no_more(method: ThresholdMethod) -> None:
 
 @pytest.mark.parametrize("intensity", [0.0, -5.0, 80.5, math.nan, math.inf])
 def test_pulses_that_cannot_be_are_refused(intensity: float) -> None:
-    hunt = ThresholdHunt.begin(ThresholdSettings(ceiling=80.0))
+    hunt = MotorThresholdEstimator.begin(ThresholdSettings(ceiling=80.0))
     with pytest.raises(RefusalError) as refused:
         hunt.after(intensity, responded=True)
     assert refused.value.refusal_code == "bad_intensity"
 
 
 def test_relative_frequency_counts_only_what_it_asked_for() -> None:
-    hunt = ThresholdHunt.begin(ThresholdSettings(method="relative_frequency"))
+    hunt = MotorThresholdEstimator.begin(ThresholdSettings(method="relative_frequency"))
     with pytest.raises(RefusalError, match="asked for 35 %"):
         hunt.after(36.0, responded=True)
 
@@ -197,17 +197,17 @@ def test_relative_frequency_counts_only_what_it_asked_for() -> None:
 )
 def test_amplitudes_that_contradict_are_refused(responded: bool, amplitude: float) -> None:
     with pytest.raises(RefusalError) as refused:
-        ThresholdHunt.begin(ThresholdSettings()).after(60.0, responded, amplitude)
+        MotorThresholdEstimator.begin(ThresholdSettings()).after(60.0, responded, amplitude)
     assert refused.value.refusal_code == "bad_amplitude"
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_journalled_hunt_goes_on_as_it_was(method: ThresholdMethod) -> None:
     answer = muscle(55.0, 9)
-    hunt = ThresholdHunt.begin(ThresholdSettings(method=method))
+    hunt = MotorThresholdEstimator.begin(ThresholdSettings(method=method))
     for _ in range(6):
         hunt = hunt.after(hunt.next_intensity(), *answer(hunt.next_intensity()))
-    again = msgspec.json.decode(msgspec.json.encode(hunt), type=ThresholdHunt)
+    again = msgspec.json.decode(msgspec.json.encode(hunt), type=MotorThresholdEstimator)
     assert again == hunt
     assert (again.estimate, again.next_intensity()) == (hunt.estimate, hunt.next_intensity())
 

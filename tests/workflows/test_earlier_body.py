@@ -14,7 +14,7 @@ from pcmrs.dispatcher import Workflow
 from pcmrs.kinematics.arms import IIWA14_R820
 from pcmrs.spatial import Floats
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import arrange
+from pcmrs.workflows.collision_checks import update_collision_scene
 from pcmrs.workflows.data import PlacementData, Registered
 
 ASIDE = (IIWA14_R820.home[0] + 0.3, *IIWA14_R820.home[1:])
@@ -36,7 +36,7 @@ def restarted_with(previous: Registered | None) -> Workflow[Cell, PlacementData]
 
 
 def near_the_head(bench: WorkflowBench, posture: Floats) -> bool:
-    arrange(bench.cell, bench.data)
+    update_collision_scene(bench.cell, bench.data)
     return bool(bench.cell.zones.near_body(np.array([posture]), 0.02)[0])
 
 

@@ -160,8 +160,8 @@ def check_commands(engine: Engine, bone: Bone, commands: list[tuple[tuple[str, s
         if isinstance(answer, Denial):
             continue
         check_allowed(f"{branch}.{name}", bone, engine.joint()["toolplan"])
-        doubtful = ("failed", "unknown") if BLUEPRINT.branches[branch].operations[name].steps else ()
-        endings = [*answer.outcomes, *doubtful]
+        unconfirmed = ("failed", "unknown") if BLUEPRINT.branches[branch].operations[name].steps else ()
+        endings = [*answer.outcomes, *unconfirmed]
         ending = endings[choice % len(endings)]
         change = engine.perform(branch, name, ending)
         assert isinstance(change, Change)

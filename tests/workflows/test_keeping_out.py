@@ -18,7 +18,7 @@ from pcmrs.errors import ConfigurationError, FileFormatError
 from pcmrs.kinematics.arms import IIWA14_R820
 from pcmrs.kinematics.collision import cylinder, hull, se3
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.passage import BOUND
+from pcmrs.kinematics.sampled_clearance import BOUND
 from pcmrs.messages import JointState, Verdict
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.opening import open_workflow

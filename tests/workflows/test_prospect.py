@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
-from pcmrs.messages import Command, Prospect
+from pcmrs.messages import Command, DryRunResult
 from pcmrs.messages.identity import Role
 
 FAR = POSES[0] | {"position": [0.9, 0.9, 0.9]}
 TURNED = POSES[0] | {"quat_xyzw": [0.0, 1.0, 0.0, 0.0]}
 
 
-async def ask(bench: WorkflowBench, name: str, role: Role = "operator", **arguments: Any) -> Prospect:
+async def ask(bench: WorkflowBench, name: str, role: Role = "operator", **arguments: Any) -> DryRunResult:
     branch, operation = name.split(".")
     command = Command(
         id="asked", branch=branch, operation=operation, source="test:user", role=role, arguments=arguments
     )
     before = bench.states, bench.data, len(bench.recorder.rows), len(bench.published)
-    found = await bench.dispatcher.prospect(command)
+    found = await bench.dispatcher.dry_run(command)
     assert (bench.states, bench.data, len(bench.recorder.rows), len(bench.published)) == before
     return found
 

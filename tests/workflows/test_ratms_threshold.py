@@ -15,7 +15,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.fsm import examine
 from pcmrs.messages import PoseMessage, Verdict
 from pcmrs.spatial import Transform, distance, rotation_angle
-from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold import MotorThresholdEstimator
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.data import as_transform
 from pcmrs.workflows.motion import as_result
@@ -246,7 +246,7 @@ async def test_the_hunt_that_is_journalled_is_the_hunt(armed: StimulationBench) 
     for _ in range(4):
         await armed.accept("threshold.pulse")
         await armed.rest()
-    hunt = ThresholdHunt.begin(armed.data.hunt.settings)
+    hunt = MotorThresholdEstimator.begin(armed.data.hunt.settings)
     for pulse in armed.data.hunt.pulses:
         assert hunt.next_intensity() == pulse.intensity
         hunt = hunt.after(pulse.intensity, pulse.responded, pulse.amplitude)

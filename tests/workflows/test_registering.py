@@ -11,7 +11,7 @@ from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
 from pcmrs.messages import Verdict
 from pcmrs.registration import NoiseEstimate
-from pcmrs.workflows.accuracy import pointer_id, sigma_in_force
+from pcmrs.workflows.accuracy import active_noise_sigma, pointer_id
 from pcmrs.workflows.data import PlacementData, as_transform
 
 NAMES = [landmark["name"] for landmark in LANDMARKS]
@@ -138,7 +138,7 @@ async def test_a_registration_teaches_the_noise_of_its_pointer_once(bench: Workf
     assert learned[pointer].sum_of_squares == pytest.approx(float(np.sum(np.square(first["distances"]))))
     second = _result(await bench.accept("registration.register"))
     assert bench.data.noise == learned, "the same plan counts once"
-    assert second["sigma"] == pytest.approx(sigma_in_force(bench.cell, bench.data))
+    assert second["sigma"] == pytest.approx(active_noise_sigma(bench.cell, bench.data))
     await bench.accept("digitization.digitize_all")
     await bench.accept("registration.register")
     assert bench.data.noise == learned, "digitized anew or not"
@@ -152,12 +152,12 @@ async def test_a_registration_teaches_the_noise_of_its_pointer_once(bench: Workf
 @pytest.mark.parametrize(("residuals", "bound"), [(1.0, 1.5), (0.0, 0.5)])
 async def test_no_noise_estimate_leaves_its_bounds(bench: WorkflowBench, residuals: float, bound: float) -> None:
     data = PlacementData(noise={pointer_id(bench.cell): NoiseEstimate(residuals, 10_000)})
-    assert sigma_in_force(bench.cell, data) == pytest.approx(bound * 0.00186)
+    assert active_noise_sigma(bench.cell, data) == pytest.approx(bound * 0.00186)
 
 
 async def test_another_pointer_begins_with_the_prior(bench: WorkflowBench) -> None:
     data = PlacementData(noise={"another": NoiseEstimate(1.0, 10_000)})
-    assert sigma_in_force(bench.cell, data) == pytest.approx(0.00186)
+    assert active_noise_sigma(bench.cell, data) == pytest.approx(0.00186)
 
 
 async def test_bad_sets_do_not_teach_the_workflow_to_accept_them() -> None:

@@ -17,7 +17,7 @@ from pcmrs.workflows import read_workflow
 from pcmrs.workflows.alignment import BODIES
 from pcmrs.workflows.data import as_transform
 from pcmrs.workflows.settings import ProcedureSettings
-from pcmrs.workflows.tms.aim import coil_on_target
+from pcmrs.workflows.tms.coil_alignment import coil_on_target
 
 
 @pytest.fixture

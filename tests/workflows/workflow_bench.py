@@ -14,7 +14,7 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 from pcmrs.config import overlaid
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.protocols import LatchingRobot, LatchingStimulator, RobotDriver, Scene, TrackerDriver
@@ -282,7 +282,7 @@ async def open_bench(
     clock = SimulatedClock(asyncio.get_running_loop())
     async with open_devices(DEVICES, {"sim": values["sim"]}, clock) as opened:
         bench = WorkflowBench(opened_workflow, opened, settings, clock, journal)
-        async with meanwhile(bench.pump()):
+        async with background_task(bench.pump()):
             await bench.until(lambda: bench.cell.poses.seen("coil") and bench.cell.joints is not None)
             yield bench
             await bench.dispatcher.close()

@@ -11,11 +11,11 @@ import msgspec
 import zenoh
 
 from pcmrs.bus.settings import open_session
+from pcmrs_lab.campaign.network_impairment import NetworkImpairment
 from pcmrs_lab.campaign.proxy import tcp_proxy
 from pcmrs_lab.campaign.reachable import ReachableCell
 from pcmrs_lab.campaign.sham import is_sham
 from pcmrs_lab.campaign.waiting import until_true
-from pcmrs_lab.campaign.weather import Weather
 
 ANSWERED_WITHIN = 0.5
 """Whoever answers does so within this, s of the machine."""
@@ -31,7 +31,7 @@ class CountedSession:
         zenoh: The session, for what is no fault.
     """
 
-    def __init__(self, session: zenoh.Session, weather: Weather) -> None:
+    def __init__(self, session: zenoh.Session, weather: NetworkImpairment) -> None:
         self.zenoh = session
         self._weather = weather
         self._before = weather.passed["towards"]
@@ -100,8 +100,8 @@ async def counted_session(open_cell: ReachableCell, name: str) -> AsyncIterator[
 
 
 @asynccontextmanager
-async def counting_endpoint(open_cell: ReachableCell) -> AsyncIterator[tuple[str, Weather]]:
+async def counting_endpoint(open_cell: ReachableCell) -> AsyncIterator[tuple[str, NetworkImpairment]]:
     """Where somebody dials the cell by way of a proxy, and what has passed it."""
-    weather = Weather()
+    weather = NetworkImpairment()
     async with tcp_proxy(open_cell.address, weather) as (near, proxied):
         yield f"tls/{near}:{proxied}", weather

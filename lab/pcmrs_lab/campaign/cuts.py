@@ -16,10 +16,10 @@ from pcmrs.journal import Journal, JournalReader, StoredRow
 from pcmrs.testing.errors import Unmet
 from pcmrs.testing.journal import NAME, contents, place
 from pcmrs_lab.campaign.damage import damages
-from pcmrs_lab.campaign.powerless import power_cuts
+from pcmrs_lab.campaign.journal_recovery_check import check_sound, missing_rows, taken_up
+from pcmrs_lab.campaign.power_loss import power_cuts
 from pcmrs_lab.campaign.recorded import record
 from pcmrs_lab.campaign.sham import is_sham
-from pcmrs_lab.campaign.taking_up import check_sound, missing_rows, taken_up
 from pcmrs_lab.campaign.writing import row
 
 ROWS = 60

@@ -12,7 +12,7 @@ from pcmrs.errors import PcmrsError
 from pcmrs.killing import killed
 from pcmrs.testing.cell import QUICK, RunningCell, open_cell
 from pcmrs.testing.daemon import last_words, own_settings, serve_command
-from pcmrs.testing.driving import calmed, start_anew
+from pcmrs.testing.driving import start_anew, wait_until_stationary
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.delays import FOLDER, Delays
 from pcmrs_lab.campaign.sham import is_sham
@@ -171,4 +171,4 @@ def _variables(folder: Path, delayed: bool) -> Mapping[str, str]:
 
 async def _prepare(cell: RunningCell, seed: int, *, anew: bool) -> None:
     await cell.scene.reseed(seed)
-    await (start_anew(cell.client) if anew else calmed(cell.client))
+    await (start_anew(cell.client) if anew else wait_until_stationary(cell.client))

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 
 PERIOD = 0.01
 
@@ -23,7 +23,7 @@ class Lateness:
 async def timer_lateness() -> AsyncIterator[Lateness]:
     """Measures for the length of the context."""
     found = Lateness()
-    async with meanwhile(_measure(found)):
+    async with background_task(_measure(found)):
         yield found
 
 

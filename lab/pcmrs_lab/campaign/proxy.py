@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any, Literal, cast
 
 from pcmrs.clock import SystemClock
-from pcmrs_lab.campaign.weather import Weather
+from pcmrs_lab.campaign.network_impairment import NetworkImpairment
 
 Address = tuple[str, int]
 Direction = Literal["towards", "back"]
@@ -24,7 +24,7 @@ CLOCK = SystemClock()
 
 
 @asynccontextmanager
-async def udp_proxy(server: Address, weather: Weather) -> AsyncIterator[Address]:
+async def udp_proxy(server: Address, weather: NetworkImpairment) -> AsyncIterator[Address]:
     """Passes datagrams to `server` and back as the weather has it; every client has a socket of its own there.
 
     Yields:
@@ -40,7 +40,7 @@ async def udp_proxy(server: Address, weather: Weather) -> AsyncIterator[Address]
 
 
 @asynccontextmanager
-async def tcp_proxy(server: Address, weather: Weather) -> AsyncIterator[Address]:
+async def tcp_proxy(server: Address, weather: NetworkImpairment) -> AsyncIterator[Address]:
     """Passes connections to `server` on; a cut direction stalls, as a wire does: nothing is closed.
 
     Yields:
@@ -74,7 +74,7 @@ async def tcp_proxy(server: Address, weather: Weather) -> AsyncIterator[Address]
 
 
 async def _pass_on(
-    source: asyncio.StreamReader, sink: asyncio.StreamWriter, weather: Weather, direction: Direction
+    source: asyncio.StreamReader, sink: asyncio.StreamWriter, weather: NetworkImpairment, direction: Direction
 ) -> None:
     """Each piece arrives after its delay, and none before an earlier one."""
     on_the_way: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue(ON_THE_WAY)
@@ -98,7 +98,10 @@ async def _pass_on(
 
 
 async def _deliver(
-    on_the_way: asyncio.Queue[tuple[float, bytes]], sink: asyncio.StreamWriter, weather: Weather, direction: Direction
+    on_the_way: asyncio.Queue[tuple[float, bytes]],
+    sink: asyncio.StreamWriter,
+    weather: NetworkImpairment,
+    direction: Direction,
 ) -> None:
     """Writes what arrives, until the piece without data that ends a stream."""
     while True:
@@ -113,14 +116,14 @@ async def _deliver(
         weather.passed[direction] += len(data)
 
 
-def _most(weather: Weather) -> int:
+def _most(weather: NetworkImpairment) -> int:
     return CHUNK if (rate := weather.narrow) is None else max(1, int(rate * SLICE))
 
 
 class _Front(asyncio.DatagramProtocol):
     """The socket that clients send to."""
 
-    def __init__(self, server: Address, weather: Weather) -> None:
+    def __init__(self, server: Address, weather: NetworkImpairment) -> None:
         self._server = server
         self._weather = weather
         self._carriers: dict[Address, asyncio.Task[None]] = {}

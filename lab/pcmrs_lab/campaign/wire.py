@@ -11,13 +11,13 @@ from pcmrs.errors import PcmrsError
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.daemon import DEVICE_KEY, device_key, free_port
 from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.network_impairment import NetworkImpairment
 from pcmrs_lab.campaign.outside import WITHOUT_NODES, outside_node
 from pcmrs_lab.campaign.proxy import tcp_proxy
-from pcmrs_lab.campaign.weather import Weather
 
 
 @asynccontextmanager
-async def remote_cell(lab: Lab, weather: Weather) -> AsyncIterator[RunningCell]:
+async def remote_cell(lab: Lab, weather: NetworkImpairment) -> AsyncIterator[RunningCell]:
     """A cell whose device node is one of another machine, as far as the wire between them goes."""
     port = free_port()
     place = lab.folder / "remote"

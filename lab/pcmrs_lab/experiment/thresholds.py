@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from pcmrs.tms.settings import ThresholdMethod, ThresholdSettings
-from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold import MotorThresholdEstimator
 from pcmrs_sim.tms.recruitment import RESPONSE, Recruitment, draw
 
 METHODS = {
@@ -125,7 +125,7 @@ def run_thresholds(
 
 def _hunt(subject: Recruitment, method: str, interval: float, rng: np.random.Generator) -> Hunted:
     by: ThresholdMethod = "relative_frequency" if method == "relative_frequency" else "ml"
-    hunt = ThresholdHunt.begin(ThresholdSettings(method=by, interval=interval))
+    hunt = MotorThresholdEstimator.begin(ThresholdSettings(method=by, interval=interval))
     while not hunt.finished and hunt.refusal is None:
         intensity = hunt.next_intensity()
         amplitude = subject.sample(intensity, rng)

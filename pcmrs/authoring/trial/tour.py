@@ -21,7 +21,7 @@ from pcmrs.fsm.closure import Change, Denial
 MAX_JOINT_STATES = 5_000
 """A tour through more would be millions of commands long."""
 
-Asker = Literal["user", "device"]
+Principal = Literal["user", "device"]
 How = Literal["", "refuses", "raises", "late", "silent"]
 
 FAILURES: tuple[How, ...] = ("refuses", "raises", "late")
@@ -44,7 +44,7 @@ class Move(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     branch: str
     operation: str
-    asker: Asker = "user"
+    asker: Principal = "user"
     ending: str
     at: str = ""
     how: How = ""

@@ -18,7 +18,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.fsm.behaviour import line_of
 
 if TYPE_CHECKING:
-    from pcmrs.authoring.trial.walk import Step, Walk
+    from pcmrs.authoring.trial.session import SimulationSession, Step
 
 HELP = """\
 <number>                    ask for that line of the list
@@ -46,9 +46,9 @@ def simulate(file: str, count: int | None, seed: int, as_json: bool) -> None:
     Commands are read line by line, from the terminal or a pipe; `help` lists them. With --json every step is
     one JSON object.
     """
-    from pcmrs.authoring.trial.walk import Walk
+    from pcmrs.authoring.trial.session import SimulationSession
 
-    walk = Walk(sound(file))
+    walk = SimulationSession(sound(file))
     show: Callable[[Step], None] = _show_json if as_json else _show
     if count is not None:
         for step in walk.wander(count, seed):
@@ -57,7 +57,7 @@ def simulate(file: str, count: int | None, seed: int, as_json: bool) -> None:
         _converse(walk, show, tables=not as_json)
 
 
-def _converse(walk: Walk, show: Callable[[Step], None], *, tables: bool) -> None:
+def _converse(walk: SimulationSession, show: Callable[[Step], None], *, tables: bool) -> None:
     """Answers line after line until there are no more; at a terminal every answer ends with the new state."""
     if tables:
         _show_state(walk)
@@ -88,7 +88,7 @@ def _lines() -> Iterator[str]:
         yield line.decode(errors="replace").strip()
 
 
-def _ask(walk: Walk, line: str, show: Callable[[Step], None]) -> None:
+def _ask(walk: SimulationSession, line: str, show: Callable[[Step], None]) -> None:
     try:
         show(walk.ask(_chosen(walk.choices(), int(line)) if line.isdecimal() else line))
     except RefusalError as error:
@@ -101,7 +101,7 @@ def _chosen(choices: list[str], number: int) -> str:
     return choices[number - 1]
 
 
-def _why(walk: Walk, name: str) -> str:
+def _why(walk: SimulationSession, name: str) -> str:
     try:
         denial = walk.denial(name)
     except RefusalError as error:
@@ -109,16 +109,16 @@ def _why(walk: Walk, name: str) -> str:
     return f"{name} is allowed." if denial is None else f"{denial.code}: {denial.text}"
 
 
-def _undo(walk: Walk, _rest: str) -> str:
+def _undo(walk: SimulationSession, _rest: str) -> str:
     return _where(walk) if walk.undo() else "There is nothing to undo."
 
 
-def _reset(walk: Walk, _rest: str) -> str:
+def _reset(walk: SimulationSession, _rest: str) -> str:
     walk.reset()
     return _where(walk)
 
 
-REPLIES: dict[str, Callable[[Walk, str], str]] = {
+REPLIES: dict[str, Callable[[SimulationSession, str], str]] = {
     "help": lambda _walk, _rest: HELP,
     "why": _why,
     "undo": _undo,
@@ -126,7 +126,7 @@ REPLIES: dict[str, Callable[[Walk, str], str]] = {
 }
 
 
-def _where(walk: Walk) -> str:
+def _where(walk: SimulationSession) -> str:
     return line_of(walk.states())
 
 
@@ -140,7 +140,7 @@ def _show(step: Step) -> None:
         click.echo(f"    {line}")
 
 
-def _show_state(walk: Walk) -> None:
+def _show_state(walk: SimulationSession) -> None:
     """The state of every branch with its meaning, then the numbered choices."""
     table = Table("branch", "state", "meaning", box=SIMPLE_HEAD)
     for branch, state in walk.states().items():

@@ -11,7 +11,7 @@ from pcmrs.client import Client
 from pcmrs.console.feed import Feed
 from pcmrs.console.texts import Texts
 from pcmrs.errors import PcmrsError
-from pcmrs.messages import Prospect
+from pcmrs.messages import DryRunResult
 from pcmrs.messages.identity import COMMANDING
 from pcmrs.messages.setup import Setup
 
@@ -59,9 +59,9 @@ class Checking:
             self._line.set_text(text)
             self._line.classes(replace=f"w-full {colour}")
 
-    async def _answers(self, client: Client, wanted: Requests) -> list[Prospect]:
+    async def _answers(self, client: Client, wanted: Requests) -> list[DryRunResult]:
         """Up to the first refusal, or until there is something newer."""
-        found: list[Prospect] = []
+        found: list[DryRunResult] = []
         for name, arguments in wanted:
             found.append(await client.check(name, arguments))
             if found[-1].reason is not None or self._wanted is not None:
@@ -72,7 +72,7 @@ class Checking:
 GOOD, OPEN, BAD = "text-green-9", "text-grey-9", "text-orange-10"
 
 
-def said(prospects: Sequence[Prospect], texts: Texts) -> tuple[str, str]:
+def said(prospects: Sequence[DryRunResult], texts: Texts) -> tuple[str, str]:
     """The line, and its colour. Of several prospects the first is of the whole, the others of its points in order."""
     last = prospects[-1]
     if last.reason is not None:

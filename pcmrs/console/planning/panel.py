@@ -7,8 +7,8 @@ from typing import Protocol, get_args
 
 from nicegui import ui
 
-from pcmrs.console.asking import Asking
 from pcmrs.console.choices import Choice
+from pcmrs.console.command_sender import CommandSender
 from pcmrs.console.feed import Feed
 from pcmrs.console.geometry import vertices_of
 from pcmrs.console.planning.canvas import Canvas
@@ -53,7 +53,7 @@ class PlanningPanel:
         asking: Asks the daemon.
     """
 
-    def __init__(self, feed: Feed, setup: Setup, blueprint: Blueprint, texts: Texts, asking: Asking) -> None:
+    def __init__(self, feed: Feed, setup: Setup, blueprint: Blueprint, texts: Texts, asking: CommandSender) -> None:
         self._asking = asking
         self._operations = operations(blueprint)
         draft = self._draft = Draft(

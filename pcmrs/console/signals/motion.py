@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
+from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.colours import BLUE, VERMILION
 from pcmrs.console.signals.traces import SHOWN, Moment, Traces
 from pcmrs.console.texts import Texts
-from pcmrs.console.told import Told
 
 
 class MotionPanel:
@@ -21,7 +21,7 @@ class MotionPanel:
         texts: Of the page's language.
     """
 
-    def __init__(self, told: Told, texts: Texts) -> None:
+    def __init__(self, told: CellViewModel, texts: Texts) -> None:
         self._told, self._texts, self._traces = told, texts, Traces()
         self._ages = ui.column().classes("w-full gap-0").props('data-testid="ages"')
         self._joints = ui.label().classes("text-body2").props('data-testid="joints"')

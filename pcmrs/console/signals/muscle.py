@@ -7,10 +7,10 @@ from typing import Any
 import msgspec
 from nicegui import ui
 
+from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.colours import BLUE, GREY, ORANGE, VERMILION
 from pcmrs.console.signals.responses import hunted, responses, waves
 from pcmrs.console.texts import Texts
-from pcmrs.console.told import Told
 from pcmrs.messages.setup import Setup, StimulationShown
 from pcmrs.tms.settings import MepSettings
 
@@ -27,7 +27,7 @@ class MusclePanel:
         texts: Of the page's language.
     """
 
-    def __init__(self, told: Told, setup: Setup, texts: Texts) -> None:
+    def __init__(self, told: CellViewModel, setup: Setup, texts: Texts) -> None:
         self._told, self._texts = told, texts
         self._settings = msgspec.convert(setup.mep, MepSettings)
         self._version = -1

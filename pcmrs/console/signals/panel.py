@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 from nicegui import ui
 
+from pcmrs.console.cell_view_model import CellViewModel
+from pcmrs.console.signals.health_panel import WellbeingPanel
 from pcmrs.console.signals.motion import MotionPanel
 from pcmrs.console.signals.muscle import MusclePanel
-from pcmrs.console.signals.wellbeing import WellbeingPanel
 from pcmrs.console.texts import Texts
-from pcmrs.console.told import Told
 from pcmrs.messages.setup import Setup
 
 PERIOD = 0.25
@@ -29,7 +29,7 @@ class SignalsPanel:
         is_open: Whether the tab is looked at.
     """
 
-    def __init__(self, told: Told, setup: Setup, texts: Texts, is_open: Callable[[], bool]) -> None:
+    def __init__(self, told: CellViewModel, setup: Setup, texts: Texts, is_open: Callable[[], bool]) -> None:
         self._told, self._is_open = told, is_open
         self._motion = MotionPanel(told, texts)
         self._muscle = MusclePanel(told, setup, texts)

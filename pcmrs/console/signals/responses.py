@@ -14,7 +14,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceEvent, Epoch, Verdict
 from pcmrs.tms.mep import waveform
 from pcmrs.tms.settings import Estimate, MepSettings
-from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold import MotorThresholdEstimator
 
 Points = list[list[float | None]]
 
@@ -83,8 +83,10 @@ def hunted(hunt: Mapping[str, Any] | None) -> Hunted | None:
     """A hunt as the journal has it; None where none has begun."""
     if hunt is None:
         return None
-    whole = msgspec.convert(hunt, ThresholdHunt)
-    after = [_estimate(ThresholdHunt(whole.settings, whole.pulses[:n])) for n in range(1, len(whole.pulses) + 1)]
+    whole = msgspec.convert(hunt, MotorThresholdEstimator)
+    after = [
+        _estimate(MotorThresholdEstimator(whole.settings, whole.pulses[:n])) for n in range(1, len(whole.pulses) + 1)
+    ]
     numbered = list(enumerate(whole.pulses, start=1))
     bounds = [(n, e.low, e.high) for n, e in enumerate(after, start=1)]
     return Hunted(
@@ -100,7 +102,7 @@ def hunted(hunt: Mapping[str, Any] | None) -> Hunted | None:
 
 
 @lru_cache(maxsize=256)
-def _estimate(hunt: ThresholdHunt) -> Estimate:
+def _estimate(hunt: MotorThresholdEstimator) -> Estimate:
     """Once for each pulse of a hunt that is shown again and again."""
     return hunt.estimate
 

@@ -6,8 +6,8 @@ from collections import deque
 from math import radians
 from typing import NamedTuple
 
+from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.geometry import placement
-from pcmrs.console.told import Told
 from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.workflows.data import as_transform
@@ -20,7 +20,7 @@ class Moment(NamedTuple):
     """One moment; None for what was not known then.
 
     Attributes:
-        at: s of `Told.now`.
+        at: s of `CellViewModel.now`.
         tool: Distance of the tool from its plan, m, and angle between both, rad.
         body: How far the body's reference has moved since it was seen first, m, and turned, rad.
     """
@@ -37,7 +37,7 @@ class Traces:
         self.moments: deque[Moment] = deque()
         self._begun: Transform | None = None
 
-    def look(self, told: Told) -> None:
+    def look(self, told: CellViewModel) -> None:
         """Adds the present moment; where time has gone back, as in a replay, it begins anew."""
         coil, body_ref = told.poses.get("coil"), told.poses.get("body_ref")
         if self.moments and told.now < self.moments[-1].at:

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 from pcmrs.clock import Clock
 from pcmrs.devices.lsl.epochs import LONGEST, Recording, check_window
 from pcmrs.devices.lsl.inlet import Inlet
@@ -170,5 +170,5 @@ async def open_devices(
     """
     check_devices("lsl", devices, "emg")
     emg = LslEmg(read_table(settings, "lsl", LslSettings), clock)
-    async with meanwhile(emg.read(), "lsl"):
+    async with background_task(emg.read(), "lsl"):
         yield {"emg": emg}

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 from pcmrs.clock import Clock
 from pcmrs.devices.tables import check_devices, check_names, read_table
 from pcmrs.errors import ConfigurationError
@@ -58,6 +58,6 @@ async def open_devices(
         text = f"The driver plus needs {error.name}, which is not installed; install the extra: pcmrs[hardware]."
         raise ConfigurationError(text, module=error.name) from None
     tracker = PlusTracker(own.host, own.port, own.names, own.latency, clock)
-    async with meanwhile(tracker.run(), "PLUS client"):
+    async with background_task(tracker.run(), "PLUS client"):
         with closing(tracker):
             yield {"tracker": tracker}

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import msgspec
 import structlog
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 from pcmrs.clock import Clock
 from pcmrs.devices.arming import Arming, check_intensity
 from pcmrs.devices.lsl.library import StreamName
@@ -153,5 +153,5 @@ async def open_devices(
     """
     check_devices("trigger", devices, "stimulator")
     with closing(TriggerStimulator(read_table(settings, "trigger", TriggerSettings), clock)) as stimulator:
-        async with meanwhile(stimulator.watch(), "trigger"):
+        async with background_task(stimulator.watch(), "trigger"):
             yield {"stimulator": stimulator}

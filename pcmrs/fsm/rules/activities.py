@@ -67,17 +67,17 @@ def _bad_ending(branch: BranchSpec, state: str) -> Iterator[str]:
 def _may_keep(operation: OperationSpec, state: str) -> bool:
     """Whether an operation may leave the branch in the state that it was in."""
     targets = [target_from(ending.to, state) for ending in operation.endings.values()]
-    doubtful = [operation.on_failure, operation.on_unknown] if operation.steps else []
-    return state in targets or any(target is None or target_from(target, state) == state for target in doubtful)
+    unconfirmed = [operation.on_failure, operation.on_unknown] if operation.steps else []
+    return state in targets or any(target is None or target_from(target, state) == state for target in unconfirmed)
 
 
 def _unfit_ways_in(branch: BranchSpec, state: str) -> Iterator[str]:
     """Operations by which a state is entered otherwise than by an approach that succeeds."""
     for key, operation in branch.operations.items():
         sources = [source for source in branch.states if source != state and branch.valid_in(key, source)]
-        for ending, spec in (operation.endings | operation.doubtful).items():
+        for ending, spec in (operation.endings | operation.unconfirmed).items():
             enters = any(target_from(spec.to, source) == state for source in sources)
-            if enters and (operation.motion != "approach" or ending in operation.doubtful):
+            if enters and (operation.motion != "approach" or ending in operation.unconfirmed):
                 yield key
 
 

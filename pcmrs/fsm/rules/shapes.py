@@ -86,8 +86,8 @@ def _faults(blueprint: Blueprint, branch: str, spec: BranchSpec, operation: Oper
     if operation.iio and (operation.event or operation.rio or operation.blocked_when_latched or operation.unlatches):
         yield "is called by a child (iio): it cannot be an event, motion, act, release or re-initiation as well."
     yield from _hazards(spec, operation)
-    doubtful = operation.on_failure is not None or operation.on_unknown is not None
-    if not operation.steps and (doubtful or operation.moves):
+    unconfirmed = operation.on_failure is not None or operation.on_unknown is not None
+    if not operation.steps and (unconfirmed or operation.moves):
         yield "has no steps: it can neither move nor fail, nor end in doubt."
     for state in sorted(operation.doubtful_targets()) if operation.moves else ():
         starting = [key for key, o in spec.operations.items() if o.motion == "approach" and spec.valid_in(key, state)]

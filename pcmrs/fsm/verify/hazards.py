@@ -128,7 +128,7 @@ def _exposed(branch: BranchSpec) -> set[str]:
     for key, operation in branch.operations.items():
         if not operation.moves:
             continue
-        ends = operation.doubtful if operation.motion == "retreat" else operation.endings | operation.doubtful
+        ends = operation.unconfirmed if operation.motion == "retreat" else operation.endings | operation.unconfirmed
         for source in (state for state in branch.states if branch.valid_in(key, state)):
             found |= {target_from(ending.to, source) for ending in ends.values()} - {source}
     return found

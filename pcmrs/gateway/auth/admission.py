@@ -8,7 +8,7 @@ from contextlib import suppress
 
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
-from pcmrs.gateway.auth.counters import CounterKeeper
+from pcmrs.gateway.auth.counters import CounterWriter
 from pcmrs.gateway.auth.peers import SignedPeer, authenticate
 from pcmrs.gateway.session import MAX_WAITING, QUEUE_FULL
 from pcmrs.gateway.signing import Signed
@@ -32,7 +32,7 @@ class Admission:
         tasks: Owns the waiting.
     """
 
-    def __init__(self, peers: Mapping[str, SignedPeer], keeper: CounterKeeper, clock: Clock, tasks: Tasks) -> None:
+    def __init__(self, peers: Mapping[str, SignedPeer], keeper: CounterWriter, clock: Clock, tasks: Tasks) -> None:
         self._peers = peers
         self._keeper = keeper
         self._clock = clock

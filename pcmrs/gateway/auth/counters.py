@@ -107,7 +107,7 @@ def _read(slot: bytes) -> tuple[int, dict[str, int]] | None:
     return number, _table.decode(slot[_HEADER.size : end])
 
 
-class CounterKeeper:
+class CounterWriter:
     """Writes whatever waits, with one wait for the disk; newer counters of a peer stand for older ones.
 
     Args:

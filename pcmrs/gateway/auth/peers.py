@@ -9,10 +9,10 @@ from pcmrs.bucket import TokenBucket
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.commands import Action, Spec, allowed
-from pcmrs.gateway.session import Answer, Send
+from pcmrs.gateway.session import ReplyChannel, Send
 from pcmrs.gateway.settings import UNIX_NS, PeerConfig
 from pcmrs.gateway.signing import Signed, read_key, sign_answer
-from pcmrs.messages.identity import Asker
+from pcmrs.messages.identity import Principal
 
 UNKNOWN_PEER = "unknown_peer"
 BAD_TAG = "bad_tag"
@@ -59,9 +59,9 @@ class SignedPeer:
         return f"peer:{self.name}"
 
     @property
-    def asker(self) -> Asker:
+    def asker(self) -> Principal:
         """Who asks, and what they may do."""
-        return Asker(self.name, self._config.role)
+        return Principal(self.name, self._config.role)
 
     def accept(self, signed: Signed) -> None:
         """Takes a datagram as this peer's, and its counter as used.
@@ -115,12 +115,12 @@ class SignedPeer:
             return RefusalError(NOT_ALLOWED, text, peer=self.name, command=spec.name)
         return None
 
-    def signs(self, answer: Answer, counter: int) -> Answer:
+    def signs(self, answer: ReplyChannel, counter: int) -> ReplyChannel:
         """Return where answers to the command with this counter go; those to a peer with a clock are signed."""
         if not self._timed:
             return answer
         acknowledge = answer.acknowledge
-        return Answer(
+        return ReplyChannel(
             verdict=self._signing(answer.verdict, counter),
             acknowledge=None if acknowledge is None else self._signing(acknowledge, counter),
         )

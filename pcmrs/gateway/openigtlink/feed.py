@@ -9,7 +9,7 @@ from pyigtl.messages import TransformMessage
 
 from pcmrs.clock import Clock
 from pcmrs.devices.plus.messages import TrackingDataMessage, matrix_mm, text_message
-from pcmrs.gateway.core import Core
+from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.openigtlink.peer import Peer
 from pcmrs.gateway.openigtlink.poses import poses
 from pcmrs.gateway.openigtlink.state import state_json, state_line

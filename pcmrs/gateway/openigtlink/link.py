@@ -12,14 +12,14 @@ import structlog
 from pcmrs.clock import Clock
 from pcmrs.devices.plus.frames import MessageReader
 from pcmrs.errors import PayloadError
-from pcmrs.gateway.core import Core
+from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.intake import Intake, source_of
 from pcmrs.gateway.openigtlink.feed import Feed
 from pcmrs.gateway.openigtlink.peer import KINDS, Peer
 from pcmrs.gateway.openigtlink.planner import Answer, Planner
 from pcmrs.gateway.periodic_timer import kernel_beats
 from pcmrs.gateway.settings import GatewayConfig
-from pcmrs.gateway.tasks import Repetition, Tasks
+from pcmrs.gateway.tasks import PeriodicTask, Tasks
 from pcmrs.hosts import is_loopback
 
 LINK = "openigtlink"
@@ -58,7 +58,7 @@ class OpenIgtLink:
         self._server: asyncio.Server | None = None
         self._exposed = False
         self._feed = Feed(core, clock, together=self._config.poses == "TDATA")
-        self._ticks = Repetition(kernel_beats, self._config.rate_hz, self._tick, tasks)
+        self._ticks = PeriodicTask(kernel_beats, self._config.rate_hz, self._tick, tasks)
         core.on_stop(self._halt)
 
     @property

@@ -10,10 +10,10 @@ from uuid import uuid4
 import structlog
 
 from pcmrs.errors import PcmrsError, RefusalError
+from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.commands import Plan
-from pcmrs.gateway.core import Core
 from pcmrs.gateway.handlers import PlanLock
-from pcmrs.gateway.rejection_log import Refusals
+from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.tasks import Tasks
 from pcmrs.messages import Command, Verdict
 
@@ -67,7 +67,7 @@ class Planner:
         lock: PlanLock,
         tasks: Tasks,
         answer: Callable[[Answer], None],
-        refusals: Refusals,
+        refusals: RejectionLog,
     ) -> None:
         self._source = source
         self._core = core

@@ -5,7 +5,7 @@ Image is the image's frame, RAS in Slicer's scene; Tracker, Base (of the robot) 
 
 from __future__ import annotations
 
-from pcmrs.gateway.core import Core
+from pcmrs.gateway.adapter import Core
 from pcmrs.spatial import Transform
 
 NAMES = {"coil": "Coil", "pointer": "Pointer", "body_ref": "Reference"}

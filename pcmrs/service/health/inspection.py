@@ -29,7 +29,7 @@ from pcmrs.messages.health import (
 )
 from pcmrs.service.health.report import report
 from pcmrs.service.procedure import RunningProcedure
-from pcmrs.service.processes.child import Companion
+from pcmrs.service.processes.child import ChildProcess
 from pcmrs.service.processes.nodes import NodeProcesses
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.service.watches.space import MEGABYTE, SpaceWatch
@@ -57,8 +57,8 @@ class Inspection:
     supervisor: Supervisor
     procedure: RunningProcedure
     nodes: NodeProcesses
-    recording: Companion
-    console: Companion
+    recording: ChildProcess
+    console: ChildProcess
     stalls: StallWatch
     gateway: Gateway
     metrics_trouble: Callable[[], str]

@@ -52,7 +52,7 @@ class ServiceManager:
             log.warning("service_manager_not_told", said=lines, reason=error.strerror or str(error))
 
 
-async def keep_informed(manager: ServiceManager, health: Callable[[], Health], clock: Clock) -> None:
+async def run_watchdog(manager: ServiceManager, health: Callable[[], Health], clock: Clock) -> None:
     """Says how the daemon is, and feeds the watchdog as long as no restart is needed; until cancelled.
 
     It runs in the event loop: a loop that is blocked, or a process that is stopped, feeds nobody.

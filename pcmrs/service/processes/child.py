@@ -74,7 +74,7 @@ _SAID_WHY = 2
 """From this exit status on it has ended for a reason that a new one would end for, too."""
 
 
-class Companion:
+class ChildProcess:
     """A child that ends with its standard input; begun anew when it is killed, never a reason to stop anything.
 
     Args:

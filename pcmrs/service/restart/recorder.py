@@ -22,7 +22,7 @@ from pcmrs.fsm import Blueprint
 from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.journal import Journal, JournalRow, Kind
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Verdict
-from pcmrs.service.restart.state import ENDED, TAKEN_BACK, Begun, Kept, Ledger
+from pcmrs.service.restart.state import ENDED, TAKEN_BACK, InFlightCommand, PersistedState, RestartState
 from pcmrs.workflows.data import PlacementData
 
 
@@ -73,7 +73,7 @@ class JournalRecorder:
         self._clock = clock
         self._common: dict[str, Any] = {"session_id": session, "boot_id": _boot_id(), "blueprint": blueprint}
         self._decided = DecidedKeys(journal.reader.decided())
-        self._ledger: Ledger | None = None
+        self._ledger: RestartState | None = None
         self._procedure: Procedure[Any, Any] | None = None
         self._since_snapshot = 0
 
@@ -121,7 +121,7 @@ class JournalRecorder:
         asked = outcome if outcome.arguments is not None else reader.intent_of(source, command_id)
         return Recorded(outcome.verdict, {} if asked is None else asked.arguments or {})
 
-    def read_back(self, blueprint: Blueprint) -> Kept:
+    def read_back(self, blueprint: Blueprint) -> PersistedState:
         """Reads what earlier rows leave, from the last snapshot on; from now on every thousandth row is one.
 
         Args:
@@ -132,8 +132,8 @@ class JournalRecorder:
         """
         reader = self._journal.reader
         snapshot = next(reader.read(kind="snapshot", last=1), None)
-        kept = Kept() if snapshot is None else self._kept_in(snapshot.row)
-        ledger, rows = Ledger(blueprint, kept), 0
+        kept = PersistedState() if snapshot is None else self._kept_in(snapshot.row)
+        ledger, rows = RestartState(blueprint, kept), 0
         for stored in reader.read(after=0 if snapshot is None else snapshot.sequence):
             ledger.take(stored.row)
             rows += 1
@@ -141,9 +141,9 @@ class JournalRecorder:
         return ledger.kept
 
     @property
-    def kept(self) -> Kept:
+    def kept(self) -> PersistedState:
         """What a run that begins now would take over."""
-        return Kept() if self._ledger is None else self._ledger.kept
+        return PersistedState() if self._ledger is None else self._ledger.kept
 
     def attach(self, procedure: Procedure[Any, Any]) -> None:
         """Snapshots show the states, data and sequence of this procedure from now on."""
@@ -161,7 +161,7 @@ class JournalRecorder:
         result = {"text": text, **msgspec.to_builtins(migration)}
         await self._append([self._row("event", source=DAEMON, operation="taken_up", result=result)])
 
-    async def close_unfinished(self, begun: Iterable[Begun]) -> list[Verdict]:
+    async def close_unfinished(self, begun: Iterable[InFlightCommand]) -> list[Verdict]:
         """Journals ``unknown`` for what had begun when an earlier run ended; returns those verdicts."""
         rows = [self._unknown(each) for each in begun]
         for start in range(0, len(rows), AT_ONCE):
@@ -177,7 +177,7 @@ class JournalRecorder:
         if self._ledger is not None:
             await self._journal.append([self._snapshot()])
 
-    def previous(self, kept: Kept, initial: PlacementData) -> PlacementData:
+    def previous(self, kept: PersistedState, initial: PlacementData) -> PlacementData:
         """The initial data, with what earlier runs have left for explicit operations to take back.
 
         Raises:
@@ -212,7 +212,7 @@ class JournalRecorder:
             written.add_done_callback(self._check)
         return written
 
-    def _followed(self, rows: list[JournalRow], ledger: Ledger) -> list[JournalRow]:
+    def _followed(self, rows: list[JournalRow], ledger: RestartState) -> list[JournalRow]:
         for row in rows:
             ledger.take(row)
         self._since_snapshot += len(rows)
@@ -238,15 +238,15 @@ class JournalRecorder:
             result={**shown, **msgspec.to_builtins(self.kept)},
         )
 
-    def _kept_in(self, row: JournalRow) -> Kept:
+    def _kept_in(self, row: JournalRow) -> PersistedState:
         try:
-            return msgspec.convert(row.result or {}, Kept)
+            return msgspec.convert(row.result or {}, PersistedState)
         except msgspec.ValidationError as error:
             path = self._journal.reader.path
             text = f"{path} holds a snapshot that this version cannot read ({error}): give another cell.folder."
             raise JournalError(text, path=str(path)) from None
 
-    def _unknown(self, begun: Begun) -> JournalRow:
+    def _unknown(self, begun: InFlightCommand) -> JournalRow:
         verdict = Verdict(
             id=begun.command,
             branch=begun.branch,

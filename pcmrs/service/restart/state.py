@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from pcmrs.dispatcher.events import ACTIVITY_ENDED, ACTIVITY_STARTED, NOT_CONFIRMED, SHUTDOWN
-from pcmrs.dispatcher.recovery import Unsettled
+from pcmrs.dispatcher.recovery import PendingOutcomes
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.blueprint import OperationSpec
 from pcmrs.journal import JournalRow
@@ -19,13 +19,13 @@ pointer has been found."""
 ENDED = Reason(code="daemon_ended", text="The daemon ended while it ran; nobody knows how it ended.")
 
 
-class Begun(UnknownOutcome, frozen=True, kw_only=True, omit_defaults=False):
+class InFlightCommand(UnknownOutcome, frozen=True, kw_only=True, omit_defaults=False):
     """A command that has begun and not ended; `state` of its branch is the one it began in."""
 
     state: str
 
 
-class Kept(msgspec.Struct, frozen=True, kw_only=True):
+class PersistedState(msgspec.Struct, frozen=True, kw_only=True):
     """A ledger as a row of the journal has it.
 
     Attributes:
@@ -38,12 +38,12 @@ class Kept(msgspec.Struct, frozen=True, kw_only=True):
 
     taken_back: dict[str, Any] = {}
     latched: bool = False
-    begun: tuple[Begun, ...] = ()
-    moving: tuple[Begun, ...] = ()
+    begun: tuple[InFlightCommand, ...] = ()
+    moving: tuple[InFlightCommand, ...] = ()
     unknown: tuple[UnknownOutcome, ...] = ()
 
 
-class Ledger:
+class RestartState:
     """Follows the rows of a journal in their order; where it begins does not matter, only what was kept there.
 
     Args:
@@ -51,18 +51,18 @@ class Ledger:
         kept: As of the row where it begins.
     """
 
-    def __init__(self, blueprint: Blueprint, kept: Kept) -> None:
+    def __init__(self, blueprint: Blueprint, kept: PersistedState) -> None:
         self._blueprint = blueprint
         self._taken_back = dict(kept.taken_back)
         self._latched = kept.latched
         self._begun = {(each.source, each.command): each for each in kept.begun}
         self._moving = {(each.source, each.command): each for each in kept.moving}
-        self._unsettled = Unsettled(blueprint, kept.unknown)
+        self._unsettled = PendingOutcomes(blueprint, kept.unknown)
 
     @property
-    def kept(self) -> Kept:
+    def kept(self) -> PersistedState:
         """What it says now."""
-        return Kept(
+        return PersistedState(
             taken_back=dict(self._taken_back),
             latched=self._latched,
             begun=tuple(self._begun.values()),
@@ -85,7 +85,7 @@ class Ledger:
 
     def _begin(self, row: JournalRow) -> None:
         source, command, branch = row.source or "", row.command_id or "", row.branch or ""
-        self._begun[source, command] = Begun(
+        self._begun[source, command] = InFlightCommand(
             command=command,
             source=source,
             branch=branch,
@@ -109,7 +109,7 @@ class Ledger:
         if row.operation == ACTIVITY_ENDED:
             self._moving.pop(key, None)
         elif row.operation == ACTIVITY_STARTED and self._moves(fields["branch"], fields["state"]):
-            self._moving[key] = Begun(
+            self._moving[key] = InFlightCommand(
                 command=key[1],
                 source=key[0],
                 branch=fields["branch"],

@@ -6,7 +6,7 @@ import structlog
 
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.messages import DeviceHealth
-from pcmrs.service.watches.readiness import Hearing
+from pcmrs.service.watches.readiness import DeviceReadiness
 
 log = structlog.get_logger(__name__)
 
@@ -22,7 +22,7 @@ class HealthWatch:
         last: Device to what its node has said of it last.
     """
 
-    def __init__(self, hearing: Hearing, poses: PoseFeed) -> None:
+    def __init__(self, hearing: DeviceReadiness, poses: PoseFeed) -> None:
         self._hearing, self._poses = hearing, poses
         self._absent: dict[str, str] = {}
         self.last: dict[str, DeviceHealth] = {}

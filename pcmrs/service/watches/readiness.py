@@ -36,7 +36,7 @@ def awaited(settings: Settings, branches: Collection[str]) -> set[str]:
     return here | {device for device, branch in NEEDED_BY.items() if branch in branches}
 
 
-class Hearing:
+class DeviceReadiness:
     """Knows which of the awaited devices have not been heard yet.
 
     Of a device that acts, its gate must be known too: it cannot be released before, and its first beat may be lost.

@@ -18,7 +18,7 @@ from pcmrs.messages import Epoch, PoseMessage
 from pcmrs.tms.hotspot import HotspotSearch
 from pcmrs.tms.mep import Mep
 from pcmrs.tms.settings import Estimate
-from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold import MotorThresholdEstimator
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.data import settle as settle_placement
@@ -118,7 +118,7 @@ class Data(PlacementData, frozen=True, kw_only=True):
     search: HotspotSearch | None = None
     search_intensity: float | None = None
     hotspot: PoseMessage | None = None
-    hunt: ThresholdHunt | None = None
+    hunt: MotorThresholdEstimator | None = None
     threshold: Estimate | None = None
 
 

@@ -18,7 +18,7 @@ from pcmrs.tms.intervals import check_count, check_interval
 from pcmrs.tms.mep import Mep, judge_mep
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message
-from pcmrs.workflows.tms.aim import check_aim
+from pcmrs.workflows.tms.coil_alignment import check_aim
 from pcmrs.workflows.tms.data import Data, Response, Run, emg_of, stimulator_of
 from pcmrs.workflows.tms.intensity import check_intensity, check_reported, known_intensity
 

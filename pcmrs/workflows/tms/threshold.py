@@ -7,7 +7,7 @@ import msgspec
 from pcmrs.dispatcher import Registry
 from pcmrs.errors import RefusalError
 from pcmrs.tms.settings import ThresholdMethod, ThresholdSettings
-from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold import MotorThresholdEstimator
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.tms.data import Response, Run
@@ -32,12 +32,12 @@ def hunt_possible(run: Run) -> None:
     except msgspec.ValidationError as error:
         text = f"Below the ceiling of {ceiling.percent:g} % no threshold can be hunted: {error}. Have it set anew."
         raise RefusalError("ceiling_too_low", text, ceiling=ceiling.percent) from None
-    run.prepared = ThresholdHunt.begin(changed)
+    run.prepared = MotorThresholdEstimator.begin(changed)
 
 
 def begin_hunt(run: Run) -> None:
     """Puts the hunt in force."""
-    hunt: ThresholdHunt = run.prepared
+    hunt: MotorThresholdEstimator = run.prepared
     run.keep(hunt=hunt, threshold=None)
     run.result |= {"method": hunt.settings.method, "next": hunt.next_intensity()}
 
@@ -75,13 +75,13 @@ def learn_threshold(run: Run) -> None:
         run.result["refusal"] = hunt.refusal
 
 
-def _outcome(hunt: ThresholdHunt) -> str:
+def _outcome(hunt: MotorThresholdEstimator) -> str:
     if hunt.finished:
         return "found"
     return "hunting" if hunt.refusal is None else "none"
 
 
-def hunt_of(run: Run) -> ThresholdHunt:
+def hunt_of(run: Run) -> MotorThresholdEstimator:
     """The hunt under way. Raises `RefusalError` where there is none."""
     if run.data.hunt is None:
         raise RefusalError("no_hunt", "No threshold is hunted: ask for threshold.begin first.")

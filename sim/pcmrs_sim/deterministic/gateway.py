@@ -11,12 +11,12 @@ from pcmrs.gateway.handlers import Services
 from pcmrs.gateway.intake import Intake
 from pcmrs.gateway.periodic_timer import beats_of
 from pcmrs.gateway.records import Records
-from pcmrs.gateway.rejection_log import Refusals
-from pcmrs.gateway.session import Answer
+from pcmrs.gateway.rejection_log import RejectionLog
+from pcmrs.gateway.session import ReplyChannel
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.gateway.streams import Streams
 from pcmrs.gateway.tasks import Tasks
-from pcmrs.service.core import GatewayCore
+from pcmrs.service.gateway_adapter import GatewayAdapter
 
 LINK = "planner"
 HOST = "127.0.0.1"
@@ -32,11 +32,11 @@ class SimulatedGateway:
         folder: For records.
     """
 
-    def __init__(self, core: GatewayCore, config: GatewayConfig, clock: Clock, folder: Path) -> None:
+    def __init__(self, core: GatewayAdapter, config: GatewayConfig, clock: Clock, folder: Path) -> None:
         self._tasks, self._jobs = Tasks(), Tasks()
         streams = Streams(core, beats_of(clock), config, _to_nobody, self._tasks)
         records = Records(core, clock, folder, self._tasks)
-        refusals = Refusals(core, clock, self._tasks)
+        refusals = RejectionLog(core, clock, self._tasks)
         self._intake = Intake(Services(uuid4().hex, core, clock, streams, records, refusals), self._jobs, (HOST,))
         core.on_stop(self._intake.halt)
 
@@ -44,7 +44,7 @@ class SimulatedGateway:
         self, port: int, data: bytes, answer: Callable[[str], None], acknowledge: Callable[[str], None] | None
     ) -> None:
         """Takes a datagram of the planner at `port`; its verdict goes to `answer`, old clients want the other."""
-        self._intake.receive(LINK, (HOST, port), False, data, Answer(verdict=answer, acknowledge=acknowledge))
+        self._intake.receive(LINK, (HOST, port), False, data, ReplyChannel(verdict=answer, acknowledge=acknowledge))
 
     async def close(self) -> None:
         """Ends what runs."""

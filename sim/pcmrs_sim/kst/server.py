@@ -11,7 +11,7 @@ from contextlib import asynccontextmanager, suppress
 import numpy as np
 import structlog
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 from pcmrs_sim.cell import Cell
 from pcmrs_sim.kst.cabinet import Cabinet, check_arm
 from pcmrs_sim.kst.replies import Replies
@@ -50,7 +50,7 @@ async def serve_kst(
     check_arm(cell.facts)
     listening = _listen(host, port)
     bound: tuple[str, int] = listening.getsockname()[:2]
-    async with meanwhile(_Server(cell, listening, accept_timeout).run(), "virtual cabinet"):
+    async with background_task(_Server(cell, listening, accept_timeout).run(), "virtual cabinet"):
         yield bound
 
 

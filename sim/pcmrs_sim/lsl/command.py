@@ -12,7 +12,7 @@ from contextlib import suppress
 
 import click
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 from pcmrs.devices.lsl.library import EMG
 from pcmrs.devices.lsl.markers import PULSES
 from pcmrs.errors import DeviceError, PcmrsError
@@ -55,7 +55,7 @@ async def _serve(seed: int, hum: float, preactivation: float, stream: str, marke
         asyncio.get_running_loop().add_signal_handler(number, ended.set)
     _read_lines(bench.tell)
     _say({"stream": stream, "rate_hz": settings.rate_hz, "markers": markers, "seed": seed}, as_json)
-    async with meanwhile(outlet.run()), meanwhile(inlet.run()):
+    async with background_task(outlet.run()), background_task(inlet.run()):
         await ended.wait()
 
 

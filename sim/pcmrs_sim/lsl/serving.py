@@ -8,7 +8,7 @@ from typing import Any
 
 import structlog
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 from pcmrs.devices.lsl.library import EMG
 from pcmrs.devices.lsl.markers import PULSES, MarkerOutlet, PulseMarker
 from pcmrs_sim.cell import Cell
@@ -46,7 +46,7 @@ async def serve_muscle(cell: Cell, settings: Mapping[str, Any]) -> AsyncIterator
             world.pulse_listeners.append(_marking(lsl.get("markers", PULSES), cell))
     async with AsyncExitStack() as stack:
         for work in works:
-            await stack.enter_async_context(meanwhile(work))
+            await stack.enter_async_context(background_task(work))
         yield
 
 

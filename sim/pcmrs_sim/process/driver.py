@@ -12,7 +12,7 @@ from typing import Any
 
 import structlog
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.devices.deadman import DEADMAN
 from pcmrs.errors import DeviceError
@@ -66,7 +66,7 @@ async def _opened(
     world = World(link, machine, lost)
     try:
         await world.open(devices, settings)
-        async with meanwhile(world.beat(settings.get("robot", {}).get("deadman", DEADMAN)), "signs of life"):
+        async with background_task(world.beat(settings.get("robot", {}).get("deadman", DEADMAN)), "signs of life"):
             entered = True
             yield devices_of(world, devices, clock)
     except asyncio.CancelledError:

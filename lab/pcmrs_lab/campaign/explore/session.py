@@ -18,8 +18,8 @@ import structlog
 
 from pcmrs.journal import JournalReader
 from pcmrs.simulated_time.loop import SimulatedLoop
-from pcmrs_lab.campaign.explore.going_on import going_on
 from pcmrs_lab.campaign.explore.injecting import Faults
+from pcmrs_lab.campaign.explore.next_step_policy import next_step_policy
 from pcmrs_lab.campaign.explore.operators import PATIENCE, Operators
 from pcmrs_lab.campaign.explore.plans import GARBAGE, landmark_commands, plan_of, pose_commands
 from pcmrs_lab.campaign.explore.script import Act, Script
@@ -198,7 +198,7 @@ class Session:
             await self.faults.bring_about(name.removeprefix("fault:"), act.arguments)
         elif name == "go_on":
             turn = int(act.arguments.get("turn", 0))
-            what, arguments = going_on(operators.snapshot, turn)
+            what, arguments = next_step_policy(operators.snapshot, turn)
             await self._step(who, what, arguments, turn)
         elif name == "stop":
             operators.stop(who)

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 
 from pcmrs.fsm.blueprint import OperationSpec
-from pcmrs.messages import Command, DeviceEvent, Ongoing, Snapshot, Verdict
+from pcmrs.messages import ActiveActivity, Command, DeviceEvent, Snapshot, Verdict
 from pcmrs_lab.campaign.explore.invariants import braked
 from pcmrs_lab.campaign.explore.view import REGISTERING, View, refuses_the_id
 
@@ -269,7 +269,7 @@ class Watcher:
     def _guides(self, snapshot: Snapshot) -> bool:
         return any(self._moves(each) for each in snapshot.activities)
 
-    def _moves(self, ongoing: Ongoing) -> bool:
+    def _moves(self, ongoing: ActiveActivity) -> bool:
         spec = self._view.blueprint.branches[ongoing.branch].activities.get(ongoing.state)
         return spec is not None and spec.moves
 

@@ -21,7 +21,7 @@ from pcmrs.messages import (
     NodeBeat,
 )
 from pcmrs.testing.cell import REAL_TIME, RunningCell
-from pcmrs.testing.driving import PATIENCE, accept, calmed, moving, register, to_retracted, until
+from pcmrs.testing.driving import PATIENCE, accept, moving, register, to_retracted, until, wait_until_stationary
 from pcmrs_lab.campaign.checks import expect, standing
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
@@ -103,7 +103,7 @@ async def messages_in_a_devices_name(lab: Lab) -> Evidence:
         await accept(cell.client, "placement.home")
         cell.bus.publish("dev/robot/event", FORGED_EVENT)
         latched = (await until(cell.client, lambda shown: shown.latched)).latched
-        await calmed(cell.client)
+        await wait_until_stationary(cell.client)
     return Evidence(
         "dropped and counted",
         took_place={"counted": counted},

@@ -14,9 +14,9 @@ from pcmrs_lab.campaign.checks import expect, held, refused, stands
 from pcmrs_lab.campaign.consumer import Manner, consumer
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.network_impairment import NetworkImpairment
 from pcmrs_lab.campaign.sham import bring_about
 from pcmrs_lab.campaign.waiting import until_ended, until_true
-from pcmrs_lab.campaign.weather import Weather
 from pcmrs_lab.campaign.wire import remote_cell
 
 WIRE = "userspace proxy between device node and daemon, TCP"
@@ -95,7 +95,7 @@ async def a_consumer_that_does_not_read(lab: Lab) -> Evidence:
 @fault("N12", how=WIRE)
 async def a_wire_of_100_kbit(lab: Lab) -> Evidence:
     """Poses come too late to be believed: what needs them is refused for that; status and Stop work."""
-    weather = Weather(seed=lab.seed)
+    weather = NetworkImpairment(seed=lab.seed)
     async with remote_cell(lab, weather) as cell:
         await register(cell.client)
         control = await accept(cell.client, "placement.approach")
@@ -135,7 +135,7 @@ async def a_half_open_link(lab: Lab) -> Evidence:
 
 async def _cut_in_motion(lab: Lab, *, towards: bool, back: bool) -> Evidence:
     """Cuts the wire between node and daemon while the arm moves; `towards` is from node to daemon."""
-    weather = Weather(seed=lab.seed)
+    weather = NetworkImpairment(seed=lab.seed)
     async with remote_cell(lab, weather) as cell:
         await register(cell.client)
         clock = asyncio.get_running_loop().time

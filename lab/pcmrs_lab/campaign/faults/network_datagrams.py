@@ -21,10 +21,10 @@ from pcmrs_lab.campaign.checks import expect
 from pcmrs_lab.campaign.datagrams import raw_socket, refused_all, taken
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.network_impairment import NetworkImpairment
 from pcmrs_lab.campaign.proxy import udp_proxy
 from pcmrs_lab.campaign.syscalls import NEEDS, injected
 from pcmrs_lab.campaign.waiting import until_true
-from pcmrs_lab.campaign.weather import Weather
 
 PROXY = "userspace proxy between planner and daemon, UDP"
 RECEIVING = ("recvmsg", "recvmmsg", "recvfrom")
@@ -36,14 +36,14 @@ IMPATIENT = 0.4
 @fault("N1", how=PROXY)
 async def datagrams_are_lost(lab: Lab) -> Evidence:
     """A fifth of the datagrams is lost, in both directions."""
-    weather = Weather(seed=lab.seed, loss=0.2)
+    weather = NetworkImpairment(seed=lab.seed, loss=0.2)
     return await _once_each(lab, weather, "lost", lambda sent: {"commands_sent_again": sent.repeated})
 
 
 @fault("N2", how=PROXY)
 async def datagrams_are_doubled(lab: Lab) -> Evidence:
     """Half of the datagrams come twice."""
-    weather = Weather(seed=lab.seed, doubled=0.5)
+    weather = NetworkImpairment(seed=lab.seed, doubled=0.5)
     return await _once_each(
         lab, weather, "doubled", lambda sent: {"more_than_were_sent": max(0, sent.arrived - sent.done - sent.repeated)}
     )
@@ -52,7 +52,7 @@ async def datagrams_are_doubled(lab: Lab) -> Evidence:
 @fault("N3", how=PROXY)
 async def datagrams_overtake_each_other(lab: Lab) -> Evidence:
     """A series of landmarks in any order: the whole of it is planned as sent, or it is refused with its reason."""
-    weather = Weather(seed=lab.seed, jitter=0.2)
+    weather = NetworkImpairment(seed=lab.seed, jitter=0.2)
     async with lab.cell() as cell, _proxied(cell, weather) as planner:
         row = cell.last_row()
         points = [landmark.position for landmark in plan().landmarks]
@@ -103,7 +103,7 @@ async def _out_of_order(cell: RunningCell, planner: Planner) -> int:
 @fault("N4", how=PROXY)
 async def answers_take_half_a_second(lab: Lab) -> Evidence:
     """Half a second each way: every command is done once, also one whose sender has given up waiting."""
-    weather = Weather(seed=lab.seed, delay=0.5)
+    weather = NetworkImpairment(seed=lab.seed, delay=0.5)
     async with lab.cell() as cell, _proxied(cell, weather) as planner:
         control = await cell.planner.command("session_reinitxx", timeout=IMPATIENT)
         row = cell.last_row()
@@ -259,14 +259,16 @@ class _Sent(NamedTuple):
     repeated: int
 
 
-async def _once_each(lab: Lab, weather: Weather, counted: str, measured: Callable[[_Sent], dict[str, int]]) -> Evidence:
+async def _once_each(
+    lab: Lab, weather: NetworkImpairment, counted: str, measured: Callable[[_Sent], dict[str, int]]
+) -> Evidence:
     """Commands through bad weather: each is done exactly once, and its verdict comes; then the same in good weather."""
     async with lab.cell() as cell:
         async with _proxied(cell, weather) as planner:
             sent = await _one_by_one(cell, planner)
             await planner.plan_landmarks([landmark.position for landmark in plan().landmarks])
             expect(weather.counted[counted] > 0, f"Nothing was {counted}: choose another seed.")
-        async with _proxied(cell, Weather()) as planner:
+        async with _proxied(cell, NetworkImpairment()) as planner:
             control = await _one_by_one(cell, planner)
     return Evidence(
         "every command exactly once",
@@ -289,7 +291,7 @@ async def _one_by_one(cell: RunningCell, planner: Planner) -> _Sent:
 
 
 @asynccontextmanager
-async def _proxied(cell: RunningCell, weather: Weather) -> AsyncIterator[Planner]:
+async def _proxied(cell: RunningCell, weather: NetworkImpairment) -> AsyncIterator[Planner]:
     async with udp_proxy(cell.ready.links["planner"], weather) as address, await Planner.open(*address) as planner:
         yield planner
 

@@ -17,7 +17,6 @@ from pcmrs.messages import JointSetpoint, Verdict
 from pcmrs.testing.cell import REAL_TIME, RunningCell
 from pcmrs.testing.driving import (
     accept,
-    calmed,
     connect,
     moving,
     said,
@@ -26,6 +25,7 @@ from pcmrs.testing.driving import (
     to_retracted,
     to_standoff,
     until,
+    wait_until_stationary,
 )
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.checks import check_refused, confirmed, expect, held, refused, stands, tool_position
@@ -427,7 +427,7 @@ async def doubled(lab: Lab) -> Evidence:
             shown = (await cell.client.state()).branches
             repeated = await counts.now() - before
         if shown["placement"] != "following":
-            await calmed(cell.client)
+            await wait_until_stationary(cell.client)
             await to_following(cell.client)  # not run where it does not follow without the fault, either
             raise Unmet(f"With every set point twice it does not follow: {shown}.")
         await accept(cell.client, "placement.stop_following")

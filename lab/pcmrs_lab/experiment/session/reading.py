@@ -23,7 +23,7 @@ from pcmrs.messages import BlueprintTag, Epoch, Verdict
 from pcmrs.spatial import Transform
 from pcmrs.tms.hotspot import HotspotSearch
 from pcmrs.tms.settings import Estimate, Hotspot
-from pcmrs.tms.threshold import ThresholdHunt
+from pcmrs.tms.threshold import MotorThresholdEstimator
 from pcmrs.workflows.data import Registered, as_message
 from pcmrs.workflows.tms.data import Response
 
@@ -126,10 +126,10 @@ class Journalled:
         kept = self._last("search")
         return None if kept is None else msgspec.convert(kept, HotspotSearch)
 
-    def hunt(self) -> ThresholdHunt | None:
+    def hunt(self) -> MotorThresholdEstimator | None:
         """As it stood in the end."""
         kept = self._last("hunt")
-        return None if kept is None else msgspec.convert(kept, ThresholdHunt)
+        return None if kept is None else msgspec.convert(kept, MotorThresholdEstimator)
 
     def hotspot(self) -> Hotspot | None:
         """Where the search found it."""

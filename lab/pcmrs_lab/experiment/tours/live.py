@@ -16,7 +16,7 @@ from functools import partial
 
 import msgspec
 
-from pcmrs.authoring.trial.agenda import DEFAULT_PATIENCE
+from pcmrs.authoring.trial.coverage_plan import DEFAULT_PATIENCE
 from pcmrs.authoring.trial.tour import Move, all_moves
 from pcmrs.client import Client
 from pcmrs.fsm.behaviour import Joint

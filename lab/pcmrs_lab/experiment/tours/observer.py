@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable, Container
 from contextlib import aclosing, asynccontextmanager, suppress
 from typing import TypeVar
 
-from pcmrs.background import meanwhile
+from pcmrs.background import background_task
 from pcmrs.client import Client
 from pcmrs.messages import Snapshot, Verdict
 
@@ -115,5 +115,5 @@ def _remember(kept: OrderedDict[K, T], key: K, value: T) -> None:
 async def observing(client: Client) -> AsyncIterator[Observer]:
     """Listens to a cell for the length of the context."""
     observer = Observer(client)
-    async with meanwhile(observer.listen()):
+    async with background_task(observer.listen()):
         yield observer

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
-from pcmrs.authoring.trial.agenda import Agenda
 from pcmrs.authoring.trial.coverage import Deviation, deviation
+from pcmrs.authoring.trial.coverage_plan import CoveragePlan
 from pcmrs.authoring.trial.tour import Move
 from pcmrs.fsm.behaviour import Joint
 from pcmrs.fsm.blueprint import Blueprint
@@ -44,7 +44,7 @@ class Record:
     Args:
         blueprint: Of the workflow that the cell runs.
         moves: All there is to see in each joint state.
-        patience: See `Agenda`.
+        patience: See `CoveragePlan`.
 
     Attributes:
         moves: The same.
@@ -54,7 +54,7 @@ class Record:
 
     def __init__(self, blueprint: Blueprint, moves: Mapping[Joint, list[Move]], patience: Mapping[str, int]) -> None:
         self.moves = moves
-        self.agenda = Agenda(moves, patience)
+        self.agenda = CoveragePlan(moves, patience)
         self.seen = Seen({move for there in moves.values() for move in there})
         self._blueprint = blueprint
         self._accepted: set[str] = set()

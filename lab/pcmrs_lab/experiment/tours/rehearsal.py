@@ -129,7 +129,7 @@ def scripted(blueprint: Blueprint, script: Script, *, outside: bool) -> Workflow
         registry.payload(spec.payload, NoArguments)
         registry.checks |= {name: partial(script.check, name) for name in spec.checks}
         registry.steps |= {name: partial(script.world_step if outside else script.step, name) for name in spec.steps}
-        registry.worldly.update(spec.steps if outside else ())
+        registry.side_effecting.update(spec.steps if outside else ())
     return Workflow(blueprint, registry, ProcedureData(), lambda data, _states, _effects: data)
 
 

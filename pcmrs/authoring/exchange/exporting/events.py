@@ -36,7 +36,7 @@ def commands(blueprint: Blueprint) -> Iterator[Command]:
     events = event_names(blueprint)
     for branch, spec in blueprint.branches.items():
         for name, operation in spec.operations.items():
-            possible = [] if operation.iio else [*operation.endings, *operation.doubtful]
+            possible = [] if operation.iio else [*operation.endings, *operation.unconfirmed]
             for ending in possible:
                 event = events[branch, name]
                 yield Command(branch, name, ending, event if possible == [START_OUTCOME] else f"{event}.{ending}")

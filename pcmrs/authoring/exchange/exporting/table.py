@@ -19,7 +19,7 @@ def table(blueprint: Blueprint) -> str:
 
 def _branch(name: str, branch: BranchSpec) -> Iterator[tuple[str, ...]]:
     for key, operation in branch.operations.items():
-        for number, (ending, spec) in enumerate({**operation.endings, **operation.doubtful}.items()):
+        for number, (ending, spec) in enumerate({**operation.endings, **operation.unconfirmed}.items()):
             shown = key if ending == START_OUTCOME else f"{key}: {ending}"
             first = number == 0
             yield (

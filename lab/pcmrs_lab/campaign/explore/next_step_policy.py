@@ -33,7 +33,7 @@ WITH_STIMULATOR: list[Step] = [
 ]
 
 
-def going_on(snapshot: Snapshot | None, turn: int) -> Step:
+def next_step_policy(snapshot: Snapshot | None, turn: int) -> Step:
     """The next step.
 
     Args:

@@ -36,7 +36,7 @@ class Decided:
 
 
 @dataclass
-class Book:
+class ReplayRecorder:
     """Implements `pcmrs.dispatcher.Recorder`: nothing is durable before the rows on record allow it.
 
     Attributes:

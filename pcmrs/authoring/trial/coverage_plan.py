@@ -15,7 +15,7 @@ ORDER = ("rejected", "accepted", "unknown", "failed")
 """What is looked at first in a joint state: what changes nothing, then what goes well."""
 
 
-class Agenda:
+class CoveragePlan:
     """Moves to be made; one that does not end as wanted is tried again, then put aside until others have been made.
 
     Args:

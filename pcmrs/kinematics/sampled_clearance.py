@@ -35,7 +35,7 @@ class Violation:
 
 
 @dataclass(frozen=True, eq=False)
-class Passage:
+class SampledClearance:
     """A motion as it passes the zones.
 
     Attributes:
@@ -66,7 +66,7 @@ class Passage:
         return Violation(clearance, self.postures[look])
 
 
-def look_at(zones: ZoneModel, facts: ArmFacts, tool_reach: float, positions: npt.ArrayLike) -> Passage:
+def look_at(zones: ZoneModel, facts: ArmFacts, tool_reach: float, positions: npt.ArrayLike) -> SampledClearance:
     """Looks at a motion.
 
     Args:
@@ -82,7 +82,7 @@ def look_at(zones: ZoneModel, facts: ArmFacts, tool_reach: float, positions: npt
     looks = np.linspace(0.0, way[-1], 1 + ceil(way[-1] / (2.0 * BOUND)))
     at = np.interp(looks, way, np.arange(len(samples)))
     postures = np.column_stack([np.interp(at, np.arange(len(samples)), joint) for joint in samples.T])
-    return Passage(postures, np.array([zones.distances(q) for q in postures]))
+    return SampledClearance(postures, np.array([zones.distances(q) for q in postures]))
 
 
 def _reaches(facts: ArmFacts, tool_reach: float) -> Floats:

@@ -14,7 +14,7 @@ from pcmrs.errors import PcmrsError
 from pcmrs.messages import Verdict
 
 
-class Asking:
+class CommandSender:
     """One per page; the connection is the console's.
 
     Args:

@@ -14,8 +14,8 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
 
 
-class GatewayCore:
-    """Implements `pcmrs.gateway.core.Core` on the dispatcher and the cell.
+class GatewayAdapter:
+    """Implements `pcmrs.gateway.adapter.Core` on the dispatcher and the cell.
 
     Args:
         dispatcher: Of the cell.

@@ -10,7 +10,7 @@ from pcmrs_lab.campaign.sham import is_sham
 
 
 @dataclass
-class Weather:
+class NetworkImpairment:
     """How a link behaves, for each direction alike unless it is cut; may be changed while it is in use.
 
     Attributes:

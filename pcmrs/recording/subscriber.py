@@ -31,7 +31,7 @@ EVENTS: Final = "daemon/event"
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class RawSample:
     """One message.
 
     Attributes:
@@ -45,10 +45,10 @@ class Heard:
     at: float
 
 
-class Tap:
+class Subscriber:
     """Keeps what comes on some keys of a cell until it is taken; what is too much is dropped and counted.
 
-    Use `Tap.open`.
+    Use `Subscriber.open`.
 
     Attributes:
         prefix: Of the cell.
@@ -61,12 +61,14 @@ class Tap:
         self._session = session
         self._clock = clock
         self._seal = seal
-        self._waiting: deque[Heard] = deque()
+        self._waiting: deque[RawSample] = deque()
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="pcmrs-tap")
         self._declared: list[Any] = []
 
     @classmethod
-    async def open(cls, settings: BusSettings, topics: Sequence[str], clock: Clock, seal: Seal | None = None) -> Tap:
+    async def open(
+        cls, settings: BusSettings, topics: Sequence[str], clock: Clock, seal: Seal | None = None
+    ) -> Subscriber:
         """Joins the bus and hears from now on.
 
         Args:
@@ -87,7 +89,7 @@ class Tap:
             tap._declared.append(subscriber)
         return tap
 
-    def heard(self) -> list[Heard]:
+    def heard(self) -> list[RawSample]:
         """What has come since the last call, in order."""
         return [self._waiting.popleft() for _ in range(len(self._waiting))]
 
@@ -113,7 +115,7 @@ class Tap:
             self.dropped += 1
             return
         key = str(sample.key_expr).removeprefix(f"{self.prefix}/")
-        self._waiting.append(Heard(key, payload_of(sample), at))
+        self._waiting.append(RawSample(key, payload_of(sample), at))
 
     def _undeclare(self) -> None:
         for entity in self._declared:

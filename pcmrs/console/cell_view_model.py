@@ -7,17 +7,17 @@ from collections import deque
 
 from pcmrs.messages import BodyPose, DeviceEvent, Epoch, JointState, Snapshot, Verdict
 from pcmrs.messages.health import Health
-from pcmrs.messages.setup import Gathered
+from pcmrs.messages.setup import ProcedureDataView
 
 EVENTS = 500
 """So many of the newest decisions and events are kept."""
 EPOCHS = 5
 """So many of the newest signals of a muscle are kept."""
 
-NOTHING = Gathered(landmarks=[])
+NOTHING = ProcedureDataView(landmarks=[])
 
 
-class Told(ABC):
+class CellViewModel(ABC):
     """The newest of everything.
 
     Attributes:

@@ -49,7 +49,7 @@ class Step(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         return [told(effect) for effect in self.effects] or ["nothing changes"]
 
 
-class Walk:
+class SimulationSession:
     """Commands so far, and where they have led.
 
     Args:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Sequence
 
-from pcmrs.tms.settings import Estimate, Pulse, Standing, ThresholdSettings
+from pcmrs.tms.settings import Estimate, EstimatorState, Pulse, ThresholdSettings
 
 RISE = 5
 """Percent of the maximum stimulator output, upwards."""
@@ -22,7 +22,7 @@ Protocol = Generator[int, bool, int]
 """Asks for intensities, is told of responses, and comes to a threshold."""
 
 
-def standing(settings: ThresholdSettings, pulses: Sequence[Pulse]) -> Standing:
+def standing(settings: ThresholdSettings, pulses: Sequence[Pulse]) -> EstimatorState:
     """What the protocol asks for after these pulses, or comes to; until then it estimates where it is."""
     protocol = _protocol(settings)
     asked = next(protocol)
@@ -32,13 +32,15 @@ def standing(settings: ThresholdSettings, pulses: Sequence[Pulse]) -> Standing:
     except StopIteration as end:
         threshold = float(end.value)
     else:
-        return Standing(Estimate(float(asked)), float(asked))
+        return EstimatorState(Estimate(float(asked)), float(asked))
     refusal = None
     if threshold > settings.ceiling:
         refusal = "above_ceiling"
     elif threshold <= settings.floor:
         refusal = "below_floor"
-    return Standing(Estimate(threshold), min(threshold, settings.ceiling), finished=refusal is None, refusal=refusal)
+    return EstimatorState(
+        Estimate(threshold), min(threshold, settings.ceiling), finished=refusal is None, refusal=refusal
+    )
 
 
 def _protocol(settings: ThresholdSettings) -> Protocol:

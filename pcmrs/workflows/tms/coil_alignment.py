@@ -21,7 +21,7 @@ FEWEST_FRAMES = 4
 
 
 @dataclass(frozen=True)
-class Aim:
+class CoilAlignment:
     """Where the coil is.
 
     Attributes:
@@ -42,7 +42,7 @@ def coil_on_target(run: Run) -> None:
     check_aim(run.cell, run.data)
 
 
-def check_aim(cell: Cell, data: Data) -> Aim:
+def check_aim(cell: Cell, data: Data) -> CoilAlignment:
     """Where the coil is now: alignment alone may have been lost a tenth of a second ago, which it tolerates.
 
     Raises:
@@ -69,7 +69,7 @@ def check_aim(cell: Cell, data: Data) -> Aim:
         raise RefusalError("head_moves", text, speed=speed, limit=settings.body_speed)
     coil, body_ref = (frames[-1][body].tracker_from_body for body in BODIES)
     image_from_body_ref = as_transform(data.registered.body_ref_from_image).inverse()
-    return Aim(image_from_body_ref @ body_ref.inverse() @ coil, error_mm, error_deg, speed)
+    return CoilAlignment(image_from_body_ref @ body_ref.inverse() @ coil, error_mm, error_deg, speed)
 
 
 def _fresh_frames(cell: Cell, settings: StimulationSettings) -> list[Exposure]:

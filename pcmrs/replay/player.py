@@ -15,11 +15,11 @@ from pcmrs.dispatcher.stops import PENDING, UNNAMED
 from pcmrs.fsm import Closure, Denial
 from pcmrs.journal import JournalRow, StoredRow
 from pcmrs.messages import Command, DeviceEvent, Reason
-from pcmrs.replay.answers import Holds, end_by_itself, quieten
-from pcmrs.replay.book import Book
+from pcmrs.replay.answers import Holds, end_activities, end_by_itself
 from pcmrs.replay.durability import WINDOW, busy_with, name_of, turned_away
 from pcmrs.replay.keys import command_of, is_danger, is_followed_by_report, same_reason
 from pcmrs.replay.recorded import RecordedWorkflow
+from pcmrs.replay.recorder import ReplayRecorder
 from pcmrs.replay.world import RecordedCell, RowsClock
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
@@ -28,7 +28,7 @@ IDLE = 1.0
 """In simulated time nobody but the feeder waits for a timer: one passes when nobody else has anything to do, s."""
 
 
-class Feeding:
+class JournalPlayer:
     """One run of the daemon, decided anew. In an event loop of simulated time.
 
     Args:
@@ -51,7 +51,7 @@ class Feeding:
         *,
         lease_required: bool,
     ) -> None:
-        self.book = Book(rows)
+        self.book = ReplayRecorder(rows)
         self._clock = RowsClock()
         self._rows = [stored.row for stored in rows]
         self._holds = Holds(self._rows)
@@ -230,7 +230,7 @@ class Feeding:
             await self._submit_all([index])
 
     def _quieten(self, index: int) -> bool:
-        return quieten(self._recorded.pursued, self._rows[index].source)
+        return end_activities(self._recorded.pursued, self._rows[index].source)
 
     # -- helpers ------------------------------------------------------------------------------------------
 
