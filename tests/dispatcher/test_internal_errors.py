@@ -34,7 +34,7 @@ def expect_fail_stop(bench: Bench) -> None:
     dispatcher = bench.dispatcher
     assert dispatcher.broken is not None
     assert dispatcher.broken.code == "internal_error"
-    assert (dispatcher._locks.running, dispatcher._lanes.waiting) == ([], [])
+    assert (dispatcher._locks.running, dispatcher._locks.waiting) == ([], [])
     assert dispatcher.snapshot().latched
     assert bench.holds > 0
 
