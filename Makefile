@@ -54,9 +54,9 @@ tools: spin browser mono ## Install all that tests are skipped and faults are no
 	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends \
 	    e2fsprogs fonts-dejavu-core graphviz iproute2 mount nftables strace systemd >/dev/null
 
-spin: ## Install the model checker SPIN and a C compiler (Debian packages, as root); without them its tests are skipped
+spin: ## Install the model checker SPIN and two C compilers (Debian packages, as root); without them its tests are skipped
 	apt-get update -qq
-	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends spin gcc libc6-dev >/dev/null
+	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends spin gcc tcc libc6-dev >/dev/null
 
 browser: ## Install the browser that the console is tested in (Debian packages, as root); without it those tests are skipped
 	command -v chromium >/dev/null || { apt-get update -qq && \

@@ -77,6 +77,12 @@ def fail_missing(error: ModuleNotFoundError) -> NoReturn:
 
 
 def fail(error: PcmrsError) -> NoReturn:
-    """Ends the process with the error's text and status."""
-    say(f"{click.get_current_context().command_path}: {error.text}", err=True)
+    """End the process with the error's text and status.
+
+    Further lines of the text are indented, so that a line break in a value from outside cannot forge a message.
+    """
+    first, *rest = error.text.splitlines() or [""]
+    say(f"{click.get_current_context().command_path}: {first}", err=True)
+    for line in rest:
+        say(f"  {line}" if line else "", err=True)
     sys.exit(next((status for kind, status in STATUS if isinstance(error, kind)), EXIT_FAILED))

@@ -66,11 +66,13 @@ class Gate:
         if state.latched:
             text = f"The {self._device} is latched since it was stopped: acknowledge the Stop, then ask again."
             raise DeviceError(text, code=LATCHED, epoch=state.epoch)
-        present = (state.daemon, state.node, state.epoch)
-        if (token.daemon, token.node, token.epoch) != present:
-            text = f"The request was made before the {self._device} was held or restarted, and came after that: "
-            text += f"it names epoch {token.epoch}, the present one is {state.epoch}. Ask again."
-            raise DeviceError(text, code=STALE, epoch=token.epoch, present=state.epoch)
+        named = {"daemon session": token.daemon, "node session": token.node, "epoch": token.epoch}
+        present = {"daemon session": state.daemon, "node session": state.node, "epoch": state.epoch}
+        differs = [name for name, value in named.items() if value != present[name]]
+        if differs:
+            text = f"The request is older than the last hold or restart of the {self._device}: another "
+            text += f"{' and another '.join(differs)} (epoch {token.epoch}, present {state.epoch}). Ask again."
+            raise DeviceError(text, code=STALE, differs=differs, epoch=token.epoch, present=state.epoch)
         return token
 
     def admit(self, token: ActToken | None) -> None:

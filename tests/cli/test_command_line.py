@@ -8,12 +8,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
 from click.testing import CliRunner, Result
 
 from pcmrs.cli import COMMANDS, main
+from pcmrs.cli.running import readable_errors
 from pcmrs.cli.serve import serve
 from pcmrs.clock import SystemClock
+from pcmrs.errors import PcmrsError
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Command, Reason, Verdict
 from pcmrs.service.restart.recorder import JournalRecorder
@@ -168,3 +171,22 @@ def test_a_name_means_the_installed_workflow_whatever_lies_in_the_folder(
     monkeypatch.chdir(tmp_path)
     assert _run("fsm", "verify", "ratms").exit_code == 0
     assert _run("fsm", "verify", "./ratms").exit_code == 2
+
+
+def test_an_error_of_several_lines_is_printed_as_lines_that_cannot_pass_for_a_message() -> None:
+    """A table in an error can be copied; a line break in a value from outside begins no line of PCMRS."""
+
+    @click.command()
+    @readable_errors
+    def failing() -> None:
+        raise PcmrsError("Add this:\n\n[[migrations]]\nhash = '1'\npcmrs: all is well\x1b[2J")
+
+    ended = CliRunner().invoke(failing)
+    assert ended.exit_code == 1
+    assert ended.stderr.splitlines() == [
+        "failing: Add this:",
+        "",
+        "  [[migrations]]",
+        "  hash = '1'",
+        "  pcmrs: all is well\\u001b[2J",
+    ]

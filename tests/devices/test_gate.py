@@ -72,9 +72,23 @@ def test_a_hold_that_only_ends_a_motion_keeps_the_latch_as_it_is(gate: Gate) -> 
     assert gate.state.latched
 
 
-@pytest.mark.parametrize("other", [{"daemon": "earlier"}, {"node": "earlier"}, {"epoch": 99}])
-def test_a_request_of_another_session_or_epoch_never_acts(gate: Gate, other: dict[str, Any]) -> None:
-    assert refused(gate, token(gate, 5, **other)) == STALE
+@pytest.mark.parametrize(
+    ("other", "differs"),
+    [
+        ({"daemon": "earlier"}, ["daemon session"]),
+        ({"node": "earlier"}, ["node session"]),
+        ({"epoch": 99}, ["epoch"]),
+        ({"node": "earlier", "epoch": 99}, ["node session", "epoch"]),
+    ],
+)
+def test_a_request_of_another_session_or_epoch_never_acts(
+    gate: Gate, other: dict[str, Any], differs: list[str]
+) -> None:
+    with pytest.raises(DeviceError) as failed:
+        gate.admit(token(gate, 5, **other))
+    assert failed.value.fields["code"] == STALE
+    assert failed.value.fields["differs"] == differs
+    assert " and another ".join(differs) in failed.value.text
 
 
 def test_a_request_without_a_token_never_acts(gate: Gate) -> None:

@@ -186,6 +186,28 @@ async def test_everything_that_a_cell_can_show_is_seen() -> None:
     assert report.stops > 100
 
 
+class FirstAcknowledgement(DiceCell):
+    """A cell that falls silent at the first acknowledgement."""
+
+    named: Mapping[str, Any] | None = None
+
+    async def call(self, name: str, arguments: Mapping[str, Any], *, id: str, timeout: float) -> Verdict:
+        state = self.dispatcher.snapshot()
+        if name == "robot.acknowledge" and state.latched:
+            self.named = arguments
+            assert state.stop.number > 0
+            raise UnknownOutcomeError(f"Stop {state.stop.number}")
+        return await super().call(name, arguments, id=id, timeout=timeout)
+
+
+async def test_an_acknowledgement_names_the_stop_that_was_seen() -> None:
+    cell = FirstAcknowledgement(RATMS)
+    with pytest.raises(UnknownOutcomeError) as silent:
+        await toured(cell)
+    assert cell.named is not None
+    assert silent.value.text == f"Stop {cell.named['stop']}"
+
+
 @pytest.mark.nightly
 async def test_joint_states_that_do_not_come_by_themselves_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live, "REPORTED_WITHIN", 0.01)

@@ -109,21 +109,20 @@ class LiveTour:
             return agenda.next(here, lambda _: True)
         releases = next(filter(self._unlatches, self._moves.get(here, ())), None)
         goals = {joint for joint, there in self._moves.items() if any(map(self._unlatches, there))}
-        still = self._keeps_still
+        still = self._allowed_when_latched
         return releases or agenda.next(here, still) or agenda.towards(here, goals, still)
 
     def _unlatches(self, move: Move) -> bool:
         spec = self._blueprint.branches[move.branch].operations[move.operation]
         return spec.unlatches and move.decision == "accepted"
 
-    def _keeps_still(self, move: Move) -> bool:
-        spec = self._blueprint.branches[move.branch].operations[move.operation]
-        return spec.motion == "none"
+    def _allowed_when_latched(self, move: Move) -> bool:
+        return not self._blueprint.branches[move.branch].operations[move.operation].blocked_when_latched
 
     async def _make(self, move: Move, before: Snapshot) -> Snapshot:
         """Gives the command of a move and looks what has come of it."""
         self._record.seen.tour.append(move)
-        verdict = await (self._provoke(move) if move.asker == "device" else self._command(move))
+        verdict = await (self._provoke(move) if move.asker == "device" else self._command(move, before))
         if verdict is None:
             self._record.agenda.missed(move, NOT_REPORTED)
             return await self._observer.settled()
@@ -155,9 +154,11 @@ class LiveTour:
         endings = (other.after for other in self._record.same(move) if other.decision == verdict.decision)
         return next((joint for joint in endings if self._goes_on(joint) == end), end)
 
-    async def _command(self, move: Move) -> Verdict:
-        payload = self._blueprint.branches[move.branch].operations[move.operation].payload
-        arguments, command_id = self._arguments.next(move.name, payload), uuid.uuid4().hex
+    async def _command(self, move: Move, before: Snapshot) -> Verdict:
+        spec = self._blueprint.branches[move.branch].operations[move.operation]
+        arguments, command_id = self._arguments.next(move.name, spec.payload), uuid.uuid4().hex
+        if spec.unlatches:
+            arguments = {"stop": before.stop.number} | arguments
         call = asyncio.create_task(self._client.call(move.name, arguments, id=command_id, timeout=ANSWER_TIME))
         try:
             if move.decision == "failed":
