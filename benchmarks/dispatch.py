@@ -21,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import AsyncIterator
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -69,13 +70,10 @@ async def nothing_to_hold(_latch: bool) -> None:
     """There is no arm: the Stop with which the dispatcher ends need not wait for one."""
 
 
-async def serve(endpoint: str, folder: Path, durable: bool) -> None:
-    """Runs until standard input ends; says on standard output which ports it has, and nothing else."""
-    log_to_stderr()
-    keep_pauses_short()
+@contextlib.asynccontextmanager
+async def opened(endpoint: str, folder: Path, durable: bool) -> AsyncIterator[dict[str, int]]:
+    """The server in this process; yields its ports."""
     loop, clock = asyncio.get_running_loop(), SystemClock()
-    ended = asyncio.Event()
-    loop.add_reader(sys.stdin.fileno(), ended.set)
     echo, _ = await loop.create_datagram_endpoint(Echo, local_addr=("127.0.0.1", 0))
     bus = await Bus.open(BusSettings(mode="router", endpoint=endpoint, cell="benchmark"))
     journal = Journal.open(folder / "journal.sqlite", durable=durable)
@@ -103,13 +101,22 @@ async def serve(endpoint: str, folder: Path, durable: bool) -> None:
         tcp_port=None,
     )
     async with open_gateway(GatewayAdapter(dispatcher, cell, dispatcher.submit), config, clock, folder) as gateway:
-        ports = {"echo": echo.get_extra_info("sockname")[1], "planner": gateway.addresses["planner"][1]}
-        print(json.dumps(ports), flush=True)
-        await ended.wait()
+        yield {"echo": echo.get_extra_info("sockname")[1], "planner": gateway.addresses["planner"][1]}
     await edge.close()
     await dispatcher.close()
     await journal.close()
     await bus.close()
+
+
+async def serve(endpoint: str, folder: Path, durable: bool) -> None:
+    """Run until standard input ends; print the ports as one line of JSON, and nothing else."""
+    log_to_stderr()
+    keep_pauses_short()
+    ended = asyncio.Event()
+    asyncio.get_running_loop().add_reader(sys.stdin.fileno(), ended.set)
+    async with opened(endpoint, folder, durable) as ports:
+        print(json.dumps(ports), flush=True)
+        await ended.wait()
 
 
 def measure_udp(port: int, datagrams: list[bytes]) -> list[float]:

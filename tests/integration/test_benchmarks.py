@@ -67,3 +67,14 @@ def test_the_cost_of_the_seal_is_measured() -> None:
 
     assert measured.returncode == 0, measured.stderr
     assert {"seal", "check", "bare HMAC"} <= json.loads(measured.stdout)["state/joints"].keys()
+
+
+def test_the_code_is_counted_and_one_command_is_followed() -> None:
+    command = [sys.executable, str(BENCHMARKS / "house.py"), "--route", "--json"]
+
+    measured = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert measured.returncode == 0, measured.stderr
+    found = json.loads(measured.stdout)
+    assert found["files on the route of a command"] < found["files"]
+    assert found["calls on the route of a command"] >= found["functions on the route of a command"] > 50
