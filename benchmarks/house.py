@@ -2,8 +2,8 @@
 
     .venv/bin/python benchmarks/house.py [--tree .] [--route] [--json]
 
-Without `--route` nothing is imported, so that `--tree` may be another checkout, of an earlier commit too. With `--route`,
-an accepted command (the second half of a plan, over UDP) goes through the gateway, the dispatcher and the journal of this
+Without `--route` nothing is imported, so that `--tree` may be another checkout, of an earlier commit too. With it,
+an accepted command (the second half of a plan, over UDP) goes through gateway, dispatcher and journal of this
 checkout, and every call of a function of `pcmrs` is counted, from the datagram to the reply, in the loop and in the
 journal's thread.
 """
