@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.formats.grid import Space, Unit, as_ras
+from pcmrs.formats.ply import read_triangles
 from pcmrs.formats.reading import read_bytes, refuse
 from pcmrs.spatial import Floats
 
@@ -44,25 +45,42 @@ def read_mesh(path: Path, unit: Unit, space: Space) -> Mesh:
     kind = path.suffix.lower()
     if kind not in KINDS:
         refuse(path, f"is no mesh that can be read: its ending must be one of {', '.join(KINDS)}.")
-    loaded = _load(path, read_bytes(path, MAX_MESH_BYTES), kind.removeprefix("."))
-    if not len(loaded.faces):
+    vertices, faces = _load(path, read_bytes(path, MAX_MESH_BYTES), kind.removeprefix("."))
+    if not len(faces):
         refuse(path, "holds no triangles.")
-    if np.shape(loaded.vertices)[1:] != (3,) or np.shape(loaded.faces)[1:] != (3,):
+    if np.shape(vertices)[1:] != (3,) or np.shape(faces)[1:] != (3,):
         refuse(path, "has corners without three coordinates, or faces without three corners; export the mesh again.")
-    if not np.isfinite(loaded.vertices).all():
+    if not np.isfinite(vertices).all():
         refuse(path, "holds a corner that is not finite; export the mesh again.")
-    if not 0 <= loaded.faces.min() <= loaded.faces.max() < len(loaded.vertices):
+    if not 0 <= faces.min() <= faces.max() < len(vertices):
         refuse(path, "has a triangle with a corner that it does not hold; export the mesh again.")
-    loaded.merge_vertices()
-    return Mesh(as_ras(loaded.vertices, unit, space), np.array(loaded.faces, dtype=np.int64))
+    vertices, faces = _merged(vertices, faces)
+    return Mesh(as_ras(vertices, unit, space), faces)
 
 
-def _load(path: Path, raw: bytes, kind: str) -> Any:
-    import trimesh
+def _load(path: Path, raw: bytes, kind: str) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Corners and faces as the file has them."""
+    found = read_triangles(raw) if kind == "ply" else None
+    if found is not None:
+        return found
+
+    import trimesh  # takes longer to load than all else that a process of a cell needs
 
     try:
-        return trimesh.load_mesh(io.BytesIO(raw), file_type=kind, process=False, skip_materials=True)
+        loaded = trimesh.load_mesh(io.BytesIO(raw), file_type=kind, process=False, skip_materials=True)
+        return np.asarray(loaded.vertices), np.asarray(loaded.faces)
     except ImportError:  # the library looks for a module that guesses encodings where a binary file is cut short
         refuse(path, f"is no {kind.upper()} mesh: it is neither a whole binary file nor text.")
     except Exception as error:  # its parsers raise whatever they stumble over
         refuse(path, f"is no {kind.upper()} mesh: {type(error).__name__}: {error}")
+
+
+def _merged(vertices: npt.NDArray[Any], faces: npt.NDArray[Any]) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """The same triangles, each corner once, in the file's order, and none that belongs to no triangle."""
+    found, first, number = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    used = number.reshape(-1)[faces]  # in terms of the sorted, different corners
+    kept = np.unique(used)
+    kept = kept[np.argsort(first[kept])]
+    position = np.empty(len(found), dtype=np.int64)
+    position[kept] = np.arange(len(kept))
+    return found[kept].astype(float), position[used]

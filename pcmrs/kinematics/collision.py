@@ -9,12 +9,13 @@ import coal
 import numpy as np
 import numpy.typing as npt
 import pinocchio
-from scipy.spatial import ConvexHull, QhullError
 
 from pcmrs.errors import GeometryError
 from pcmrs.spatial import Floats, Transform
 
 _Z = np.array((0.0, 0.0, 1.0))
+FLAT = 1e-7
+"""Points whose least extent is this share of their greatest lie in a plane."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,18 +54,20 @@ def hull(points: npt.ArrayLike) -> Solid:
         GeometryError: There is none: fewer than four points, or all of them in a plane.
     """
     points = np.asarray(points, dtype=float)
-    try:
-        found = ConvexHull(points)
-    except (QhullError, ValueError):
+    # coal does not look whether Qhull has failed and reads on from nowhere: flat points must not reach it.
+    if len(points) < 4 or not np.isfinite(points).all() or _is_flat(points):
         text = f"{len(points)} points have no convex hull that encloses anything; give a closed surface."
-        raise GeometryError(text, points=len(points)) from None
-    corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    number = {int(vertex): index for index, vertex in enumerate(found.vertices)}
-    for vertex in found.vertices:
-        corners.append(points[vertex])
-    for face in found.simplices:
-        triangles.append(coal.Triangle(*(number[int(vertex)] for vertex in face)))
-    return Solid(coal.Convex(corners, triangles), pinocchio.SE3.Identity())
+        raise GeometryError(text, points=len(points))
+    corners = coal.StdVec_Vec3s()
+    corners.extend(points)
+    with_triangles = coal.ConvexBase.convexHull(corners, True, "Qt")
+    return Solid(with_triangles, pinocchio.SE3.Identity())
+
+
+def _is_flat(points: Floats) -> bool:
+    """Whether points lie in a plane, to seven digits; Qhull computes with sixteen."""
+    widest, _, thinnest = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return not thinnest > FLAT * widest
 
 
 def pose_between(start: Floats, end: Floats) -> Any:

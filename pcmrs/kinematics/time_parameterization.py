@@ -23,7 +23,6 @@ from math import ceil, sqrt
 import numpy as np
 import numpy.typing as npt
 from ruckig import InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
-from scipy.linalg.lapack import dgtsv
 
 from pcmrs.errors import GeometryError
 from pcmrs.kinematics.limits import MotionLimits
@@ -78,8 +77,28 @@ def _slopes(steps: Floats, rows: Floats, ends: tuple[npt.ArrayLike, npt.ArrayLik
         (main[-1], below[-1], right[-1]) = _not_a_knot(steps[-1], steps[-2], chords[-1], chords[-2])
     else:
         right[0], right[-1] = ends
-    slopes: Floats = dgtsv(below, main, above, right)[3]
-    return slopes
+    return _solve_tridiagonal(below.tolist(), main.tolist(), above.tolist(), right)
+
+
+def _solve_tridiagonal(below: list[float], main: list[float], above: list[float], right: Floats) -> Floats:
+    """Solve for all columns of `right`, (K, n), by elimination without pivoting.
+
+    A spline's matrix needs no pivots (de Boor, chapter IV). SciPy solves this, too, but takes long to load.
+
+    Args:
+        below: Coefficients left of the diagonal, of the rows from the second on, (K - 1,).
+        main: Diagonal, (K,).
+        above: Coefficients right of the diagonal, of the rows up to the last but one, (K - 1,).
+        right: Right-hand sides; overwritten.
+    """
+    for row, coefficient in enumerate(below):
+        share = coefficient / main[row]
+        main[row + 1] -= share * above[row]
+        right[row + 1] -= share * right[row]
+    right[-1] /= main[-1]
+    for row in range(len(above) - 1, -1, -1):
+        right[row] = (right[row] - above[row] * right[row + 1]) / main[row]
+    return right
 
 
 def _not_a_knot(near: float, next_: float, chord: Floats, next_chord: Floats) -> tuple[float, float, Floats]:

@@ -8,7 +8,6 @@ Weighting, SPIE Medical Imaging 2009. Here by Gauss-Newton steps on the motion g
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pcmrs.errors import GeometryError
 from pcmrs.registration.rigid import RigidFit, motion_jacobians
@@ -36,7 +35,7 @@ def fit_anisotropic(fixed: Floats, moving: Floats, covariances: Floats, start: R
     for _ in range(MAX_STEPS):
         turned = (moving - origin) @ rotation.T
         step = _step(turned, fixed - turned - shifted, inverses)
-        rotation, shifted = Rotation.from_rotvec(step[:3]).as_matrix() @ rotation, shifted + step[3:]
+        rotation, shifted = Transform.from_rotvec(np.zeros(3), step[:3]).rotation @ rotation, shifted + step[3:]
         if np.abs(step).max() < SMALL_STEP:
             return trusted_transform(rotation, shifted - rotation @ origin)
     text = f"The registration with covariances did not settle in {MAX_STEPS} steps; give noise that is less unequal."

@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from scipy.spatial.distance import pdist
 
 from pcmrs.registration.outliers import chi_squared_limit
 from pcmrs.registration.rigid import sums_of_squares
@@ -25,7 +24,7 @@ def unit_ratio(planned: Floats, digitized: Floats) -> float:
     Of the median distances, so that one wrong landmark does not look like another unit; 1 where landmarks of a set
     coincide, which is no matter of units.
     """
-    apart, between = float(np.median(pdist(digitized))), float(np.median(pdist(planned)))
+    apart, between = _median_distance(digitized), _median_distance(planned)
     return apart / between if apart > 0.0 and between > 0.0 else 1.0
 
 
@@ -72,3 +71,9 @@ def _orders(count: int) -> np.ndarray[tuple[int, int], np.dtype[np.intp]]:
     for order, (a, b) in zip(orders, itertools.combinations(range(count), 2), strict=True):
         order[[a, b]] = b, a
     return orders
+
+
+def _median_distance(points: Floats) -> float:
+    """Median distance between two of the points (N, 3)."""
+    first, second = np.triu_indices(len(points), k=1)
+    return float(np.median(np.linalg.norm(points[first] - points[second], axis=1)))

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from scipy.special import chdtri
 
 from pcmrs.registration.anisotropic import fit_anisotropic, inverse_of
 from pcmrs.registration.rigid import fit_rigid, sums_of_squares
@@ -62,9 +62,37 @@ def mean_shift_test(fixed: Floats, moving: Floats, noise: float | Floats, false_
     return OutlierTest(statistics, limit, suspect, tuple(int(i) for i in likely if i != suspect))
 
 
+@lru_cache
 def chi_squared_limit(degrees: int, false_alarm: float) -> float:
-    """What a chi-squared number of so many degrees of freedom exceeds with a probability of `false_alarm`."""
-    return float(chdtri(degrees, false_alarm))
+    """Value that a chi-squared number exceeds with a given probability.
+
+    Found by halving, since the tail falls with the value. SciPy has its inverse, but every process of a cell would load
+    SciPy for this number.
+
+    Args:
+        degrees: Degrees of freedom, at least 1.
+        false_alarm: The probability, between 0 and 1.
+    """
+    low, high = 0.0, 1.0
+    while _chi_squared_tail(degrees, high) > false_alarm:
+        low, high = high, 2.0 * high
+    while low < (middle := (low + high) / 2.0) < high:
+        low, high = (middle, high) if _chi_squared_tail(degrees, middle) > false_alarm else (low, middle)
+    return high
+
+
+def _chi_squared_tail(degrees: int, value: float) -> float:
+    """Probability that a chi-squared number exceeds `value`: a finite sum for whole degrees of freedom.
+
+    M. Abramowitz, I. A. Stegun, Handbook of Mathematical Functions, 1964, 26.4.4 and 26.4.5.
+    """
+    half, odd = value / 2.0, degrees % 2
+    tail = math.erfc(math.sqrt(half)) if odd else 0.0
+    term = math.exp(-half) * (math.sqrt(half / math.pi) * 2.0 if odd else 1.0)
+    for number in range(degrees // 2):
+        tail += term
+        term *= half / (number + 1.0 + odd / 2.0)
+    return tail
 
 
 def _chi_squares(fixed: Floats, moving: Floats, noise: float | Floats) -> tuple[float, Floats]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.lapack import dgesdd
 
 from pcmrs.errors import DegeneratePointsError, GeometryError, MirroredPointsError
 from pcmrs.registration.anisotropic import fit_anisotropic
@@ -175,7 +174,7 @@ def _check_spread(centred: Floats, weights: Floats | None, which: str) -> Floats
     count = len(centred)
     if weights is not None:
         centred = centred * np.sqrt(weights * (count / weights.sum()))[:, None]
-    values: Floats = dgesdd(centred, compute_uv=0)[1]
+    values: Floats = np.asarray(np.linalg.svd(centred, compute_uv=False), dtype=float)
     first, second, _ = values.tolist()
     if first < MIN_SPREAD * math.sqrt(count):
         problem = f"coincide within {first / math.sqrt(count) * 1e3:.3g} mm, limit {MIN_SPREAD * 1e3:g} mm"

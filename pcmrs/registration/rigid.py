@@ -11,7 +11,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dgesdd
 
 from pcmrs.spatial import Floats
 
@@ -52,9 +51,9 @@ def fit_rigid(fixed: Floats, moving: Floats, weights: Floats | None = None) -> R
     shares = _equal_shares(len(fixed)) if weights is None else weights / weights.sum()
     fixed_centroid, moving_centroid = shares.dot(fixed), shares.dot(moving)
     fixed, moving = fixed - fixed_centroid, moving - moving_centroid
-    # `dot`, and LAPACK without numpy's wrapper: for so small matrices, calling takes longer than computing.
+    # `dot`: for matrices this small, calling takes longer than computing.
     covariance = fixed.T.dot(moving if weights is None else moving * weights[:, None])
-    u, singular, vt, _ = dgesdd(covariance)
+    u, singular, vt = np.linalg.svd(covariance)
     smallest = float(singular[2])
     if (_determinant(u) < 0.0) != (_determinant(vt) < 0.0):
         # The sign goes to the smallest singular value: there a flip costs least, and nothing when points are coplanar.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from pcmrs.errors import GeometryError
 from pcmrs.spatial import Floats
@@ -36,6 +35,8 @@ class TriangleSurface:
         self._corners = corners[solid]
         self._corner_normals = _vertex_normals(np.asarray(faces, dtype=np.int64), crosses)[solid]
         middles = self._corners.mean(axis=1)
+        from scipy.spatial import cKDTree  # takes longer to load than all else here; the daemon needs no tree
+
         self._tree = cKDTree(middles)
         self._reach = float(np.linalg.norm(self._corners - middles[:, None], axis=2).max())
 

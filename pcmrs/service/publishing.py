@@ -35,7 +35,6 @@ from pcmrs.messages.setup import ProcedureDataView, Setup
 from pcmrs.service import setup_view
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.tms.data import Data
 
 LARGEST_PAGE = 500
 PAGE_BYTES = 1024 * 1024
@@ -69,8 +68,9 @@ class Publishing:
         registration = data.registered.body_ref_from_image if data.registered is not None else None
         self._publish_new("state/target", Target(plan=data.plan_id, pose=data.plan, body_ref_from_image=registration))
         self._publish_new("state/data", setup_view.gathered(cell, data))
-        if isinstance(data, Data) and data.epoch is not None:
-            self._publish_new("state/epoch", data.epoch)
+        epoch = data.newest_epoch()
+        if epoch is not None:
+            self._publish_new("state/epoch", epoch)
 
     def _publish_new(self, key: str, message: Message) -> None:
         if self._shown.get(key) != message:

@@ -15,14 +15,12 @@ from pcmrs.messages.setup import (
     ProcedureDataView,
     Setup,
     SliceShown,
-    StimulationShown,
     SurfaceShown,
 )
 from pcmrs.settings import Settings
 from pcmrs.workflows.accuracy import active_noise_sigma
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message
-from pcmrs.workflows.tms.data import Data
 
 
 def setup_of(cell: Cell, settings: Settings, blueprint: Blueprint) -> Setup:
@@ -74,14 +72,5 @@ def gathered(cell: Cell, data: PlacementData) -> ProcedureDataView:
         plan=data.plan,
         sigma=active_noise_sigma(cell, data),
         covariance=[] if registered is None else list(registered.covariance),
-        stimulation=_stimulation(data) if isinstance(data, Data) else None,
-    )
-
-
-def _stimulation(data: Data) -> StimulationShown:
-    return StimulationShown(
-        ceiling=None if data.ceiling is None else data.ceiling.percent,
-        intensity=data.intensity,
-        response=None if data.response is None else msgspec.to_builtins(data.response),
-        hunt=None if data.hunt is None else msgspec.to_builtins(data.hunt),
+        stimulation=data.stimulation_view(),
     )

@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from pcmrs.dispatcher import ProcedureData
 from pcmrs.fsm import Blueprint, Effect
-from pcmrs.messages import BodyPose, PoseMessage
+from pcmrs.messages import BodyPose, Epoch, PoseMessage
+from pcmrs.messages.setup import StimulationShown
 from pcmrs.registration import NoiseEstimate
 from pcmrs.spatial import Floats, Transform
 
@@ -137,6 +138,14 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
         """The digitized points; empty unless every landmark has one."""
         points = tuple(point for point in self.digitized if point is not None)
         return points if self.landmarks and len(points) == len(self.landmarks) else ()
+
+    def stimulation_view(self) -> StimulationShown | None:
+        """What people are shown of the stimulation; None for a procedure without."""
+        return None
+
+    def newest_epoch(self) -> Epoch | None:
+        """Signal that the last pulse was judged by, if there is one."""
+        return None
 
 
 def settle(data: PlacementData, states: Mapping[str, str], effects: Sequence[Effect]) -> PlacementData:

@@ -171,7 +171,10 @@ def test_an_arm_folded_upon_itself_is_noticed() -> None:
 
 
 def test_points_without_a_hull_are_refused() -> None:
-    for points in (CORNERS[:3], CORNERS[:4], np.zeros((0, 3))):
+    """Coal would read memory that is not its own where Qhull finds no hull."""
+    sheet = np.random.default_rng(1).standard_normal((50, 3)) * (0.1, 0.1, 1e-9)
+    broken = np.where(np.arange(24).reshape(8, 3) == 5, np.nan, CORNERS)
+    for points in (CORNERS[:3], CORNERS[:4], np.zeros((0, 3)), np.zeros((9, 3)), sheet, broken):
         with pytest.raises(GeometryError, match="no convex hull"):
             hull(points)
 

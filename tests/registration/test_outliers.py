@@ -1,9 +1,11 @@
 """The mean-shift test over many digitizations: how often it finds, and how often it suspects what is good."""
 
 import numpy as np
+import pytest
 from landmark_layouts import HEAD, HEAD_SIGMA, off_by_10_mm
+from scipy.special import chdtri
 
-from pcmrs.registration.outliers import mean_shift_test
+from pcmrs.registration.outliers import chi_squared_limit, mean_shift_test
 from pcmrs.registration.rigid import sums_of_squares
 from pcmrs.spatial import Floats
 
@@ -30,3 +32,9 @@ def test_the_power_of_the_mean_shift_test() -> None:
     np.testing.assert_allclose([test.statistics.max() for test in tests], found[:50])
     assert 0.008 < np.mean(by_chance > tests[0].limit) <= 0.0105  # as told, or a little less; 0.0005 is one deviation
     assert np.mean(found > tests[0].limit) >= 0.745
+
+
+@pytest.mark.parametrize("degrees", [1, 2, 3, 4, 5, 6, 12, 27, 30, 100, 291])
+def test_the_limit_of_chi_squared_is_that_of_scipy(degrees: int) -> None:
+    for false_alarm in (0.5, 0.1, 0.01, 1e-3, 1e-6, 1e-12):
+        assert chi_squared_limit(degrees, false_alarm) == pytest.approx(chdtri(degrees, false_alarm), rel=1e-9)

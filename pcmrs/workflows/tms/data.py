@@ -15,6 +15,7 @@ from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
 from pcmrs.fsm import Effect
 from pcmrs.messages import Epoch, PoseMessage
+from pcmrs.messages.setup import StimulationShown
 from pcmrs.tms.hotspot import HotspotSearch
 from pcmrs.tms.mep import Mep
 from pcmrs.tms.settings import Estimate
@@ -120,6 +121,19 @@ class Data(PlacementData, frozen=True, kw_only=True):
     hotspot: PoseMessage | None = None
     hunt: MotorThresholdEstimator | None = None
     threshold: Estimate | None = None
+
+    def stimulation_view(self) -> StimulationShown:
+        """What people are shown of the stimulation."""
+        return StimulationShown(
+            ceiling=None if self.ceiling is None else self.ceiling.percent,
+            intensity=self.intensity,
+            response=None if self.response is None else msgspec.to_builtins(self.response),
+            hunt=None if self.hunt is None else msgspec.to_builtins(self.hunt),
+        )
+
+    def newest_epoch(self) -> Epoch | None:
+        """Signal that the last pulse was judged by, if there is one."""
+        return self.epoch
 
 
 Run = AnyRun[Cell, Data]

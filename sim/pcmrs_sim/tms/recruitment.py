@@ -9,12 +9,12 @@ is not the model that thresholds are estimated with.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr
 
 from pcmrs.spatial import Floats
 
@@ -111,7 +111,8 @@ class Recruitment:
     def _share(self, x: float) -> float:
         """Share of pulses with a response, of the intensity `x` above the onset, in percent."""
         needed, weights = self._needed
-        return float(weights @ ndtr((x - needed) / self.input_spread))
+        deviations = (x - needed) / (math.sqrt(2.0) * self.input_spread)
+        return float(weights @ [0.5 * math.erfc(-deviation) for deviation in deviations])
 
     @cached_property
     def _needed(self) -> tuple[Floats, Floats]:
