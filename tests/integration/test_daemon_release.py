@@ -40,9 +40,12 @@ def running_node(
 ) -> Iterator[subprocess.Popen[bytes]]:
     """A device node that no daemon has started: it outlives every one, as on another machine."""
     command = shlex.join([sys.executable, "-m", "pcmrs.cli", "node", "sim", *ARM, *as_words(settings)])
+    (endpoint,) = (setting for setting in settings if setting.startswith("cell.endpoint=tcp/"))
+    daemon = endpoint.removeprefix("cell.endpoint=tcp/").replace(":", "/")
     with (folder / "node.log").open("ab") as log:
-        # Until there is a daemon to connect to.
-        until_there = ["bash", "-c", f"until {command}; do sleep 0.1; done"]
+        # A node ends where there is no daemon to connect to; only a look at the port costs nothing.
+        looked = f"until (: </dev/tcp/{daemon}) 2>/dev/null; do sleep 0.05; done"
+        until_there = ["bash", "-c", f"until {{ {looked}; {command}; }}; do sleep 0.1; done"]
         process = subprocess.Popen(until_there, stdout=log, stderr=log, start_new_session=True)
     try:
         yield process
