@@ -12,8 +12,8 @@ FOLDERS = ("*.md", "docs/*.md", "docs/adr/*.md", "deploy/**/*.md", ".github/**/*
 """Files that are checked, as patterns below the root."""
 LEFT_OUT = ("CHANGELOG.md", "docs/evidence.md", "docs/progress.md")
 """History, a generated page, and the notes of an issue."""
-QUOTED = re.compile(r"```.*?```|`[^`\n]+`", re.DOTALL)
-"""Code and output of programs."""
+QUOTED = re.compile(r"```.*?```|`[^`\n]+`|(?<=\n\n)(?: {4}[^\n]*\n+)+", re.DOTALL)
+"""Code and output of programs in a page."""
 PHRASES = {
     r"anew": "again; restarted",
     r"(?:is|are|was|were|be|been|being) begun": "started",
