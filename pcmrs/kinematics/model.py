@@ -69,7 +69,7 @@ class ArmModel:
         )
         return np.asarray(jacobian)
 
-    def gap(self, base_from_flange: Transform, q: Floats) -> tuple[Floats, Floats]:
+    def pose_error_and_jacobian(self, base_from_flange: Transform, q: Floats) -> tuple[Floats, Floats]:
         """What is left of the way to a pose, and how the joints change it; `q` as from `joint_array`.
 
         Returns:

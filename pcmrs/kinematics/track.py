@@ -59,7 +59,7 @@ def descend(
     q: Floats = np.clip(start, lower, upper)
     best, best_at = np.inf, 0
     for iteration in range(_ITERATIONS):
-        error, jacobian = arm.gap(base_from_flange, q)
+        error, jacobian = arm.pose_error_and_jacobian(base_from_flange, q)
         square = float(error @ error)
         if square < 0.9 * best:
             best, best_at = square, iteration

@@ -69,7 +69,7 @@ def test_the_gap_is_what_leads_to_the_pose(name: str) -> None:
     arm = ArmModel(find_arm(name))
     for q, goal in zip(random_postures(arm, 20), random_postures(arm, 20)[::-1], strict=True):
         pose = arm.forward(goal)
-        gap, jacobian = arm.gap(pose, q)
+        gap, jacobian = arm.pose_error_and_jacobian(pose, q)
         reached = arm.forward(q)
         np.testing.assert_allclose(reached.translation + gap[:3], pose.translation, atol=1e-14)
         turn = Transform.from_rotvec((0, 0, 0), gap[3:]).rotation
