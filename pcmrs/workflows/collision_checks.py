@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
 from pcmrs.kinematics.sampled_clearance import Violation
-from pcmrs.kinematics.time_parameterization import Allowed
+from pcmrs.kinematics.time_parameterization import SpeedLimitAt
 from pcmrs.kinematics.trajectory import joint_motion, straight_motion
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
@@ -57,7 +57,7 @@ class ClearanceLimits:
         """
         samples, planned = np.asarray(positions), []
         for start in range(0, len(samples), PART):  # each part ends where the next one begins
-            planned.append(cell.zones.look_at(samples[start : start + PART + 1]).distances.min(axis=0))
+            planned.append(cell.zones.sample_clearance(samples[start : start + PART + 1]).distances.min(axis=0))
             await asyncio.sleep(0)
         return cls(cell, np.min(planned, axis=0))
 
@@ -91,7 +91,7 @@ def check_towards(cell: Cell, data: PlacementData, trajectory: JointTrajectory, 
             too deep.
     """
     update_collision_scene(cell, data)
-    passage = cell.zones.look_at(trajectory.positions)
+    passage = cell.zones.sample_clearance(trajectory.positions)
     points = np.array([cell.arm.forward(q) @ cell.flange_from_coil.translation for q in passage.postures])
     limits = cell.zones.limits_towards(base_from_target, points)
     _refuse(passage.first_violation(cell.zones.model, limits), ELSEWHERE)
@@ -105,14 +105,14 @@ def check_away(cell: Cell, data: PlacementData, trajectory: JointTrajectory) -> 
         RefusalError: It leads into a zone.
     """
     update_collision_scene(cell, data)
-    passage = cell.zones.look_at(trajectory.positions)
+    passage = cell.zones.sample_clearance(trajectory.positions)
     _refuse(passage.first_approach(cell.zones.model, cell.zones.retreat_limits), BACK)
 
 
 def check_postures(cell: Cell, *postures: Floats) -> None:
     """Refuses postures in a zone, rad, (n,) each; the zones are where `update_collision_scene` has placed them last."""
     for posture in postures:
-        _refuse(cell.zones.look_at([posture]).first_violation(cell.zones.model, cell.zones.limits), ELSEWHERE)
+        _refuse(cell.zones.sample_clearance([posture]).first_violation(cell.zones.model, cell.zones.limits), ELSEWHERE)
 
 
 def update_collision_scene(cell: Cell, data: PlacementData) -> None:
@@ -122,7 +122,7 @@ def update_collision_scene(cell: Cell, data: PlacementData) -> None:
     if data.registered is not None:
         cell.remember_registered(data.registered)
     if cell.base_from_tracker is not None and cell.base_from_body_ref is not None:
-        cell.zones.model.look_from(cell.base_from_tracker.translation, cell.base_from_body_ref.translation)
+        cell.zones.model.set_sight_lines(cell.base_from_tracker.translation, cell.base_from_body_ref.translation)
     earlier = earlier_registration(cell, data)
     cell.earlier_body_ref_from_image = None if earlier is None else as_transform(earlier.body_ref_from_image)
     body_ref_from_image = cell.body_ref_from_image or cell.earlier_body_ref_from_image
@@ -133,7 +133,7 @@ def update_collision_scene(cell: Cell, data: PlacementData) -> None:
 def place_body(cell: Cell, base_from_tracker: Transform, base_from_body_ref: Transform) -> None:
     """Places a body that moves, and the lines of sight to it."""
     cell.base_from_body_ref = base_from_body_ref
-    cell.zones.model.look_from(base_from_tracker.translation, base_from_body_ref.translation)
+    cell.zones.model.set_sight_lines(base_from_tracker.translation, base_from_body_ref.translation)
     if cell.body_ref_from_image is not None:
         cell.zones.place_body(base_from_body_ref @ cell.body_ref_from_image)
 
@@ -147,7 +147,7 @@ def plan_joint_path(run: AnyRun[Cell, P], start: npt.ArrayLike, goal: npt.ArrayL
     cell = run.cell
     update_collision_scene(cell, run.data)
     limits, coil, allowed = cell.motion_limits(), cell.flange_from_coil, _allowed(cell)
-    return joint_motion(cell.arm, start, goal, limits, flange_from_tool=coil, allowed=allowed)
+    return joint_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=allowed)
 
 
 def plan_linear_path(
@@ -164,10 +164,10 @@ def plan_linear_path(
     if near:
         limits = replace(limits, linear_velocity=min(limits.linear_velocity, motion.near_velocity))
     goal, coil = cell.flange_for(base_from_coil), cell.flange_from_coil
-    return straight_motion(cell.arm, start, goal, limits, flange_from_tool=coil, allowed=_allowed(cell))
+    return straight_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=_allowed(cell))
 
 
-def _allowed(cell: Cell) -> Allowed:
+def _allowed(cell: Cell) -> SpeedLimitAt:
     motion = cell.settings.motion
 
     def allowed(postures: Floats) -> Floats:

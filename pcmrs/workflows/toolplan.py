@@ -185,7 +185,7 @@ def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Itera
 def _ball_around_body(cell: Cell) -> Floats | None:
     """Centre and radius of the body, (4,), m, robot base, as in the collision scene; None without a surface."""
     model = cell.zones.model
-    return model.ball(BODY) if model.of_zone(BODY).any() else None
+    return model.bounding_sphere(BODY) if model.pairs_of_zone(BODY).any() else None
 
 
 def _seeds(cell: Cell) -> Iterator[Floats]:

@@ -12,7 +12,7 @@ from pcmrs.formats.mesh import Mesh
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.collision import Solid, box, hull
 from pcmrs.kinematics.cone import ApproachCone
-from pcmrs.kinematics.sampled_clearance import BOUND, SampledClearance, look_at
+from pcmrs.kinematics.sampled_clearance import BOUND, SampledClearance, sample_clearance
 from pcmrs.kinematics.zones import SIGHT_OF_BODY, SIGHT_OF_TOOL, ToolShape, Zone, ZoneModel
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.settings import ProcedureSettings, ToolSettings, ZoneSettings
@@ -57,9 +57,9 @@ class CellZones:
         for fixed in zones.boxes:
             self.model.place(fixed.name, Transform.identity())
         self.limits = self.model.limits
-        sights = self.model.of_zone(SIGHT_OF_TOOL) | self.model.of_zone(SIGHT_OF_BODY)
+        sights = self.model.pairs_of_zone(SIGHT_OF_TOOL) | self.model.pairs_of_zone(SIGHT_OF_BODY)
         self.retreat_limits = np.where(sights, -np.inf, self.limits)
-        self._of_body = self.model.of_zone(BODY)
+        self._of_body = self.model.pairs_of_zone(BODY)
         self.limits_afar = np.where(self._of_body, zones.body_margin, self.limits)
         self.cone = _cone(zones, settings.placement.nudge_limit_mm / 1000.0)
 
@@ -68,9 +68,9 @@ class CellZones:
         if self._of_body.any():
             self.model.place(BODY, base_from_image)
 
-    def look_at(self, positions: npt.ArrayLike) -> SampledClearance:
+    def sample_clearance(self, positions: npt.ArrayLike) -> SampledClearance:
         """A motion past the zones: joint positions rad, (N, n)."""
-        return look_at(self.model, self._facts, self._tool_reach, positions)
+        return sample_clearance(self.model, self._facts, self._tool_reach, positions)
 
     def limits_towards(self, base_from_target: Transform, points: Floats) -> Floats:
         """Distance that each pair keeps with the tool at points (L, 3) in the base on its way to a target, m, (L, P).

@@ -85,7 +85,7 @@ def test_origins_are_those_of_the_chain(name: str) -> None:
         for joint, angle in zip(arm.facts.joints, q, strict=True):
             pose = pose @ joint.parent_from_joint @ Transform.from_rotvec((0, 0, 0), (0, 0, angle))
             origins.append(pose.translation)
-        np.testing.assert_allclose(arm.origins(q), origins, atol=1e-14)
+        np.testing.assert_allclose(arm.joint_origins(q), origins, atol=1e-14)
 
 
 @every_arm
@@ -107,7 +107,7 @@ def test_a_joint_out_of_its_limits_is_named(name: str) -> None:
 def test_malformed_joints_are_refused(name: str) -> None:
     arm = ArmModel(find_arm(name))
     for bad in (np.zeros(arm.joints - 1), np.full(arm.joints, np.nan)):
-        for method in (arm.forward, arm.jacobian, arm.check_limits, arm.origins):
+        for method in (arm.forward, arm.jacobian, arm.check_limits, arm.joint_origins):
             with pytest.raises(GeometryError, match=f"{arm.joints} finite numbers"):
                 method(bad)
 

@@ -36,10 +36,10 @@ async def test_parts_find_what_the_whole_way_shows(cell: Cell) -> None:
     turn = np.array([0.9, 0.4, 0.0, -0.5, 0.0, 0.3, 0.0])
     way = home + np.linspace(0.0, 1.0, SAMPLES)[:, None] * turn
     floors = await ClearanceLimits.along(cell, way)
-    planned = cell.zones.look_at(way).distances.min(axis=0)
+    planned = cell.zones.sample_clearance(way).distances.min(axis=0)
     np.testing.assert_allclose(floors._floors, ClearanceLimits(cell, planned)._floors, atol=2e-3)
     at_home = ClearanceLimits.at(cell, home)._floors
-    np.testing.assert_allclose(at_home, ClearanceLimits(cell, cell.zones.look_at([home]).distances[0])._floors)
+    np.testing.assert_allclose(at_home, ClearanceLimits(cell, cell.zones.sample_clearance([home]).distances[0])._floors)
 
 
 async def test_the_loop_goes_on_between_the_parts(cell: Cell) -> None:
