@@ -1,4 +1,4 @@
-"""Which poses of a moving pointer or arm are worth keeping, and when there are enough of them."""
+"""Collection of calibration poses: which poses of a moving pointer or arm to keep, and when there are enough."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ from pcmrs.registration.pose_sets import turning
 from pcmrs.spatial import Transform, rotation_angle
 
 
-class Gathering:
-    """Poses that differ from one another, until they turn enough.
+class PoseCollection:
+    """Poses that differ from each other, collected until their rotations vary enough.
 
     Args:
-        count: So many are wanted at least.
-        spread: Least rms rotation about the axis they turn about least, rad; see `turning`.
-        step: A pose turned by less than this from every one that was taken says nothing new, rad.
+        count: Least number of poses.
+        spread: Least rms rotation about the axis about which the poses turn least, rad; see `turning`.
+        step: Least rotation of a new pose from each of the collected ones, rad.
+
+    Attributes:
+        poses: Collected poses.
     """
 
     def __init__(self, count: int, spread: float, step: float) -> None:
@@ -25,17 +28,17 @@ class Gathering:
 
     @property
     def spread(self) -> float:
-        """Rms rotation about the axis the poses turn about least, rad."""
+        """Rms rotation about the axis about which the poses turn least, rad."""
         rotations = [pose.rotation for pose in self.poses]
         return float(np.arcsin(min(1.0, turning(rotations).singular_values[2]))) if len(rotations) > 1 else 0.0
 
     @property
     def progress(self) -> float:
-        """From 0 to 1: enough poses, and turned enough."""
+        """Progress from 0 to 1, which is reached when there are enough poses and they turn enough."""
         return min(1.0, len(self.poses) / self._count, self.spread / self._wanted)
 
     def is_new(self, pose: Transform) -> bool:
-        """Whether the pose says something new."""
+        """Return True if the pose is turned far enough from every collected one."""
         return all(rotation_angle(pose, known) >= self._step for known in self.poses)
 
     def __str__(self) -> str:
