@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcmrs.registration.pose_sets import turning
+from pcmrs.registration.pose_sets import rotation_spread
 from pcmrs.spatial import Transform, rotation_angle
 
 
@@ -13,7 +13,7 @@ class PoseCollection:
 
     Args:
         count: Least number of poses.
-        spread: Least rms rotation about the axis about which the poses turn least, rad; see `turning`.
+        spread: Least rms rotation about the axis about which the poses turn least, rad; see `rotation_spread`.
         step: Least rotation of a new pose from each of the collected ones, rad.
 
     Attributes:
@@ -30,7 +30,7 @@ class PoseCollection:
     def spread(self) -> float:
         """Rms rotation about the axis about which the poses turn least, rad."""
         rotations = [pose.rotation for pose in self.poses]
-        return float(np.arcsin(min(1.0, turning(rotations).singular_values[2]))) if len(rotations) > 1 else 0.0
+        return float(np.arcsin(min(1.0, rotation_spread(rotations).singular_values[2]))) if len(rotations) > 1 else 0.0
 
     @property
     def progress(self) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import PcmrsError, RefusalError
-from pcmrs.registration import spread_of
+from pcmrs.registration import rms_spread
 from pcmrs.spatial import Floats
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
@@ -61,7 +61,7 @@ async def touch(run: Run, asked: Awaitable[None], what: str) -> Touched:
             await cell.pointer.release()
     tip = cell.pointer_from_tip.translation
     tips = np.array([frame["body_ref"].inverse() @ (frame["pointer"] @ tip) for frame in frames])
-    return Touched(tips.mean(axis=0), _held_still(spread_of(tips), settings.spread_limit_mm, what), since)
+    return Touched(tips.mean(axis=0), _held_still(rms_spread(tips), settings.spread_limit_mm, what), since)
 
 
 def _held_still(spread: float, limit_mm: float, what: str) -> float:
