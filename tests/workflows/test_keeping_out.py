@@ -343,7 +343,7 @@ def test_a_phantom_is_no_patient() -> None:
 @pytest.mark.parametrize("name", ["body", "tool", "sight_of_tool"])
 def test_boxes_have_names_of_their_own(name: str) -> None:
     box = {"name": name, "pose": {}, "size": [0.1, 0.1, 0.1]}
-    with pytest.raises(msgspec.ValidationError, match="names of their own"):
+    with pytest.raises(msgspec.ValidationError, match="a unique name"):
         msgspec.convert({"zones": {"boxes": [box]}}, ProcedureSettings)
 
 
