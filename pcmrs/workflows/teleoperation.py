@@ -2,22 +2,151 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+
+from pcmrs.dispatcher import Activity as AnyActivity
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
-from pcmrs.spatial import Frame
-from pcmrs.workflows.alignment import BODIES
+from pcmrs.messages import TeleopSetpoint, TeleopStatus
+from pcmrs.spatial import Floats, Frame, Transform
+from pcmrs.workflows.alignment import BODIES, desired_in_body_ref
+from pcmrs.workflows.body_track import BodyTrack
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import update_collision_scene
+from pcmrs.workflows.collision_checks import place_body, update_collision_scene
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.following import FIRST_FRAMES, FIRST_TIME
-from pcmrs.workflows.guiding import TELL_EVERY, Activity, Guide, Guiding, planned_in_body_ref
+from pcmrs.workflows.guided_tool import Guide
 from pcmrs.workflows.placement import check_at_present_plan
+from pcmrs.workflows.setpoints import Admission
 
+Activity = AnyActivity[Cell, PlacementData]
 Run = AnyRun[Cell, PlacementData]
 
 BUS = "bus:"
 """What the sources of those begin with who can send set points."""
+
+FIRST = 1.0
+"""The first set point may take so much longer than the others, s: until then nothing moves."""
+TELL_EVERY = 0.02
+"""Between two statuses, s: as often as set points come."""
+
+
+class Guiding:
+    """Follows set points and the body, and waits for nothing.
+
+    Args:
+        act: On whose behalf; the arm is at rest.
+
+    Attributes:
+        guide: Says where the joints shall be.
+
+    Raises:
+        RefusalError: Tool or body are not seen, or there is no plan.
+        UnreachableError: The arm cannot go from here to its planned pose.
+    """
+
+    def __init__(self, act: Activity) -> None:
+        cell = act.cell
+        self._act, self._settings = act, cell.settings.teleoperation
+        self._body_ref_from_plan = planned_in_body_ref(cell, act.data)
+        update_collision_scene(cell, act.data)
+        graph = cell.frames(act.data)
+        self._base_from_tracker = graph.get(Frame.ROBOT_BASE, Frame.TRACKER)
+        base_from_body_ref = graph.get(Frame.ROBOT_BASE, Frame.BODY_REF)
+        self.guide = Guide(cell, base_from_body_ref @ self._body_ref_from_plan)
+        self._body = BodyTrack(cell.settings.following)
+        self._frame_number = 0
+        self._admission: Admission | None = None
+        self._heard = self._told = -math.inf
+
+    @property
+    def wanted(self) -> str | None:
+        """User whose set points the workflow wants to count; None while the clutch is open."""
+        return self._act.data.teleoperator if self._act.states["teleoperation"] == "engaged" else None
+
+    def engage(self, user: str) -> None:
+        """The clutch has been engaged: the arm stands, and set points count from now on."""
+        act, cell = self._act, self._act.cell
+        now = act.clock.monotonic()
+        self._admission = Admission(user, now, self._settings)
+        self._heard = now + FIRST
+        self._body = BodyTrack(cell.settings.following)
+        known = cell.poses.frames_after(0, BODIES)[-FIRST_FRAMES:]
+        self._frame_number = known[0]["coil"].frame_number - 1 if known else 0
+        self.guide.begin()
+
+    def release(self) -> None:
+        """The clutch has been opened."""
+        self._admission = None
+
+    def hear(self, user: str, setpoint: TeleopSetpoint) -> None:
+        """Takes a set point the moment it comes."""
+        if self._admission is not None:
+            self._admission.take(user, setpoint, self._act.clock.monotonic())
+
+    def advance(self, now: float, passed: float) -> Floats:
+        """Goes on as the newest set point asks; returns the joint velocities that lead there, rad/s, (n,).
+
+        Args:
+            now: s of the cell.
+            passed: Since the last call, s.
+
+        Raises:
+            RefusalError: No fresh set point has come, tool and body are not seen, or the body has jumped.
+        """
+        admission = self._admission
+        if admission is None:
+            raise RefusalError("not_engaged", "The clutch is open: engage it first.")
+        self._check_heard(admission, now)
+        self._see_body(now)
+        velocities = self.guide.advance(np.array(admission.twist), admission.scale.value, passed)
+        if now - self._told >= TELL_EVERY:
+            self.tell()
+        return velocities
+
+    def tell(self) -> None:
+        """Publishes how it goes."""
+        act, pose, admission = self._act, self.guide.plan_from_tool, self._admission
+        self._told = act.clock.monotonic()
+        status = TeleopStatus(
+            stamp=self._told,
+            distance=float(np.linalg.norm(pose.translation)),
+            height=float(pose.translation[2]),
+            turn=float(np.linalg.norm(pose.rotvec)),
+        )
+        act.cell.teleop.tell(status if admission is None else admission.shown(status, self.guide.limit))
+
+    def _check_heard(self, admission: Admission, now: float) -> None:
+        if admission.arrived is not None:
+            self._heard = admission.arrived
+        silence, limit = now - self._heard, self._settings.deadman
+        if silence > limit:
+            text = (
+                f"No set point of {admission.user} was admitted for {silence:.3f} s, the limit is {limit:g} s "
+                f"(refused: {dict(admission.refused) or 'none'}). Look at the cell, acknowledge there, then back off."
+            )
+            raise RefusalError("teleoperator_lost", text, user=admission.user, silence=silence, limit=limit)
+
+    def _see_body(self, now: float) -> None:
+        """Takes where the tracker sees the body: the plan and the zones go with it."""
+        cell = self._act.cell
+        for frame in cell.poses.frames_after(self._frame_number, BODIES):
+            self._frame_number = frame["coil"].frame_number
+            self._body.take(frame)
+        base_from_body_ref = self._base_from_tracker @ self._body.pose(self._body.stamp(now))
+        place_body(cell, self._base_from_tracker, base_from_body_ref)
+        self.guide.see(base_from_body_ref @ self._body_ref_from_plan)
+
+
+def planned_in_body_ref(cell: Cell, data: PlacementData) -> Transform:
+    """``body_ref_from_coil`` as planned and nudged. Raises `RefusalError` where there is no plan or registration."""
+    planned = desired_in_body_ref(cell, data)
+    if planned is None:
+        raise RefusalError("not_registered", "There is no registration and plan to guide the tool near.")
+    return planned
 
 
 def guide_possible(run: Run) -> None:

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.spatial import Floats, Transform
+from pcmrs.workflows.guided_tool import PlanLimits
 from pcmrs.workflows.setpoints import within
 from pcmrs.workflows.settings import TeleoperationSettings
-from pcmrs.workflows.toolplan import PlanLimits
 
 SETTINGS = TeleoperationSettings(range=0.03, turn_deg=10.0)
 PERIOD = SETTINGS.period

@@ -13,8 +13,7 @@ from pcmrs.bus.codec import pack, unpack
 from pcmrs.errors import PayloadError
 from pcmrs.messages import TeleopSetpoint
 from pcmrs.messages.teleop import AT_REST, Twist
-from pcmrs.workflows.latency import Latency, SpeedScale
-from pcmrs.workflows.setpoints import Admission
+from pcmrs.workflows.setpoints import Admission, Latency, SpeedScale
 from pcmrs.workflows.settings import TeleoperationSettings
 
 SETTINGS = TeleoperationSettings()

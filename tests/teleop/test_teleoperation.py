@@ -18,8 +18,9 @@ from pcmrs.messages.teleop import AT_REST, Twist
 from pcmrs.spatial import Floats, Frame, distance, rotation_angle
 from pcmrs.workflows import read_workflow
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.guiding import Activity, Guide, Guiding, planned_in_body_ref
+from pcmrs.workflows.guided_tool import Guide
 from pcmrs.workflows.settings import TeleoperationSettings
+from pcmrs.workflows.teleoperation import Activity, Guiding, planned_in_body_ref
 from pcmrs.workflows.zones import BODY
 
 SETTINGS = TeleoperationSettings()
