@@ -8,9 +8,9 @@ from __future__ import annotations
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.files.load import as_written
-from pcmrs.workflows.find import Place, find_workflow
+from pcmrs.workflows.find import WorkflowFiles, find_workflow
 
-__all__ = ["Place", "find_workflow", "read_workflow"]
+__all__ = ["WorkflowFiles", "find_workflow", "read_workflow"]
 
 
 def read_workflow(name: str) -> Blueprint:

@@ -15,7 +15,7 @@ from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Registered, as_transform
 
-LEAST_NOISE, MOST_NOISE = 0.5, 1.5
+MIN_NOISE_RATIO, MAX_NOISE_RATIO = 0.5, 1.5
 """Times the prior: no estimate leaves these bounds. What an accepted registration leaves over was accepted under the
 noise in force then, so an estimate that fed on itself could grow step by step until it explains any wrong landmark;
 and one that luck has made small would refuse good ones."""
@@ -33,7 +33,9 @@ def active_noise_sigma(cell: Cell, data: PlacementData) -> float:
     settings = cell.settings.registration
     prior = settings.sigma_mm / 1000.0
     estimate = data.noise.get(pointer_id(cell), NoiseEstimate())
-    return float(np.clip(estimate.sigma(prior, settings.sigma_degrees), LEAST_NOISE * prior, MOST_NOISE * prior))
+    return float(
+        np.clip(estimate.sigma(prior, settings.sigma_degrees), MIN_NOISE_RATIO * prior, MAX_NOISE_RATIO * prior)
+    )
 
 
 def learn_noise(cell: Cell, data: PlacementData, distances: Floats) -> dict[str, NoiseEstimate]:
@@ -50,7 +52,7 @@ def learn_noise(cell: Cell, data: PlacementData, distances: Floats) -> dict[str,
     return data.noise | {pointer: known.with_residuals(distances, len(distances))}
 
 
-def limits_in_force(cell: Cell, data: PlacementData) -> RegistrationLimits:
+def active_limits(cell: Cell, data: PlacementData) -> RegistrationLimits:
     """What a registration must keep now."""
     settings = cell.settings.registration
     return RegistrationLimits(

@@ -21,19 +21,19 @@ from pcmrs.workflows.settings import AlignmentSettings
 
 Activity = AnyActivity[Cell, PlacementData]
 Run = AnyRun[Cell, PlacementData]
-Exposure = dict[str, Sighting]
+TrackerFrame = dict[str, Sighting]
 """One frame of the tracker that shows tool and body."""
 
 BODIES = ("coil", "body_ref")
 WATCHING = {"placed": "watch_alignment", "following": "follow_head"}
 """The activity that watches in each state of the placement."""
-LOOKS = 5
+CHECKS_PER_LOSS = 5
 """Within the time after which alignment is lost; by default a look takes less time than a frame of the tracker."""
-LEAST_PAUSE = 0.02
+MIN_PAUSE = 0.02
 """Between two looks, s."""
-SHOW_EVERY = 0.5
+PUBLISH_INTERVAL = 0.5
 """Each showing publishes a snapshot, s."""
-ASK_EVERY = 0.25
+REPEAT_INTERVAL = 0.25
 """An event that was refused is posted again this long after it was posted, s; one that still waits is not."""
 
 
@@ -67,8 +67,8 @@ class AlignmentGate:
         return self.open
 
 
-def _since(begun: float | None, time: float) -> float:
-    return time if begun is None else begun
+def _since(started_at: float | None, time: float) -> float:
+    return time if started_at is None else started_at
 
 
 class AlignmentWatch:
@@ -85,32 +85,32 @@ class AlignmentWatch:
         self._act = act
         self._gate = AlignmentGate(act.cell.settings.alignment)
         self._error: tuple[float, float] | None = None
-        self._asked_for: bool | None = None
-        self._answer: asyncio.Future[Verdict] | None = None
-        self._seen = self._asked = self._shown = -math.inf
+        self._requested: bool | None = None
+        self._request: asyncio.Future[Verdict] | None = None
+        self._seen_at = self._requested_at = self._published_at = -math.inf
 
-    def take(self, frame: Exposure, measured_from_desired: Transform) -> None:
+    def take(self, frame: TrackerFrame, measured_from_desired: Transform) -> None:
         """Takes the error of a frame."""
-        self._error, self._seen = size_of(measured_from_desired), frame["coil"].captured
+        self._error, self._seen_at = size_of(measured_from_desired), frame["coil"].captured
 
-    def look(self, **values: Any) -> None:
+    def evaluate(self, **values: Any) -> None:
         """Decides on what is known now; `values` are shown beside the error."""
         act, now = self._act, self._act.clock.monotonic()
-        if now - self._seen > act.cell.settings.following.longest_gap:
+        if now - self._seen_at > act.cell.settings.following.longest_gap:
             self._error = None
         aligned = self._gate.update(now, self._error)
-        anew = aligned != self._asked_for  # only repeats wait: the gate closes at once after it has opened
-        if aligned != (act.states["alignment"] == "1") and (anew or self._may_repeat(now)):
-            self._asked, self._asked_for = now, aligned
-            self._answer = act.post("alignment", "within" if aligned else "outside")
-        if now - self._shown >= SHOW_EVERY:
-            self._shown = now
+        changed = aligned != self._requested  # only repeats wait: the gate closes at once after it has opened
+        if aligned != (act.states["alignment"] == "1") and (changed or self._may_repeat(now)):
+            self._requested_at, self._requested = now, aligned
+            self._request = act.post("alignment", "within" if aligned else "outside")
+        if now - self._published_at >= PUBLISH_INTERVAL:
+            self._published_at = now
             error_mm, error_deg = self._error or (None, None)
             act.show(error_mm=_rounded(error_mm), error_deg=_rounded(error_deg), **values)
 
     def _may_repeat(self, now: float) -> bool:
         """While a motion holds the branch, an event waits for it: repeats would only be refused after it."""
-        return now - self._asked >= ASK_EVERY and (self._answer is None or self._answer.done())
+        return now - self._requested_at >= REPEAT_INTERVAL and (self._request is None or self._request.done())
 
 
 def _rounded(value: float | None) -> float | None:
@@ -124,7 +124,7 @@ def desired_in_body_ref(cell: Cell, data: PlacementData) -> Transform | None:
     return as_transform(data.registered.body_ref_from_image) @ target(data, cell.settings.placement.confirm_offset)
 
 
-def measured_from_desired(frame: Exposure, body_ref_from_coil: Transform) -> Transform:
+def measured_from_desired(frame: TrackerFrame, body_ref_from_coil: Transform) -> Transform:
     """What the tool's pose is wrong by in a frame, along its own axes."""
     tracker_from_desired = frame["body_ref"].tracker_from_body @ body_ref_from_coil
     return frame["coil"].tracker_from_body.inverse() @ tracker_from_desired
@@ -139,8 +139,8 @@ async def watch_alignment(act: Activity) -> None:
             desired = desired_in_body_ref(act.cell, act.data)
             if desired is not None:
                 watch.take(frame, measured_from_desired(frame, desired))
-        watch.look()
-        await act.clock.sleep(max(LEAST_PAUSE, act.cell.settings.alignment.off_time / LOOKS))
+        watch.evaluate()
+        await act.clock.sleep(max(MIN_PAUSE, act.cell.settings.alignment.off_time / CHECKS_PER_LOSS))
 
 
 def seen_by_present_watch(run: Run) -> None:

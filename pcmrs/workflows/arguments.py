@@ -21,16 +21,16 @@ NAME = r"\A(?=.*\w)[^\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]+\
 PersonName = Annotated[str, msgspec.Meta(max_length=100, pattern=NAME)]
 
 
-FARTHEST = 1.0
+MAX_COORDINATE = 1.0
 """A coordinate farther than this from the origin of the image (m) was probably given in mm."""
 
 
 def check_metres(points: npt.ArrayLike) -> None:
     """Refuses coordinates in the image that are too large to be in m, (..., 3). Raises `RefusalError`."""
     farthest = float(np.abs(points).max())
-    if farthest > FARTHEST:
-        text = f"A coordinate is {farthest:g} m; the limit is {FARTHEST:g} m. Were these millimetres?"
-        raise RefusalError("wrong_unit", text, value=farthest, limit=FARTHEST)
+    if farthest > MAX_COORDINATE:
+        text = f"A coordinate is {farthest:g} m; the limit is {MAX_COORDINATE:g} m. Were these millimetres?"
+        raise RefusalError("wrong_unit", text, value=farthest, limit=MAX_COORDINATE)
 
 
 class Retreat(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

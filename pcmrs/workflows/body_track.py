@@ -10,12 +10,12 @@ import numpy as np
 from pcmrs.errors import RefusalError
 from pcmrs.spatial import Transform
 from pcmrs.spatial.prediction import PosePredictor
-from pcmrs.workflows.alignment import Exposure
+from pcmrs.workflows.alignment import TrackerFrame
 from pcmrs.workflows.settings import FollowingSettings
 
-SLOW = 1e-6
+MIN_SPEED = 1e-6
 """No limit for what is slower, m/s."""
-STAMPS = 256
+CLOCK_FRAMES = 256
 """Frames by which the clocks of tracker and cell are compared: over four seconds two clocks drift by less than 1 ms."""
 
 
@@ -29,10 +29,10 @@ class BodyTrack:
     def __init__(self, settings: FollowingSettings) -> None:
         self._settings = settings
         self._predictor = PosePredictor()
-        self._delays: deque[float] = deque(maxlen=STAMPS)
-        self._newest: Exposure | None = None
+        self._delays: deque[float] = deque(maxlen=CLOCK_FRAMES)
+        self._newest: TrackerFrame | None = None
 
-    def take(self, frame: Exposure) -> float:
+    def take(self, frame: TrackerFrame) -> float:
         """Takes a frame, and returns how much later than the one before it was exposed, s; 0 for the first.
 
         Raises:
@@ -67,7 +67,7 @@ class BodyTrack:
         # The quickest of many frames tells how the two clocks differ; others were on their way for longer.
         ahead = time - min(self._delays) + settings.lead - newest["body_ref"].exposed
         speed = float(np.linalg.norm(self._predictor.velocity))
-        return newest["body_ref"].exposed + min(ahead, settings.farthest_lead / max(speed, SLOW))
+        return newest["body_ref"].exposed + min(ahead, settings.farthest_lead / max(speed, MIN_SPEED))
 
     def pose(self, stamp: float) -> Transform:
         """``tracker_from_body_ref`` at a time of `stamp`. Raises `RefusalError`: see `PosePredictor.at`."""

@@ -17,11 +17,11 @@ from pcmrs.dispatcher.workflow import Settle
 from pcmrs.errors import ConfigurationError
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, settle
-from pcmrs.workflows.find import Place
+from pcmrs.workflows.find import WorkflowFiles
 
 
 @dataclass(frozen=True, slots=True)
-class Code:
+class WorkflowCode:
     """What a workflow's Python file says.
 
     Attributes:
@@ -35,27 +35,27 @@ class Code:
     settle: Settle[PlacementData] = settle
 
 
-def load_code(place: Place) -> Code:
+def load_code(files: WorkflowFiles) -> WorkflowCode:
     """Runs the Python file of a workflow, if there is one; it is trusted like any other program of the user's.
 
     Raises:
         ConfigurationError: It cannot be run or is no such file; the text names the file and the line.
     """
-    if not place.code.is_file():
-        return Code()
-    module = add_source_location(place.code, _import, place)
+    if not files.code.is_file():
+        return WorkflowCode()
+    module = add_source_location(files.code, _import, files)
     register, data = getattr(module, "register", None), getattr(module, "Data", PlacementData)
     if not callable(register):
-        raise ConfigurationError(f"{place.code}: defines no function register(registry): add it.", file=str(place.code))
+        raise ConfigurationError(f"{files.code}: defines no function register(registry): add it.", file=str(files.code))
     if not (isinstance(data, type) and issubclass(data, PlacementData)):
         raise ConfigurationError(
-            f"{place.code}: Data is no subclass of PlacementData: make it one.", file=str(place.code)
+            f"{files.code}: Data is no subclass of PlacementData: make it one.", file=str(files.code)
         )
     fits = getattr(module, "settle", settle)
     if not callable(fits):
-        text = f"{place.code}: settle is no function settle(data, states, effects): make it one."
-        raise ConfigurationError(text, file=str(place.code))
-    return Code(register, data, fits)
+        text = f"{files.code}: settle is no function settle(data, states, effects): make it one."
+        raise ConfigurationError(text, file=str(files.code))
+    return WorkflowCode(register, data, fits)
 
 
 def add_source_location(file: Path, function: Callable[..., Any], *arguments: Any) -> Any:
@@ -73,13 +73,13 @@ def add_source_location(file: Path, function: Callable[..., Any], *arguments: An
         raise ConfigurationError(text, file=str(file), line=line) from error
 
 
-def _import(place: Place) -> ModuleType:
-    if place.module:
-        return importlib.import_module(place.module)
-    name = f"pcmrs_workflow_{place.code.stem}"
-    spec = importlib.util.spec_from_file_location(name, place.code)
+def _import(files: WorkflowFiles) -> ModuleType:
+    if files.module:
+        return importlib.import_module(files.module)
+    name = f"pcmrs_workflow_{files.code.stem}"
+    spec = importlib.util.spec_from_file_location(name, files.code)
     if spec is None or spec.loader is None:
-        raise ImportError(f"{place.code} is no Python file")
+        raise ImportError(f"{files.code} is no Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses and msgspec look up their own module there
     spec.loader.exec_module(module)

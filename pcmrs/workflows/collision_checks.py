@@ -20,12 +20,11 @@ from pcmrs.kinematics.time_parameterization import SpeedLimitAt
 from pcmrs.kinematics.trajectory import joint_motion, straight_motion
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
-from pcmrs.spatial import Floats as Numbers
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
 from pcmrs.workflows.earlier_body import earlier_registration
 
-PART = 32
+SAMPLES_PER_PART = 32
 """So many samples of a motion are looked at in one go, which takes about a millisecond."""
 
 
@@ -37,35 +36,36 @@ class ClearanceLimits:
         planned: Least distance of every pair along the planned motion, m, (P,).
     """
 
-    def __init__(self, cell: Cell, planned: Numbers) -> None:
+    def __init__(self, cell: Cell, planned: Floats) -> None:
         zones = cell.zones
         self._model = zones.model
         # A tool that is planned to come near the body may touch it; any other keeps off it.
         limits = np.where(planned < zones.limits_afar, zones.limits, zones.limits_afar)
-        self._floors = np.minimum(limits, planned) - cell.settings.zones.drift_limit
+        self._limits = np.minimum(limits, planned) - cell.settings.zones.drift_limit
 
     @classmethod
-    def at(cls, cell: Cell, posture: npt.ArrayLike) -> Self:
+    def at_posture(cls, cell: Cell, posture: npt.ArrayLike) -> Self:
         """Of an arm that stands at a posture, rad, (n,)."""
         return cls(cell, cell.zones.model.distances(posture))
 
     @classmethod
-    async def along(cls, cell: Cell, positions: npt.ArrayLike) -> Self:
+    async def along_motion(cls, cell: Cell, positions: npt.ArrayLike) -> Self:
         """Of a planned motion, rad, (N, n).
 
         A long one takes tens of milliseconds, and Stop may wait for the event loop no longer than a few of them.
         """
         samples, planned = np.asarray(positions), []
-        for start in range(0, len(samples), PART):  # each part ends where the next one begins
-            planned.append(cell.zones.sample_clearance(samples[start : start + PART + 1]).distances.min(axis=0))
+        for start in range(0, len(samples), SAMPLES_PER_PART):  # each part ends where the next one begins
+            part = samples[start : start + SAMPLES_PER_PART + 1]
+            planned.append(cell.zones.sample_clearance(part).distances.min(axis=0))
             await asyncio.sleep(0)
         return cls(cell, np.min(planned, axis=0))
 
-    def passed(self, positions: npt.ArrayLike) -> RefusalError | None:
+    def violation(self, positions: npt.ArrayLike) -> RefusalError | None:
         """Why an arm with its joints there, rad, (n,), is to be held, if it is."""
         distances = self._model.distances(positions)
-        pair = int(np.argmin(distances - self._floors))
-        floor = float(self._floors[pair])
+        pair = int(np.argmin(distances - self._limits))
+        floor = float(self._limits[pair])
         if distances[pair] >= floor:
             return None
         found = self._model.clearance(distances, pair)
@@ -79,8 +79,8 @@ class ClearanceLimits:
 
 P = TypeVar("P", bound=PlacementData)
 
-ELSEWHERE = "Go home first, or plan another pose."
-BACK = "Bring the arm away by hand, with the robot's own controls."
+OTHER_PATH_ADVICE = "Go home first, or plan another pose."
+MANUAL_ADVICE = "Bring the arm away by hand, with the robot's own controls."
 
 
 def check_towards(cell: Cell, data: PlacementData, trajectory: JointTrajectory, base_from_target: Transform) -> None:
@@ -91,11 +91,11 @@ def check_towards(cell: Cell, data: PlacementData, trajectory: JointTrajectory, 
             too deep.
     """
     update_collision_scene(cell, data)
-    passage = cell.zones.sample_clearance(trajectory.positions)
-    points = np.array([cell.arm.forward(q) @ cell.flange_from_coil.translation for q in passage.postures])
+    sampled = cell.zones.sample_clearance(trajectory.positions)
+    points = np.array([cell.arm.forward(q) @ cell.flange_from_coil.translation for q in sampled.postures])
     limits = cell.zones.limits_towards(base_from_target, points)
-    _refuse(passage.first_violation(cell.zones.model, limits), ELSEWHERE)
-    _check_inside_cone(cell, passage.postures, points, base_from_target)
+    _refuse(sampled.first_violation(cell.zones.model, limits), OTHER_PATH_ADVICE)
+    _check_inside_cone(cell, sampled.postures, points, base_from_target)
 
 
 def check_away(cell: Cell, data: PlacementData, trajectory: JointTrajectory) -> None:
@@ -105,14 +105,15 @@ def check_away(cell: Cell, data: PlacementData, trajectory: JointTrajectory) -> 
         RefusalError: It leads into a zone.
     """
     update_collision_scene(cell, data)
-    passage = cell.zones.sample_clearance(trajectory.positions)
-    _refuse(passage.first_approach(cell.zones.model, cell.zones.retreat_limits), BACK)
+    sampled = cell.zones.sample_clearance(trajectory.positions)
+    _refuse(sampled.first_approach(cell.zones.model, cell.zones.retreat_limits), MANUAL_ADVICE)
 
 
 def check_postures(cell: Cell, *postures: Floats) -> None:
     """Refuses postures in a zone, rad, (n,) each; the zones are where `update_collision_scene` has placed them last."""
+    zones = cell.zones
     for posture in postures:
-        _refuse(cell.zones.sample_clearance([posture]).first_violation(cell.zones.model, cell.zones.limits), ELSEWHERE)
+        _refuse(zones.sample_clearance([posture]).first_violation(zones.model, zones.limits), OTHER_PATH_ADVICE)
 
 
 def update_collision_scene(cell: Cell, data: PlacementData) -> None:
@@ -146,8 +147,8 @@ def plan_joint_path(run: AnyRun[Cell, P], start: npt.ArrayLike, goal: npt.ArrayL
     """
     cell = run.cell
     update_collision_scene(cell, run.data)
-    limits, coil, allowed = cell.motion_limits(), cell.flange_from_coil, _allowed(cell)
-    return joint_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=allowed)
+    limits, coil, speed_limit_at = cell.motion_limits(), cell.flange_from_coil, _speed_limits(cell)
+    return joint_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=speed_limit_at)
 
 
 def plan_linear_path(
@@ -164,17 +165,17 @@ def plan_linear_path(
     if near:
         limits = replace(limits, linear_velocity=min(limits.linear_velocity, motion.near_velocity))
     goal, coil = cell.flange_for(base_from_coil), cell.flange_from_coil
-    return straight_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=_allowed(cell))
+    return straight_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=_speed_limits(cell))
 
 
-def _allowed(cell: Cell) -> SpeedLimitAt:
+def _speed_limits(cell: Cell) -> SpeedLimitAt:
     motion = cell.settings.motion
 
-    def allowed(postures: Floats) -> Floats:
+    def speed_limit_at(postures: Floats) -> Floats:
         near = cell.zones.near_body(postures, motion.near_distance)
         return np.where(near, motion.near_velocity, motion.linear_velocity)
 
-    return allowed
+    return speed_limit_at
 
 
 def _refuse(violation: Violation | None, advice: str) -> None:
@@ -199,6 +200,6 @@ def _check_inside_cone(cell: Cell, postures: Floats, points: Floats, base_from_t
         text = (
             f"The tool point would be {np.hypot(x, y) * 1000:.0f} mm beside the planned axis, {z * 1000:.0f} mm above "
             f"the target, {excess[worst] * 1000:.0f} mm outside the cone of {zones.cone_half_angle_deg:g}° in which "
-            f"the tool comes to the body, with the joints at {joints_deg}°. {ELSEWHERE}"
+            f"the tool comes to the body, with the joints at {joints_deg}°. {OTHER_PATH_ADVICE}"
         )
         raise RefusalError("outside_cone", text, excess=float(excess[worst]), height=z, joints_deg=joints_deg)

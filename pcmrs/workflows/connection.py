@@ -67,10 +67,10 @@ async def locate_arm(run: Run) -> None:
     cell.update_joints(await cell.robot.joints())
     cell.arm.check_limits(cell.posture())
     await cell.poses.collect(["coil", "body_ref"], FRAMES_TO_LOCATE, timeout=5.0)
-    run.outcome = where_clear(run)
+    run.outcome = clear_state(run)
 
 
-def where_clear(run: Run) -> str:
+def clear_state(run: Run) -> str:
     """``retracted`` where the tool is seen clear of the body, otherwise ``held``."""
     clearance = run.cell.settings.placement.clearance
     try:

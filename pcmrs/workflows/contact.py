@@ -15,18 +15,18 @@ from pcmrs.workflows.collision_checks import check_towards, plan_linear_path
 from pcmrs.workflows.data import PlacementData, Point, as_point
 from pcmrs.workflows.guard import guarded
 from pcmrs.workflows.paths import along_axis
-from pcmrs.workflows.placement import check_at_present_plan, check_nudges, nudge_of, planned
+from pcmrs.workflows.placement import check_at_present_plan, check_nudges, nudge_transform, planned
 from pcmrs.workflows.settings import PressForce
 
 Run = AnyRun[Cell, PlacementData]
 
-LEAST_TRAVEL = 0.001
+MIN_TRAVEL = 0.001
 """Less is not worth pressing, m."""
 
 ROUNDING = 1e-4
 """So far a press stays short of the deepest place, m: the joints are measured."""
 
-ENDINGS = {
+REFUSAL_TEXTS = {
     "no_contact": "The tool met nothing on its way of {travel:.1f} mm. Plan or nudge it nearer to the body.",
     "travel_limit": "After {travel:.1f} mm the force was {force:.1f} N, not {asked:g} N. Look at what gives way.",
     "timeout": "When the time was up the force was {force:.1f} N, not steadily {asked:g} N. Look at the tool.",
@@ -83,7 +83,7 @@ def _allowed_travel(cell: Cell, height: float) -> float:
     """The configured travel, or as much as is left of the depth, of a tool `height` (m) above the target, m."""
     contact, limit = cell.settings.contact, cell.settings.zones.depth_limit
     left = height + limit - ROUNDING
-    if left < LEAST_TRAVEL:
+    if left < MIN_TRAVEL:
         text = (
             f"The tool is {-height * 1000:.1f} mm beyond the target, and may go no deeper than {limit * 1000:g} mm. "
             "Nudge it away from the body, or plan another pose."
@@ -94,7 +94,7 @@ def _allowed_travel(cell: Cell, height: float) -> float:
 
 def _nudged_by(data: PlacementData, travel: float) -> Point:
     """The sum of nudges after a way towards the body along the axis of the nudged tool, m."""
-    return as_point(nudge_of(data.nudge_translation, data.nudge_rotation_zyx) @ np.array([0.0, 0.0, -travel]))
+    return as_point(nudge_transform(data.nudge_translation, data.nudge_rotation_zyx) @ np.array([0.0, 0.0, -travel]))
 
 
 def _travel(cell: Cell, way: JointTrajectory, ended: MotionResult) -> float:
@@ -107,10 +107,10 @@ def _travel(cell: Cell, way: JointTrajectory, ended: MotionResult) -> float:
 def _not_pressed(request: PressRequest, ended: MotionResult, travel: float) -> RefusalError:
     force = 0.0 if ended.force is None else ended.force
     reason = ended.reason or "held"
-    text = ENDINGS.get(reason, f"The press was stopped: {reason}.")
-    told = text.format(travel=travel * 1000.0, force=force, asked=request.force)
-    code = reason if reason in ENDINGS else "motion_stopped"
-    return RefusalError(code, told, force=force, asked=request.force, travel=travel, limit=request.travel)
+    text = REFUSAL_TEXTS.get(reason, f"The press was stopped: {reason}.")
+    message = text.format(travel=travel * 1000.0, force=force, asked=request.force)
+    code = reason if reason in REFUSAL_TEXTS else "motion_stopped"
+    return RefusalError(code, message, force=force, asked=request.force, travel=travel, limit=request.travel)
 
 
 def register_contact_operations(registry: Registry[Cell, PlacementData]) -> None:

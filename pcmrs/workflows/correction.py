@@ -38,7 +38,7 @@ async def correct_from_tracker(run: Run) -> None:
         shift_mm, turn_deg = size_of(measured_from_desired)
         rounds.append({"shift_mm": shift_mm, "turn_deg": turn_deg})
         check_correctable(measured_from_desired, limits)
-        if _decided(rounds, limits):
+        if _converged(rounds, limits):
             return
         goal = cell.arm.forward(commanded) @ cell.flange_from_coil @ measured_from_desired
         correction = plan_linear_path(run, commanded, goal, near=True)
@@ -51,7 +51,7 @@ def check_correctable(measured_from_desired: Transform, limits: PlacementSetting
     shift_mm, turn_deg = size_of(measured_from_desired)
     if shift_mm > limits.correction_limit_mm or turn_deg > limits.correction_limit_deg:
         text = (
-            f"The tracker sees the tool {_told(shift_mm, turn_deg)} from where it should be; the limits are "
+            f"The tracker sees the tool {_size_text(shift_mm, turn_deg)} from where it should be; the limits are "
             f"{limits.correction_limit_mm:g} mm and {limits.correction_limit_deg:g}°. Check the calibration, and "
             "whether the body has moved."
         )
@@ -64,11 +64,11 @@ def size_of(measured_from_desired: Transform) -> tuple[float, float]:
     return float(shift) * 1000.0, math.degrees(float(turn))
 
 
-def _told(shift_mm: float, turn_deg: float) -> str:
+def _size_text(shift_mm: float, turn_deg: float) -> str:
     return f"{shift_mm:.2f} mm and {turn_deg:.2f}°"
 
 
-def _decided(rounds: list[dict[str, float]], limits: PlacementSettings) -> bool:
+def _converged(rounds: list[dict[str, float]], limits: PlacementSettings) -> bool:
     """Whether the tool is within tolerance after these rounds. Raises `RefusalError` where no other is worth it."""
     last, before = rounds[-1], rounds[-2:][0]
     if last["shift_mm"] <= limits.tolerance_mm and last["turn_deg"] <= limits.tolerance_deg:
@@ -76,8 +76,8 @@ def _decided(rounds: list[dict[str, float]], limits: PlacementSettings) -> bool:
     grows = last["shift_mm"] > before["shift_mm"] + limits.tolerance_mm
     if grows or last["turn_deg"] > before["turn_deg"] + limits.tolerance_deg or len(rounds) > limits.corrections:
         text = (
-            f"After {len(rounds) - 1} corrections the tracker sees the tool {_told(**last)} from where it should be; "
-            f"the tolerance is {limits.tolerance_mm:g} mm and {limits.tolerance_deg:g}°. Look whether the body keeps "
+            f"After {len(rounds) - 1} corrections the tracker sees the tool {_size_text(**last)} from where it should "
+            f"be; the tolerance is {limits.tolerance_mm:g} mm and {limits.tolerance_deg:g}°. Check that the body keeps "
             "still, then back off."
         )
         raise RefusalError("not_converged", text, corrections=rounds)

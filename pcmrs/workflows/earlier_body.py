@@ -15,9 +15,9 @@ from pcmrs.workflows.arguments import Retreat
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Registered
 from pcmrs.workflows.landmarks import check_same_head
-from pcmrs.workflows.reference import LATELY, check_reference
+from pcmrs.workflows.reference import RECENT, check_reference
 
-STANDING = 0.01
+MIN_MOTION = 0.01
 """A way on which no joint goes farther leads nowhere, rad."""
 
 
@@ -27,7 +27,7 @@ def earlier_registration(cell: Cell, data: PlacementData) -> Registered | None:
         return None
     try:
         check_same_head(cell, data.previous)
-        check_reference(cell, data.previous.reference, cell.clock.monotonic() - LATELY)
+        check_reference(cell, data.previous.reference, cell.clock.monotonic() - RECENT)
     except RefusalError:
         return None
     return data.previous
@@ -43,7 +43,7 @@ def check_confirmed(run: AnyRun[Cell, PlacementData], trajectory: JointTrajector
     if data.registered is not None or cell.body_ref_from_image is not None or earlier_registration(cell, data):
         return
     positions = np.asarray(trajectory.positions)
-    if np.abs(positions - positions[0]).max() <= STANDING:
+    if np.abs(positions - positions[0]).max() <= MIN_MOTION:
         return
     if isinstance(run.payload, Retreat) and run.payload.confirm:
         run.result["body_not_registered"] = True

@@ -18,18 +18,18 @@ from pcmrs.workflows.arguments import PersonName, check_metres
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, as_message, as_transform
 from pcmrs.workflows.data import settle as settle_placement
-from pcmrs.workflows.motion import as_result, errors_of, measure_coil
+from pcmrs.workflows.motion import measure_coil, placement_errors, pose_result
 from pcmrs.workflows.placement import planned
 from pcmrs.workflows.toolplan import accept_pose
 
-SHORTEST_TRAJECTORY = 0.005
+MIN_LENGTH = 0.005
 """Entry and target nearer than this (m) give no direction worth drilling along."""
-LONGEST_TRAJECTORY = 0.200
+MAX_LENGTH = 0.200
 """No femoral neck is so long, m."""
 ANTERIOR, SUPERIOR = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 NEARLY_PARALLEL = 0.99
 
-AT_THE_HOLE = ("drilling", "drilling_interrupted", "drilled", "checked", "injecting", "injecting_interrupted")
+HOLE_STATES = ("drilling", "drilling_interrupted", "drilled", "checked", "injecting", "injecting_interrupted")
 """States of the treatment in which there is a hole, or will be, that work goes on at."""
 
 
@@ -77,12 +77,12 @@ def trajectory_reachable(run: Run) -> None:
     entry, target = np.array(run.payload.entry), np.array(run.payload.target)
     check_metres((entry, target))
     run.result["length"] = length = float(np.linalg.norm(entry - target))
-    if not SHORTEST_TRAJECTORY <= length <= LONGEST_TRAJECTORY:
+    if not MIN_LENGTH <= length <= MAX_LENGTH:
         text = (
-            f"Entry and target are {length * 1000:.1f} mm apart; a trajectory has {SHORTEST_TRAJECTORY * 1000:g} to "
-            f"{LONGEST_TRAJECTORY * 1000:g} mm. Pick both points in the same bone."
+            f"Entry and target are {length * 1000:.1f} mm apart; a trajectory has {MIN_LENGTH * 1000:g} to "
+            f"{MAX_LENGTH * 1000:g} mm. Pick both points in the same bone."
         )
-        limits = [SHORTEST_TRAJECTORY, LONGEST_TRAJECTORY]
+        limits = [MIN_LENGTH, MAX_LENGTH]
         raise RefusalError("bad_trajectory", text, length=length, limits=limits)
     accept_pose(run, guide_pose(entry, target))
 
@@ -100,8 +100,8 @@ async def check_guide_on_plan(run: Run) -> None:
     """
     plan, offset = planned(run.data), run.cell.settings.placement.confirm_offset
     run.prepared = measured = await measure_coil(run)
-    run.result |= {"planned": as_result(plan), **errors_of(measured, plan, offset)}
-    _refuse_beside(run, "guide", "the plan, nudges included", "Back off and place it anew, or plan another trajectory.")
+    run.result |= {"planned": pose_result(plan), **placement_errors(measured, plan, offset)}
+    _refuse_if_off(run, "guide", "the plan, nudges included", "Back off and place it anew, or plan another trajectory.")
 
 
 def keep_hole(run: Run) -> None:
@@ -118,11 +118,11 @@ async def check_guide_pose(run: Run) -> None:
     if run.data.hole is None:
         raise RefusalError("no_hole", "Where the hole is has not been measured: drill through the guide first.")
     hole, measured = as_transform(run.data.hole), await measure_coil(run)
-    run.result |= {"hole": as_result(hole), **errors_of(measured, hole)}
-    _refuse_beside(run, "hole", "where the hole was drilled", "Back off and place it anew, with the nudges of then.")
+    run.result |= {"hole": pose_result(hole), **placement_errors(measured, hole)}
+    _refuse_if_off(run, "hole", "where the hole was drilled", "Back off and place it anew, with the nudges of then.")
 
 
-def _refuse_beside(run: Run, kind: str, what: str, advice: str) -> None:
+def _refuse_if_off(run: Run, kind: str, what: str, advice: str) -> None:
     """Refuses a guide whose errors are over the limits of their kind."""
     limits = run.cell.settings.limits
     shift_mm, turn_deg = run.result["translation_error"] * 1000.0, math.degrees(run.result["rotation_error"])
@@ -138,7 +138,7 @@ def _refuse_beside(run: Run, kind: str, what: str, advice: str) -> None:
 def settle(data: PlacementData, states: Mapping[str, str], effects: Sequence[Effect]) -> PlacementData:
     """Forgets where the hole is once nothing more is to be done there. Pure."""
     settled = settle_placement(data, states, effects)
-    return settled if states["treatment"] in AT_THE_HOLE else msgspec.structs.replace(settled, hole=None)
+    return settled if states["treatment"] in HOLE_STATES else msgspec.structs.replace(settled, hole=None)
 
 
 def register(registry: Registry[Cell, PlacementData]) -> None:

@@ -1,4 +1,4 @@
-"""Where a workflow is: shipped with PCMRS, in an installed package, or a file of the user's."""
+"""Search for a workflow: shipped with PCMRS, in an installed package, or in a file of the user."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GROUP = "pcmrs.workflows"
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class WorkflowFiles:
     """A workflow that was found; nothing of it has been read or run.
 
     Attributes:
@@ -34,7 +34,7 @@ class Place:
         return self.blueprint.with_suffix(".py")
 
 
-def find_workflow(name: str) -> Place:
+def find_workflow(name: str) -> WorkflowFiles:
     """The workflow that a configuration or a user means.
 
     Args:
@@ -46,21 +46,21 @@ def find_workflow(name: str) -> Place:
     return _at(Path(name).expanduser()) if name.endswith(".toml") else find_installed(name)
 
 
-def find_installed(name: str) -> Place:
+def find_installed(name: str) -> WorkflowFiles:
     """The workflow of that name: what a file of somebody else's names must not be a path, whose code would be run.
 
     Raises:
         ConfigurationError: There is none, or more than one; the text lists what there is.
     """
-    found = [place for known, place in _installed() if known == name]
+    found = [files for known, files in _installed() if known == name]
     if not found:
         _refuse_incomplete(name)
         names = ", ".join(sorted({known for known, _ in _installed()}))
         text = f"There is no workflow {name!r}; there are {names}, or give the path of a .toml file."
         raise ConfigurationError(text, workflow=name)
     if len(found) > 1:
-        files = " and ".join(str(place.blueprint) for place in found)
-        text = f"More than one workflow is called {name!r}: {files}. Give the path of the one."
+        names = " and ".join(str(files.blueprint) for files in found)
+        text = f"More than one workflow is called {name!r}: {names}. Give the path of the one."
         raise ConfigurationError(text, workflow=name)
     return found[0]
 
@@ -73,19 +73,19 @@ def _refuse_incomplete(name: str) -> None:
         raise ConfigurationError(f"{text}install {package} again, with that module in it.", workflow=name)
 
 
-def _at(path: Path) -> Place:
+def _at(path: Path) -> WorkflowFiles:
     if not path.is_file():
         raise ConfigurationError(f"There is no workflow {path}: no such file.", workflow=str(path))
-    return Place(path.absolute())
+    return WorkflowFiles(path.absolute())
 
 
-def _installed() -> Iterator[tuple[str, Place]]:
+def _installed() -> Iterator[tuple[str, WorkflowFiles]]:
     for path in FOLDER.glob("*.toml"):
-        yield path.stem, Place(path, f"{__package__}.{path.stem}")
+        yield path.stem, WorkflowFiles(path, f"{__package__}.{path.stem}")
     for point in entry_points(group=GROUP):
         spec = _spec_of(point.module)
         if spec is not None and spec.origin is not None:
-            yield point.name, Place(Path(spec.origin).with_suffix(".toml"), point.module)
+            yield point.name, WorkflowFiles(Path(spec.origin).with_suffix(".toml"), point.module)
 
 
 def _spec_of(module: str) -> ModuleSpec | None:

@@ -15,7 +15,7 @@ from pcmrs.fsm import Blueprint, Effect
 from pcmrs.workflows import data as placement_data
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message
-from pcmrs.workflows.motion import as_result, errors_of, measure_coil
+from pcmrs.workflows.motion import measure_coil, placement_errors, pose_result
 from pcmrs.workflows.toolplan import ToolPose, accept_pose, pose_of
 
 
@@ -80,8 +80,8 @@ def plan_is_of_point(run: Run) -> None:
 async def measure_at_point(run: Run) -> None:
     """Measures the coil by the tracker, and its errors against the pose of the point: nudges do not belong to that."""
     point, offset = pose_of(_next_pose(run)), run.cell.settings.placement.confirm_offset
-    errors = errors_of(await measure_coil(run), point, offset)
-    run.result |= {"point": run.states["mapping"], "planned": as_result(point), **errors}
+    errors = placement_errors(await measure_coil(run), point, offset)
+    run.result |= {"point": run.states["mapping"], "planned": pose_result(point), **errors}
 
 
 def point_within_tolerance(run: Run) -> None:
@@ -104,17 +104,17 @@ def point_within_tolerance(run: Run) -> None:
 def count_as_performed(run: Run) -> None:
     """Puts on record that the point was performed."""
     run.keep(performed=(*run.data.performed, run.states["mapping"]))
-    _tell_points(run)
+    _report_points(run)
 
 
 def count_as_skipped(run: Run) -> None:
     """Puts on record that the point, stopped or not, was left out: a map of skipped points is no mapping."""
     run.result["point"] = point = run.states["mapping"].removesuffix("_stopped")
     run.keep(skipped=(*run.data.skipped, point))
-    _tell_points(run)
+    _report_points(run)
 
 
-def _tell_points(run: Run) -> None:
+def _report_points(run: Run) -> None:
     run.result |= {"performed": list(run.data.performed), "skipped": list(run.data.skipped)}
 
 

@@ -14,7 +14,7 @@ from pcmrs.workflows.collision_checks import ClearanceLimits
 
 BODY = "body_ref"
 
-LONGEST_LOOK = 0.1
+MAX_CHECK_INTERVAL = 0.1
 """Between two looks, s: joints come more often."""
 
 
@@ -42,22 +42,22 @@ async def guarded(cell: Cell, trajectory: JointTrajectory, *, towards_body: bool
     Raises:
         RefusalError: The arm was held: it came nearer to a zone than planned, or the body was not seen.
     """
-    floors = await ClearanceLimits.along(cell, trajectory.positions)
-    guard = _Guard(cell, floors, _Sight(cell) if towards_body else None)
+    limits = await ClearanceLimits.along_motion(cell, trajectory.positions)
+    guard = _Guard(cell, limits, _BodyVisibility(cell) if towards_body else None)
     cell.watchers.append(guard.watch)
     try:
         yield
     finally:
         cell.watchers.remove(guard.watch)
-        await guard.held()
+        await guard.wait_until_held()
     guard.check()
 
 
 class _Guard:
-    def __init__(self, cell: Cell, floors: ClearanceLimits, sight: _Sight | None) -> None:
+    def __init__(self, cell: Cell, limits: ClearanceLimits, visibility: _BodyVisibility | None) -> None:
         self._cell = cell
-        self._sight = sight
-        self._floors = floors
+        self._visibility = visibility
+        self._limits = limits
         self._refusal: RefusalError | None = None
         self._holding: asyncio.Task[JointState] | None = None
 
@@ -66,12 +66,12 @@ class _Guard:
         if self._refusal is not None:
             return
         self._place_body()
-        lost = None if self._sight is None else self._sight.lost()
-        self._refusal = self._floors.passed(state.positions) or lost
+        lost = None if self._visibility is None else self._visibility.refusal()
+        self._refusal = self._limits.violation(state.positions) or lost
         if self._refusal is not None:
             self._holding = asyncio.get_running_loop().create_task(self._cell.robot.hold())
 
-    async def held(self) -> None:
+    async def wait_until_held(self) -> None:
         """Returns once an arm that had to be held stands."""
         if self._holding is not None:
             await self._holding
@@ -91,32 +91,32 @@ class _Guard:
                 cell.zones.place_body(cell.base_from_tracker @ seen @ body_ref_from_image)
 
 
-class _Sight:
+class _BodyVisibility:
     """Measures for how long the tracker has not shown the body, with every look.
 
-    Time in which nobody looked counts as `LONGEST_LOOK` at most: where this process or the robot's messages were held
-    up, poses wait to be taken, too.
+    Time in which nobody looked counts as `MAX_CHECK_INTERVAL` at most: where this process or the robot's messages were
+    held up, poses wait to be taken, too.
     """
 
     def __init__(self, cell: Cell) -> None:
         self._cell = cell
-        self._looked = cell.clock.monotonic()
+        self._checked_at = cell.clock.monotonic()
         self._captured = -math.inf
         self._unseen = 0.0
 
-    def lost(self) -> RefusalError | None:
+    def refusal(self) -> RefusalError | None:
         """Why the arm is to be held, if it is."""
         cell, limit = self._cell, self._cell.settings.tracking.unseen
         now, captured = cell.clock.monotonic(), cell.poses.last_seen(BODY)
         if captured > self._captured and now - captured <= limit:
-            self._captured, self._unseen = captured, min(now - captured, LONGEST_LOOK)
+            self._captured, self._unseen = captured, min(now - captured, MAX_CHECK_INTERVAL)
         else:
-            self._unseen += min(now - self._looked, LONGEST_LOOK)
-        self._looked = now
+            self._unseen += min(now - self._checked_at, MAX_CHECK_INTERVAL)
+        self._checked_at = now
         if self._unseen <= limit:
             return None
         text = (
             f"The tracker has not shown the body for {self._unseen:.2f} s, limit {limit:g} s, and the arm was held on "
-            "its way to it. Clear the line of sight, then back off."
+            "its way to it. Clear the line of visibility, then back off."
         )
         return RefusalError("body_not_seen", text, unseen=self._unseen, limit=limit)

@@ -14,14 +14,14 @@ from pcmrs.kinematics.zones import MOUNT, TOOL
 from pcmrs.messages.teleop import Limit
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.setpoints import within
+from pcmrs.workflows.setpoints import limit_twist
 from pcmrs.workflows.settings import TeleoperationSettings
 from pcmrs.workflows.zones import BODY
 
-MARGINS: tuple[Limit, ...] = ("height", "range", "turn")
+MARGIN_NAMES: tuple[Limit, ...] = ("height", "range", "turn")
 """What the margins of `PlanLimits.margins` are of, in order."""
 
-EDGE = (1e-4, 1e-4, 1e-3)
+LIMIT_TOLERANCE = (1e-4, 1e-4, 1e-3)
 """A tool with less margin than this counts as at the limit, m, m and rad."""
 
 
@@ -40,15 +40,15 @@ class PlanLimits:
         self._turn = math.radians(settings.turn_deg)
 
     def margins(self, plan_from_tool: Transform) -> Floats:
-        """What is left until each bound, m, m and rad, (3,), as in `MARGINS`; negative beyond it."""
+        """What is left until each bound, m, m and rad, (3,), as in `MARGIN_NAMES`; negative beyond it."""
         place = plan_from_tool.translation
         away, turned = np.linalg.norm(place), np.linalg.norm(plan_from_tool.rotvec)
         return np.array((place[2], self._settings.range - away, self._turn - turned))
 
     def met(self, plan_from_tool: Transform) -> Limit | None:
         """The bound that the tool is at, if any."""
-        left = self.margins(plan_from_tool) - EDGE
-        return next((name for name, margin in zip(MARGINS, left, strict=True) if margin < 0.0), None)
+        left = self.margins(plan_from_tool) - LIMIT_TOLERANCE
+        return next((name for name, margin in zip(MARGIN_NAMES, left, strict=True) if margin < 0.0), None)
 
     def bounded(self, plan_from_tool: Transform, twist: Floats, period: float) -> Floats:
         """The twist, (6,), in the tool's frame, without what would lead over a bound.
@@ -94,7 +94,7 @@ def _direction(vector: Floats) -> Floats:
     return vector / length if length > 0.0 else vector
 
 
-class Guide:
+class GuidedTool:
     """Integrates twists into a pose of the tool, and follows that with the joints; moves nothing itself.
 
     A step that would lead over a limit is not made: the tool stands, and may go back. Zones are kept as on any other
@@ -136,44 +136,44 @@ class Guide:
         self._base_from_tool = self._cell.arm.forward(self.positions) @ self._cell.flange_from_coil
         self._velocity = np.zeros(6)
 
-    def see(self, base_from_plan: Transform) -> None:
+    def set_plan(self, base_from_plan: Transform) -> None:
         """Takes where the planned pose is now; the zones are placed alike."""
         self._base_from_plan = base_from_plan
 
-    def advance(self, twist: Floats, scale: float, passed: float) -> Floats:
+    def advance(self, twist: Floats, scale: float, elapsed: float) -> Floats:
         """Goes on towards a twist.
 
         Args:
             twist: In the tool's frame, m/s and rad/s, (6,); what is over the limits of speed is shortened.
             scale: Part of that speed that is left, 0 to 1.
-            passed: Since the last call, s.
+            elapsed: Since the last call, s.
 
         Returns:
             The joint velocities that lead there, rad/s, (n,).
         """
         settings, pose = self._settings, self.plan_from_tool
-        wanted = scale * within(twist, settings.linear_velocity, settings.angular_velocity)
-        wanted = self._limits.bounded(pose, wanted, passed)
-        most = settings.linear_acceleration * passed, settings.angular_acceleration * passed
-        changed = self._velocity + within(wanted - self._velocity, *most)
-        self._velocity = self._limits.bounded(pose, changed, passed)
+        wanted = scale * limit_twist(twist, settings.linear_velocity, settings.angular_velocity)
+        wanted = self._limits.bounded(pose, wanted, elapsed)
+        max_change = settings.linear_acceleration * elapsed, settings.angular_acceleration * elapsed
+        changed = self._velocity + limit_twist(wanted - self._velocity, *max_change)
+        self._velocity = self._limits.bounded(pose, changed, elapsed)
         self.limit = self._limits.met(pose) if np.any(twist) else None
         before = self.positions
         if np.any(self._velocity):
-            self._step(self._velocity * passed)
-        return np.asarray((self.positions - before) / passed)
+            self._step(self._velocity * elapsed)
+        return np.asarray((self.positions - before) / elapsed)
 
     def _step(self, way: Floats) -> None:
-        """Goes a way (6,), m and rad, where nothing is against it; stands otherwise."""
+        """Goes a way (6,), m and rad, where nothing is blocked_by it; stands otherwise."""
         base_from_tool = self._base_from_tool @ Transform.from_rotvec(way[:3], way[3:])
-        positions, against = self._look_at(base_from_tool)
-        if against is None:
+        positions, blocked_by = self._solve(base_from_tool)
+        if blocked_by is None:
             self._base_from_tool, self.positions = base_from_tool, positions
         else:
-            self._velocity, self.limit = np.zeros(6), self.limit or against
+            self._velocity, self.limit = np.zeros(6), self.limit or blocked_by
 
-    def _look_at(self, base_from_tool: Transform) -> tuple[Floats, Limit | None]:
-        """The joints for a pose of the tool, and what is against it."""
+    def _solve(self, base_from_tool: Transform) -> tuple[Floats, Limit | None]:
+        """The joints for a pose of the tool, and what is blocked_by it."""
         plan_from_tool = self._base_from_plan.inverse() @ base_from_tool
         if not self._limits.allow(self.plan_from_tool, plan_from_tool):
             return self.positions, self._limits.met(plan_from_tool) or "range"
@@ -181,9 +181,9 @@ class Guide:
             positions = track(self._cell.arm, self._cell.flange_for(base_from_tool), self.positions)
         except UnreachableError:
             return self.positions, "reach"
-        return positions, self._zone_against(positions, base_from_tool)
+        return positions, self._blocking_zone(positions, base_from_tool)
 
-    def _zone_against(self, positions: Floats, base_from_tool: Transform) -> Literal["zone"] | None:
+    def _blocking_zone(self, positions: Floats, base_from_tool: Transform) -> Literal["zone"] | None:
         zones = self._cell.zones
         limits = zones.limits_towards(self._base_from_plan, base_from_tool.translation[None])[0]
         limits = self._with_contact(limits)

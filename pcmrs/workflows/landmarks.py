@@ -13,12 +13,12 @@ from pcmrs.registration import register_points
 from pcmrs.workflows.arguments import check_metres
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import Digitized, Landmark, PlacementData, Planned, Point, Registered, as_point
-from pcmrs.workflows.reference import LATELY, check_reference, see_witness
+from pcmrs.workflows.reference import RECENT, check_reference, observe_witness
 from pcmrs.workflows.touching import touch
 
 Run = AnyRun[Cell, PlacementData]
 
-FEWEST_LANDMARKS = 3
+MIN_LANDMARKS = 3
 
 
 class LandmarkPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -36,9 +36,9 @@ class LandmarkIndex(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def landmarks_spread(run: Run) -> None:
     """Refuses a plan that no registration could use: too few, in mm, collinear or coincident points."""
     landmarks = run.payload.landmarks
-    if len(landmarks) < FEWEST_LANDMARKS:
-        text = f"{len(landmarks)} landmarks are planned; a registration needs at least {FEWEST_LANDMARKS}."
-        raise RefusalError("too_few_landmarks", text, count=len(landmarks), limit=FEWEST_LANDMARKS)
+    if len(landmarks) < MIN_LANDMARKS:
+        text = f"{len(landmarks)} landmarks are planned; a registration needs at least {MIN_LANDMARKS}."
+        raise RefusalError("too_few_landmarks", text, count=len(landmarks), limit=MIN_LANDMARKS)
     points = np.array([landmark.position for landmark in landmarks])
     check_metres(points)
     register_points(points, points)
@@ -95,7 +95,7 @@ def previous_digitization_fits(run: Run) -> None:
         text = "The previous digitization was made for other planned landmarks: digitize the present ones."
         raise RefusalError("other_landmarks", text)
     check_same_head(run.cell, previous)
-    check_reference(run.cell, previous.reference, run.clock.monotonic() - LATELY)
+    check_reference(run.cell, previous.reference, run.clock.monotonic() - RECENT)
 
 
 def take_previous_digitization(run: Run) -> None:
@@ -161,7 +161,7 @@ async def _touch(run: Run, index: int) -> Point:
     if any(point is not None for point in run.data.digitized):
         check_reference(cell, run.data.reference, touched.since)
     else:
-        run.keep(reference=see_witness(cell, touched.since))
+        run.keep(reference=observe_witness(cell, touched.since))
     run.result.setdefault("spreads", {})[landmark.name] = touched.spread
     return as_point(touched.point)
 

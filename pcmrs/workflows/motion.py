@@ -13,14 +13,14 @@ from pcmrs.errors import RefusalError
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Frame, Transform, distance, mean_transform, rotation_angle
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.connection import where_clear
+from pcmrs.workflows.connection import clear_state
 from pcmrs.workflows.data import PlacementData, as_transform
 from pcmrs.workflows.guard import follow_guarded
 from pcmrs.workflows.paths import along_axis
 from pcmrs.workflows.placement import (
-    NOTHING,
+    NO_NUDGE,
+    accumulated_nudges,
     at_present_plan,
-    nudges_with,
     planned,
     target,
 )
@@ -42,35 +42,35 @@ async def follow_prepared(run: Run) -> None:
 
 async def back_off_anew(run: Run) -> None:
     """Plans the way back again where the arm followed body or teleoperator until now."""
-    await _plan_anew(run)
+    await _replan(run)
 
 
 async def home_anew(run: Run) -> None:
     """Plans the way home again where the arm followed body or teleoperator until now."""
-    await _plan_anew(run)
+    await _replan(run)
 
 
 async def initial_anew(run: Run) -> None:
     """Plans the way to the initial posture again where the arm followed body or teleoperator until now."""
-    await _plan_anew(run)
+    await _replan(run)
 
 
-async def _plan_anew(run: Run) -> None:
+async def _replan(run: Run) -> None:
     """The check has seen an arm that moved on after it: now it stands."""
     if run.states["placement"] in ("following", "guided"):
-        await _seen_at_rest(run)
+        await _wait_for_frame_at_rest(run)
         await run.plan_anew()
 
 
 def remember_approach(run: Run) -> None:
     """The standoff belongs to this plan and this registration; nudges start anew."""
     approached = (run.data.plan_id, run.data.registration_id)
-    run.keep(approached=approached, nudge_translation=NOTHING, nudge_rotation_zyx=NOTHING)
+    run.keep(approached=approached, nudge_translation=NO_NUDGE, nudge_rotation_zyx=NO_NUDGE)
 
 
 def remember_nudge(run: Run) -> None:
     """Nudges add up."""
-    translation, rotation = nudges_with(run)
+    translation, rotation = accumulated_nudges(run)
     run.keep(nudge_translation=translation, nudge_rotation_zyx=rotation)
 
 
@@ -82,15 +82,15 @@ async def measure_placement(run: Run) -> None:
     """
     offset = run.cell.settings.placement.confirm_offset
     measured, plan = await measure_coil(run), target(run.data, offset) @ along_axis(-offset)
-    told = {"planned": as_result(planned(run.data)), "confirm_offset": offset}
-    run.result |= {**told, **errors_of(measured, plan, offset)}
+    extra = {"planned": pose_result(planned(run.data)), "confirm_offset": offset}
+    run.result |= {**extra, **placement_errors(measured, plan, offset)}
 
 
-def errors_of(measured: Transform, expected: Transform, offset: float = 0.0) -> dict[str, Any]:
+def placement_errors(measured: Transform, expected: Transform, offset: float = 0.0) -> dict[str, Any]:
     """A measured pose and its errors against the one expected, `offset` (m) away along the tool's axis, as a result."""
     error = measured.rotation.T @ (measured.translation - expected.translation) - np.array([0.0, 0.0, offset])
     return {
-        "measured": as_result(measured),
+        "measured": pose_result(measured),
         "translation_error": float(np.linalg.norm(error)),
         "rotation_error": rotation_angle(expected, measured),
     }
@@ -98,8 +98,8 @@ def errors_of(measured: Transform, expected: Transform, offset: float = 0.0) -> 
 
 async def find_where_retreat_ended(run: Run) -> None:
     """At the standoff of the plan in force, clear of the body, or neither: then it is held where it is."""
-    await _seen_at_rest(run)
-    run.outcome = "standoff" if _at_standoff(run) else where_clear(run)
+    await _wait_for_frame_at_rest(run)
+    run.outcome = "standoff" if _at_standoff(run) else clear_state(run)
 
 
 async def measure_coil(run: AnyRun[Cell, P]) -> Transform:
@@ -121,7 +121,7 @@ async def follow(run: Run, trajectory: JointTrajectory) -> None:
     await run.clock.sleep(run.cell.settings.placement.settle_time)
 
 
-async def _seen_at_rest(run: Run) -> None:
+async def _wait_for_frame_at_rest(run: Run) -> None:
     """The tracker's frames of the arm at rest may still be on their way, or never come."""
     with suppress(RefusalError):
         await run.cell.poses.collect(["coil", "body_ref"], 1, timeout=FRAMES_TIME)
@@ -139,7 +139,7 @@ def _at_standoff(run: Run) -> bool:
     return distance(planned(data) @ along_axis(placement.standoff), measured) * 1000 <= placement.standoff_tolerance_mm
 
 
-def as_result(pose: Transform) -> dict[str, list[float]]:
+def pose_result(pose: Transform) -> dict[str, list[float]]:
     """A pose as results have it."""
     return {"position": pose.translation.tolist(), "quat_xyzw": pose.quat_xyzw.tolist()}
 

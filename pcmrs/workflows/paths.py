@@ -14,17 +14,17 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.earlier_body import earlier_registration
 
-CHECK_EVERY = 8
+SAMPLE_STRIDE = 8
 """Every so manyth sample of a trajectory is looked at: 40 ms apart."""
 
-CLEAR_MARGIN = 0.010
+CLEARANCE_RESERVE = 0.010
 """A retreat until clear of the body goes so much farther, m."""
 
 TOLERANCE = 0.001
 """Shrinking by less than this (m) is noise of the measured posture."""
 
 
-def middle_of_body(cell: Cell, data: PlacementData) -> Floats:
+def body_centre(cell: Cell, data: PlacementData) -> Floats:
     """A point inside the body, in the robot's base, m, (3,): the centre of the landmarks registered last.
 
     The body is where it is seen now; where it was seen last while something hides it. Until a registration has been
@@ -45,16 +45,16 @@ def middle_of_body(cell: Cell, data: PlacementData) -> Floats:
     return cell.base_from_body_ref @ cell.middle_in_body_ref
 
 
-def middles_of_body(cell: Cell, data: PlacementData) -> list[Floats]:
-    """Return all points to keep away from, in the robot's base, m, (3,) each: `middle_of_body`, and an earlier one.
+def body_centres(cell: Cell, data: PlacementData) -> list[Floats]:
+    """Return all points to keep away from, in the robot's base, m, (3,) each: `body_centre`, and an earlier one.
 
     Raises:
-        RefusalError: See `middle_of_body`.
+        RefusalError: See `body_centre`.
     """
-    middle, earlier = middle_of_body(cell, data), earlier_registration(cell, data)
+    centre, earlier = body_centre(cell, data), earlier_registration(cell, data)
     if earlier is None or cell.base_from_body_ref is None:
-        return [middle]
-    return [middle, cell.base_from_body_ref @ earlier.middle_in_body_ref()]
+        return [centre]
+    return [centre, cell.base_from_body_ref @ earlier.middle_in_body_ref()]
 
 
 def distance_from_body(cell: Cell, data: PlacementData) -> float:
@@ -64,20 +64,20 @@ def distance_from_body(cell: Cell, data: PlacementData) -> float:
         RefusalError: Tool and body are not seen together.
     """
     base_from_coil = cell.frames(data).get(Frame.ROBOT_BASE, Frame.COIL)
-    offsets = [base_from_coil.translation - middle for middle in middles_of_body(cell, data)]
+    offsets = [base_from_coil.translation - centre for centre in body_centres(cell, data)]
     return float(min(np.linalg.norm(offset) for offset in offsets))
 
 
-def length_until_clear(cell: Cell, data: PlacementData) -> float:
+def distance_until_clear(cell: Cell, data: PlacementData) -> float:
     """How far the coil must go along its +z axis to be clear of the body, m; 0 where it already is."""
     base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
-    radius = cell.settings.placement.clearance + CLEAR_MARGIN
-    return max(_length_until_clear(base_from_coil, middle, radius) for middle in middles_of_body(cell, data))
+    radius = cell.settings.placement.clearance + CLEARANCE_RESERVE
+    return max(_distance_until_clear(base_from_coil, centre, radius) for centre in body_centres(cell, data))
 
 
-def _length_until_clear(base_from_coil: Transform, middle: Floats, radius: float) -> float:
+def _distance_until_clear(base_from_coil: Transform, centre: Floats, radius: float) -> float:
     """How far it is along +z until the coil is `radius` from a point, m."""
-    offset = base_from_coil.translation - middle
+    offset = base_from_coil.translation - centre
     outwards = float(offset @ base_from_coil.rotation[:, 2])
     # The root of |offset + length z| = radius that lies ahead.
     inside = radius**2 - float(offset @ offset)
@@ -86,7 +86,7 @@ def _length_until_clear(base_from_coil: Transform, middle: Floats, radius: float
 
 def check_ends_clear(cell: Cell, trajectory: JointTrajectory, data: PlacementData) -> None:
     """Refuses a way that does not end clear of the body. Raises `RefusalError`."""
-    end = min(float(distances(cell, trajectory, middle)[-1]) for middle in middles_of_body(cell, data))
+    end = min(float(body_distances(cell, trajectory, centre)[-1]) for centre in body_centres(cell, data))
     clearance = cell.settings.placement.clearance
     if end <= clearance:
         text = (
@@ -96,11 +96,11 @@ def check_ends_clear(cell: Cell, trajectory: JointTrajectory, data: PlacementDat
         raise RefusalError("not_clear", text, distance=end, limit=clearance)
 
 
-def distances(cell: Cell, trajectory: JointTrajectory, middle: Floats) -> Floats:
+def body_distances(cell: Cell, trajectory: JointTrajectory, centre: Floats) -> Floats:
     """Distance of the coil from the middle of the body along a trajectory, m."""
-    samples = [*trajectory.positions[::CHECK_EVERY], trajectory.positions[-1]]
+    samples = [*trajectory.positions[::SAMPLE_STRIDE], trajectory.positions[-1]]
     coils = [(cell.arm.forward(q) @ cell.flange_from_coil).translation for q in samples]
-    return np.asarray(np.linalg.norm(np.array(coils) - middle, axis=1))
+    return np.asarray(np.linalg.norm(np.array(coils) - centre, axis=1))
 
 
 def check_only_grows(
@@ -117,8 +117,8 @@ def check_only_grows(
     Raises:
         RefusalError: It comes nearer than `clearance` and by more than `TOLERANCE`.
     """
-    for middle in middles_of_body(cell, data):
-        _check_only_grows(cell, distances(cell, trajectory, middle), advice)
+    for centre in body_centres(cell, data):
+        _check_only_grows(cell, body_distances(cell, trajectory, centre), advice)
 
 
 def _check_only_grows(cell: Cell, way: Floats, advice: str) -> None:
@@ -138,7 +138,7 @@ def check_passes_clear(cell: Cell, trajectory: JointTrajectory, data: PlacementD
     Raises:
         RefusalError: It does, by more than 10 mm.
     """
-    way = distances(cell, trajectory, middle_of_body(cell, data))
+    way = body_distances(cell, trajectory, body_centre(cell, data))
     nearest, end = float(way.min()), float(min(way[0], way[-1]))
     if nearest < end - 0.010:
         text = (

@@ -27,15 +27,15 @@ Run = AnyRun[Cell, PlacementData]
 FRAMES = 64
 """So many frames of each body are sent: one second at 60 Hz."""
 
-STILL = 0.01
+MAX_JOINT_DRIFT = 0.01
 """An arm at rest that has moved by more than this in a joint while a motion was planned has left its start, rad."""
 
-_OWN = {
+_NOT_SENT = {
     *("robot", "pointer", "poses", "arm", "clock", "settings", "surface"),
     *("watchers", "name", "stimulator", "emg", "teleop"),
 }
 """What a cell in another process has of its own, or not at all; all else of it is sent."""
-_SENT = tuple(field.name for field in fields(Cell) if field.init and field.name not in _OWN)
+_SENT = tuple(field.name for field in fields(Cell) if field.init and field.name not in _NOT_SENT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def request_of(run: Run) -> PlanRequest:
     )
 
 
-def take_answer(run: Run, request: PlanRequest, answer: PlanAnswer) -> Reason | None:
+def apply_answer(run: Run, request: PlanRequest, answer: PlanAnswer) -> Reason | None:
     """Leaves in a run what its checks have found elsewhere; returns the first refusal, None when all agree."""
     if answer.refused is None:
         try:
@@ -116,12 +116,12 @@ def _check_stood_still(run: Run, request: PlanRequest) -> None:
     if run.motion == "none" or before is None or before.moving:  # a step plans anew for an arm that was moving
         return
     moved = float(np.abs(run.cell.posture() - np.array(before.positions)).max())
-    if moved > STILL:
+    if moved > MAX_JOINT_DRIFT:
         text = (
             f"The arm has moved by {np.degrees(moved):.2f}° while its motion was planned, the limit is "
-            f"{np.degrees(STILL):.2f}°: ask again when it stands."
+            f"{np.degrees(MAX_JOINT_DRIFT):.2f}°: ask again when it stands."
         )
-        raise RefusalError("moved_while_planning", text, moved=moved, limit=STILL)
+        raise RefusalError("moved_while_planning", text, moved=moved, limit=MAX_JOINT_DRIFT)
 
 
 class PlanningCell:
@@ -142,7 +142,7 @@ class PlanningCell:
         surface: Mesh | None,
     ) -> None:
         self._workflow = workflow
-        self._clock = _Moment()
+        self._clock = _FrozenClock()
         self._cell = Cell(
             robot=cast(LatchingRobot, None),
             pointer=cast(Pointer, None),
@@ -168,7 +168,7 @@ class PlanningCell:
             cell,
             self._clock,
             request.data,
-            _nobody,
+            _ignore_progress,
             spec.motion,
             request.latched,
         )
@@ -176,7 +176,7 @@ class PlanningCell:
         return PlanAnswer(refused, run.prepared, run.result, run.undecided)
 
 
-class _Moment:
+class _FrozenClock:
     """A clock that stands at the moment of a request: checks wait for nothing."""
 
     def __init__(self) -> None:
@@ -195,5 +195,5 @@ class _Moment:
         raise PcmrsError(f"A check waits for up to {seconds:g} s: let a step do so.")
 
 
-def _nobody(_fraction: float) -> None:
+def _ignore_progress(_fraction: float) -> None:
     pass

@@ -19,13 +19,13 @@ from pcmrs.messages import Reason
 from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.planning import PlanAnswer, PlanningCell, PlanningSettings
 
-HEAD = struct.Struct("<QI")
+HEADER = struct.Struct("<QI")
 """Number of a request, and the length of what follows. Number 0 are the settings, and that the process is ready."""
 
 
-def framed(number: int, content: bytes) -> bytes:
+def frame_message(number: int, content: bytes) -> bytes:
     """Return a message with its head."""
-    return HEAD.pack(number, len(content)) + content
+    return HEADER.pack(number, len(content)) + content
 
 
 def main() -> None:
@@ -48,13 +48,13 @@ def main() -> None:
 
 def _messages(stream: BinaryIO) -> Iterator[tuple[int, Any]]:
     """Number and content of each message until the stream ends."""
-    while len(head := stream.read(HEAD.size)) == HEAD.size:
-        number, length = HEAD.unpack(head)
+    while len(head := stream.read(HEADER.size)) == HEADER.size:
+        number, length = HEADER.unpack(head)
         yield number, pickle.loads(stream.read(length))  # noqa: S301  # of our parent
 
 
 def _write(answers: BinaryIO, number: int, answer: PlanAnswer | None) -> None:
-    answers.write(framed(number, _pickled(answer)))
+    answers.write(frame_message(number, _pickled(answer)))
     answers.flush()
 
 

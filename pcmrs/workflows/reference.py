@@ -25,12 +25,12 @@ from pcmrs.workflows.touching import touch
 Run = AnyRun[Cell, PlacementData]
 
 BODIES = ("body_ref", "witness")
-LATELY = 0.5
+RECENT = 0.5
 """Frames of the two bodies that are older say nothing of now, s."""
 
 
 @dataclass(frozen=True, slots=True)
-class Shift:
+class ReferenceShift:
     """How far the reference has moved against the witness: at the witness, m, and rad."""
 
     translation: float
@@ -42,7 +42,7 @@ class Shift:
         return turned or self.translation * 1000.0 > settings.reference_limit_mm
 
 
-def see_witness(cell: Cell, since: float) -> PoseMessage | None:
+def observe_witness(cell: Cell, since: float) -> PoseMessage | None:
     """``body_ref_from_witness`` as seen after `since`, s of the clock; None where both are not seen."""
     try:
         seen = cell.poses.recent(BODIES, cell.settings.registration.samples, since)
@@ -57,15 +57,15 @@ def check_reference(cell: Cell, baseline: PoseMessage | None, since: float) -> N
     Raises:
         RefusalError: ``reference_moved``.
     """
-    now = see_witness(cell, since)
+    now = observe_witness(cell, since)
     if baseline is None or now is None:
         return
     shift = _shift(as_transform(baseline), as_transform(now))
     if shift.exceeds(cell.settings.registration):
-        raise RefusalError("reference_moved", moved_text(shift, cell), **_fields(shift))
+        raise RefusalError("reference_moved", shift_text(shift, cell), **_fields(shift))
 
 
-def moved_by(cell: Cell, data: PlacementData) -> Shift | None:
+def detected_shift(cell: Cell, data: PlacementData) -> ReferenceShift | None:
     """The least shift of the newest frames, where each of them shows that the reference has moved; None otherwise.
 
     One frame alone may be wrong, as where a marker is half hidden.
@@ -73,12 +73,12 @@ def moved_by(cell: Cell, data: PlacementData) -> Shift | None:
     settings = cell.settings.registration
     if data.reference is None:
         return None
-    since = cell.clock.monotonic() - LATELY
+    since = cell.clock.monotonic() - RECENT
     frames = cell.poses.together(BODIES, since)[-settings.reference_frames :]
     if len(frames) < settings.reference_frames:
         return None
     baseline = as_transform(data.reference)
-    shifts: list[Shift] = []
+    shifts: list[ReferenceShift] = []
     for frame in reversed(frames):
         shifts.append(_shift(baseline, frame["body_ref"].inverse() @ frame["witness"]))
         if not shifts[-1].exceeds(settings):
@@ -86,7 +86,7 @@ def moved_by(cell: Cell, data: PlacementData) -> Shift | None:
     return min(shifts, key=lambda shift: (shift.translation, shift.rotation))
 
 
-def moved_text(shift: Shift, cell: Cell) -> str:
+def shift_text(shift: ReferenceShift, cell: Cell) -> str:
     """What has moved how far, which limit, and what to do."""
     limits = cell.settings.registration
     return (
@@ -116,11 +116,11 @@ async def touch_landmark_again(run: Run) -> None:
         run.keep(digitized=tuple(None for _ in run.data.landmarks), reference=None)
 
 
-def _shift(baseline: Transform, now: Transform) -> Shift:
-    return Shift(distance(baseline, now), rotation_angle(baseline, now))
+def _shift(baseline: Transform, now: Transform) -> ReferenceShift:
+    return ReferenceShift(distance(baseline, now), rotation_angle(baseline, now))
 
 
-def _fields(shift: Shift) -> dict[str, float]:
+def _fields(shift: ReferenceShift) -> dict[str, float]:
     return {"translation": shift.translation, "rotation": shift.rotation}
 
 

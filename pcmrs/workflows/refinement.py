@@ -17,7 +17,7 @@ from pcmrs.workflows.accuracy import learn_noise
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, as_point
 from pcmrs.workflows.reference import check_reference
-from pcmrs.workflows.registering import judge_landmarks, put_in_force
+from pcmrs.workflows.registering import activate_registration, judge_landmarks
 from pcmrs.workflows.surface import read_surface
 from pcmrs.workflows.touching import touch
 
@@ -46,7 +46,7 @@ async def digitize_surface_points(run: Run) -> None:
         check_reference(run.cell, run.data.reference, touched.since)
         points.append(as_point(touched.point))
     run.keep(surface=(*run.data.surface, *points))
-    _tell_count(run)
+    _report_count(run)
 
 
 def surface_point_there(run: Run) -> None:
@@ -58,13 +58,13 @@ def surface_point_there(run: Run) -> None:
 def drop_last_surface_point(run: Run) -> None:
     """Takes back the point touched last."""
     run.keep(surface=run.data.surface[:-1])
-    _tell_count(run)
+    _report_count(run)
 
 
 def drop_surface_points(run: Run) -> None:
     """Takes back all points of the skin."""
     run.keep(surface=())
-    _tell_count(run)
+    _report_count(run)
 
 
 def surface_refines(run: Run) -> None:
@@ -74,7 +74,7 @@ def surface_refines(run: Run) -> None:
         RefusalError: A gate of the landmarks' registration does not pass, there is no such surface, or one of
             `refine_with_surface`, such as ``tre_not_lowered``.
     """
-    fit, told = judge_landmarks(run)
+    fit, report = judge_landmarks(run)
     data, settings = run.data, run.cell.settings.registration
     mesh = _surface(run)
     landmarks = np.array([landmark.position for landmark in data.landmarks])
@@ -82,19 +82,19 @@ def surface_refines(run: Run) -> None:
         fit.fixed_from_moving,
         landmarks,
         data.complete_digitization(),
-        told["sigma"],
+        report["sigma"],
         mesh.vertices,
         mesh.faces,
         np.array(data.surface).reshape(-1, 3),
         settings.surface_sigma_mm / 1000.0,
-        told["target"]["position"],
+        report["target"]["position"],
         settings.surface_trim,
     )
     run.result |= {
-        "landmarks": told,
+        "landmarks": report,
         "tre_before": refined.tre_before,
         "tre": refined.tre_after,
-        "target": told["target"],
+        "target": report["target"],
         "points": len(data.surface),
         "inliers": int(refined.inliers.sum()),
         "surface_rms": refined.rms,
@@ -106,7 +106,7 @@ def keep_refined_registration(run: Run) -> None:
     """Puts the refined registration in force; the noise is what the landmarks alone have left over."""
     fit, refined = run.prepared
     noise = learn_noise(run.cell, run.data, fit.distances)
-    put_in_force(run, refined.body_ref_from_image, noise=noise, covariance=refined.covariance.ravel().tolist())
+    activate_registration(run, refined.body_ref_from_image, noise=noise, covariance=refined.covariance.ravel().tolist())
 
 
 def _surface(run: Run) -> Mesh:
@@ -131,7 +131,7 @@ def _surface(run: Run) -> Mesh:
     return mesh
 
 
-def _tell_count(run: Run) -> None:
+def _report_count(run: Run) -> None:
     run.result["points"] = len(run.data.surface)
 
 

@@ -12,19 +12,19 @@ from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
 from pcmrs.registration import Gate, PointRegistration, RegistrationVerdict, judge
 from pcmrs.spatial import Transform
-from pcmrs.workflows.accuracy import learn_noise, limits_in_force
+from pcmrs.workflows.accuracy import active_limits, learn_noise
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, Registered, as_message, as_point
 from pcmrs.workflows.landmarks import check_same_head
-from pcmrs.workflows.reference import LATELY, check_reference
+from pcmrs.workflows.reference import RECENT, check_reference
 
 Run = AnyRun[Cell, PlacementData]
 
 
 def registration_accepted(run: Run) -> None:
     """Registers, and refuses what does not pass every gate of the verdict."""
-    run.prepared, told = judge_landmarks(run)
-    run.result |= told
+    run.prepared, report = judge_landmarks(run)
+    run.result |= report
 
 
 def judge_landmarks(run: Run) -> tuple[PointRegistration, dict[str, Any]]:
@@ -35,7 +35,7 @@ def judge_landmarks(run: Run) -> tuple[PointRegistration, dict[str, Any]]:
     Raises:
         RefusalError: A gate does not pass: its name is the code.
     """
-    data, limits = run.data, limits_in_force(run.cell, run.data)
+    data, limits = run.data, active_limits(run.cell, run.data)
     planned = np.array([landmark.position for landmark in data.landmarks])
     names = [landmark.name for landmark in data.landmarks]
     target = _planned_position(run)
@@ -52,7 +52,7 @@ def judge_landmarks(run: Run) -> tuple[PointRegistration, dict[str, Any]]:
         "tre": verdict.tre,
         "target": {"at": at, "position": position},
         "sigma": limits.sigma,
-        "gates": [_told(gate) for gate in verdict.gates],
+        "gates": [_gate_values(gate) for gate in verdict.gates],
         "witness": data.reference is not None,
     }
 
@@ -67,10 +67,12 @@ def keep_registration(run: Run) -> None:
     """Puts the registration in force, and learns from what it has left over."""
     fit = run.prepared
     noise = learn_noise(run.cell, run.data, fit.distances)
-    put_in_force(run, fit.fixed_from_moving, noise=noise)
+    activate_registration(run, fit.fixed_from_moving, noise=noise)
 
 
-def put_in_force(run: Run, body_ref_from_image: Transform, *, noise: dict[str, Any], covariance: Any = ()) -> None:
+def activate_registration(
+    run: Run, body_ref_from_image: Transform, *, noise: dict[str, Any], covariance: Any = ()
+) -> None:
     """Makes a registration of the present digitization the one in force."""
     data = run.data
     fixed, moving = np.array(data.complete_digitization()), np.array([each.position for each in data.landmarks])
@@ -95,7 +97,7 @@ def previous_registration_fits(run: Run) -> None:
     """Refuses a previous registration of another patient or calibration, or of a reference that has moved since."""
     previous = _previous(run)
     check_same_head(run.cell, previous)
-    check_reference(run.cell, previous.reference, run.clock.monotonic() - LATELY)
+    check_reference(run.cell, previous.reference, run.clock.monotonic() - RECENT)
 
 
 def take_previous_registration(run: Run) -> None:
@@ -121,7 +123,7 @@ def _previous(run: Run) -> Registered:
     return previous
 
 
-def _told(gate: Gate) -> dict[str, Any]:
+def _gate_values(gate: Gate) -> dict[str, Any]:
     return {"name": gate.name, "accepted": gate.accepted, "value": gate.value, "limit": gate.limit}
 
 
@@ -129,7 +131,7 @@ def _refused(verdict: RegistrationVerdict, names: list[str]) -> RefusalError:
     """The refusal of the first gate that does not pass; its fields are the values of it and of the registration."""
     gate = next(gate for gate in verdict.gates if not gate.accepted)
     fields: dict[str, Any] = {"value": gate.value, "limit": gate.limit}
-    fields["gates"] = [_told(each) for each in verdict.gates]
+    fields["gates"] = [_gate_values(each) for each in verdict.gates]
     if verdict.registration is not None:
         worst = names[int(np.argmax(verdict.registration.distances))]
         fields |= {"residual": verdict.registration.residual, "worst": worst}

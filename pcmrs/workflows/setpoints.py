@@ -17,7 +17,7 @@ from pcmrs.spatial import Floats
 from pcmrs.workflows.settings import TeleoperationSettings
 
 
-def within(twist: Floats, linear: float, angular: float) -> Floats:
+def limit_twist(twist: Floats, linear: float, angular: float) -> Floats:
     """A twist (6,), shortened where its translation (m/s) or its rotation (rad/s) is longer than these."""
     excess = max(float(np.linalg.norm(twist[:3])) / linear, float(np.linalg.norm(twist[3:])) / angular)
     return twist / excess if excess > 1.0 else twist
@@ -87,14 +87,14 @@ class SpeedScale:
             self.held = False
 
 
-class Admission:
+class SetpointAdmission:
     """Admits the set points of one engagement, and counts by code what it refuses.
 
     A set point has to have seen a status of this engagement, so that one of an earlier one is worth nothing here.
 
     Args:
         user: Who has engaged the clutch.
-        begun: When, s of the daemon's clock.
+        started_at: When, s of the daemon's clock.
         settings: Of teleoperation.
 
     Attributes:
@@ -106,8 +106,8 @@ class Admission:
         refused: Code to how many.
     """
 
-    def __init__(self, user: str, begun: float, settings: TeleoperationSettings) -> None:
-        self._begun = begun
+    def __init__(self, user: str, started_at: float, settings: TeleoperationSettings) -> None:
+        self._started_at = started_at
         self.user = user
         self.twist: Twist = AT_REST
         self.sequence = 0
@@ -118,7 +118,7 @@ class Admission:
 
     def take(self, user: str, setpoint: TeleopSetpoint, arrived: float) -> None:
         """Takes a set point of a user that has arrived now, s of the daemon's clock."""
-        code = self._fault(user, setpoint, arrived)
+        code = self._rejection_code(user, setpoint, arrived)
         if code is not None:
             self.refused[code] += 1
             return
@@ -126,7 +126,7 @@ class Admission:
         self.latency.take(arrived, setpoint.sent, setpoint.seen)
         self.scale.take(self.latency.delay, at_rest=setpoint.twist == AT_REST)
 
-    def shown(self, status: TeleopStatus, limit: Limit | None) -> TeleopStatus:
+    def add_to(self, status: TeleopStatus, limit: Limit | None) -> TeleopStatus:
         """A status with what is known of the set points, and what the tool has come to."""
         return msgspec.structs.replace(
             status,
@@ -140,14 +140,14 @@ class Admission:
             refused=dict(self.refused),
         )
 
-    def _fault(self, user: str, setpoint: TeleopSetpoint, arrived: float) -> str | None:
+    def _rejection_code(self, user: str, setpoint: TeleopSetpoint, arrived: float) -> str | None:
         if user != self.user:
             return "other_user"
         if not all(map(math.isfinite, (setpoint.sent, setpoint.seen, setpoint.ttl, *setpoint.twist))):
             return "not_finite"
         if setpoint.seen > arrived:
             return "from_the_future"
-        if setpoint.seen < self._begun:
+        if setpoint.seen < self._started_at:
             return "before_engagement"
         if setpoint.sequence <= self.sequence:
             return "out_of_sequence"

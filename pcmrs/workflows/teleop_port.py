@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 from pcmrs.messages import TeleopSetpoint, TeleopStatus
 
-Hear = Callable[[str, TeleopSetpoint], None]
+SetpointHandler = Callable[[str, TeleopSetpoint], None]
 
 
-def nobody_hears(_user: str, _setpoint: TeleopSetpoint) -> None:
+def _discard_setpoint(_user: str, _setpoint: TeleopSetpoint) -> None:
     """Set points have no effect while nobody guides the tool."""
 
 
-def nobody_is_told(_status: TeleopStatus) -> None:
+def _discard_status(_status: TeleopStatus) -> None:
     """A cell without a bus tells nobody."""
 
 
@@ -24,18 +24,18 @@ class TeleopPort:
     """Between the bus and the activity that guides the tool.
 
     Attributes:
-        take: Takes a user's set point the moment it comes.
-        tell: Publishes a status.
+        receive: Takes a user's set point the moment it comes.
+        publish: Publishes a status.
     """
 
-    take: Hear = nobody_hears
-    tell: Callable[[TeleopStatus], None] = nobody_is_told
+    receive: SetpointHandler = _discard_setpoint
+    publish: Callable[[TeleopStatus], None] = _discard_status
 
     @contextmanager
-    def heard_by(self, hear: Hear) -> Iterator[None]:
+    def deliver_to(self, handler: SetpointHandler) -> Iterator[None]:
         """Has set points heard for as long as the context lasts."""
-        self.take = hear
+        self.receive = handler
         try:
             yield
         finally:
-            self.take = nobody_hears
+            self.receive = _discard_setpoint

@@ -18,9 +18,9 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.collision_checks import place_body, update_collision_scene
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.following import FIRST_FRAMES, FIRST_TIME
-from pcmrs.workflows.guided_tool import Guide
+from pcmrs.workflows.guided_tool import GuidedTool
 from pcmrs.workflows.placement import check_at_present_plan
-from pcmrs.workflows.setpoints import Admission
+from pcmrs.workflows.setpoints import SetpointAdmission
 
 Activity = AnyActivity[Cell, PlacementData]
 Run = AnyRun[Cell, PlacementData]
@@ -28,13 +28,13 @@ Run = AnyRun[Cell, PlacementData]
 BUS = "bus:"
 """What the sources of those begin with who can send set points."""
 
-FIRST = 1.0
+FIRST_SETPOINT_TIME = 1.0
 """The first set point may take so much longer than the others, s: until then nothing moves."""
-TELL_EVERY = 0.02
+STATUS_INTERVAL = 0.02
 """Between two statuses, s: as often as set points come."""
 
 
-class Guiding:
+class GuidanceSession:
     """Follows set points and the body, and waits for nothing.
 
     Args:
@@ -56,14 +56,14 @@ class Guiding:
         graph = cell.frames(act.data)
         self._base_from_tracker = graph.get(Frame.ROBOT_BASE, Frame.TRACKER)
         base_from_body_ref = graph.get(Frame.ROBOT_BASE, Frame.BODY_REF)
-        self.guide = Guide(cell, base_from_body_ref @ self._body_ref_from_plan)
+        self.guide = GuidedTool(cell, base_from_body_ref @ self._body_ref_from_plan)
         self._body = BodyTrack(cell.settings.following)
         self._frame_number = 0
-        self._admission: Admission | None = None
-        self._heard = self._told = -math.inf
+        self._admission: SetpointAdmission | None = None
+        self._last_setpoint_at = self._published_at = -math.inf
 
     @property
-    def wanted(self) -> str | None:
+    def engaged_user(self) -> str | None:
         """User whose set points the workflow wants to count; None while the clutch is open."""
         return self._act.data.teleoperator if self._act.states["teleoperation"] == "engaged" else None
 
@@ -71,8 +71,8 @@ class Guiding:
         """The clutch has been engaged: the arm stands, and set points count from now on."""
         act, cell = self._act, self._act.cell
         now = act.clock.monotonic()
-        self._admission = Admission(user, now, self._settings)
-        self._heard = now + FIRST
+        self._admission = SetpointAdmission(user, now, self._settings)
+        self._last_setpoint_at = now + FIRST_SETPOINT_TIME
         self._body = BodyTrack(cell.settings.following)
         known = cell.poses.frames_after(0, BODIES)[-FIRST_FRAMES:]
         self._frame_number = known[0]["coil"].frame_number - 1 if known else 0
@@ -82,17 +82,17 @@ class Guiding:
         """The clutch has been opened."""
         self._admission = None
 
-    def hear(self, user: str, setpoint: TeleopSetpoint) -> None:
+    def take_setpoint(self, user: str, setpoint: TeleopSetpoint) -> None:
         """Takes a set point the moment it comes."""
         if self._admission is not None:
             self._admission.take(user, setpoint, self._act.clock.monotonic())
 
-    def advance(self, now: float, passed: float) -> Floats:
+    def advance(self, now: float, elapsed: float) -> Floats:
         """Goes on as the newest set point asks; returns the joint velocities that lead there, rad/s, (n,).
 
         Args:
             now: s of the cell.
-            passed: Since the last call, s.
+            elapsed: Since the last call, s.
 
         Raises:
             RefusalError: No fresh set point has come, tool and body are not seen, or the body has jumped.
@@ -100,29 +100,29 @@ class Guiding:
         admission = self._admission
         if admission is None:
             raise RefusalError("not_engaged", "The clutch is open: engage it first.")
-        self._check_heard(admission, now)
-        self._see_body(now)
-        velocities = self.guide.advance(np.array(admission.twist), admission.scale.value, passed)
-        if now - self._told >= TELL_EVERY:
-            self.tell()
+        self._check_deadman(admission, now)
+        self._track_body(now)
+        velocities = self.guide.advance(np.array(admission.twist), admission.scale.value, elapsed)
+        if now - self._published_at >= STATUS_INTERVAL:
+            self.publish_status()
         return velocities
 
-    def tell(self) -> None:
+    def publish_status(self) -> None:
         """Publishes how it goes."""
         act, pose, admission = self._act, self.guide.plan_from_tool, self._admission
-        self._told = act.clock.monotonic()
+        self._published_at = act.clock.monotonic()
         status = TeleopStatus(
-            stamp=self._told,
+            stamp=self._published_at,
             distance=float(np.linalg.norm(pose.translation)),
             height=float(pose.translation[2]),
             turn=float(np.linalg.norm(pose.rotvec)),
         )
-        act.cell.teleop.tell(status if admission is None else admission.shown(status, self.guide.limit))
+        act.cell.teleop.publish(status if admission is None else admission.add_to(status, self.guide.limit))
 
-    def _check_heard(self, admission: Admission, now: float) -> None:
+    def _check_deadman(self, admission: SetpointAdmission, now: float) -> None:
         if admission.arrived is not None:
-            self._heard = admission.arrived
-        silence, limit = now - self._heard, self._settings.deadman
+            self._last_setpoint_at = admission.arrived
+        silence, limit = now - self._last_setpoint_at, self._settings.deadman
         if silence > limit:
             text = (
                 f"No set point of {admission.user} was admitted for {silence:.3f} s, the limit is {limit:g} s "
@@ -130,7 +130,7 @@ class Guiding:
             )
             raise RefusalError("teleoperator_lost", text, user=admission.user, silence=silence, limit=limit)
 
-    def _see_body(self, now: float) -> None:
+    def _track_body(self, now: float) -> None:
         """Takes where the tracker sees the body: the plan and the zones go with it."""
         cell = self._act.cell
         for frame in cell.poses.frames_after(self._frame_number, BODIES):
@@ -138,7 +138,7 @@ class Guiding:
             self._body.take(frame)
         base_from_body_ref = self._base_from_tracker @ self._body.pose(self._body.stamp(now))
         place_body(cell, self._base_from_tracker, base_from_body_ref)
-        self.guide.see(base_from_body_ref @ self._body_ref_from_plan)
+        self.guide.set_plan(base_from_body_ref @ self._body_ref_from_plan)
 
 
 def planned_in_body_ref(cell: Cell, data: PlacementData) -> Transform:
@@ -155,7 +155,7 @@ def guide_possible(run: Run) -> None:
     cell = run.cell
     body_ref_from_plan = planned_in_body_ref(cell, run.data)
     update_collision_scene(cell, run.data)
-    Guide(cell, cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.BODY_REF) @ body_ref_from_plan)
+    GuidedTool(cell, cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.BODY_REF) @ body_ref_from_plan)
 
 
 async def see_tool_and_body(run: Run) -> None:
@@ -184,30 +184,30 @@ async def teleoperate(act: Activity) -> None:
     """Moves the tool as the engaged teleoperator asks; otherwise stands, and waits for the clutch.
 
     Raises:
-        RefusalError: See `Guiding`: the robot is held then.
+        RefusalError: See `GuidanceSession`: the robot is held then.
         DeviceError: The robot has ended the stream by itself.
     """
-    guiding = Guiding(act)
-    with act.cell.teleop.heard_by(guiding.hear):
+    session = GuidanceSession(act)
+    with act.cell.teleop.deliver_to(session.take_setpoint):
         while True:
-            guiding.tell()
-            if guiding.wanted is not None:
-                await _while_engaged(act, guiding, guiding.wanted)
-            await act.clock.sleep(TELL_EVERY)
+            session.publish_status()
+            if session.engaged_user is not None:
+                await _while_engaged(act, session, session.engaged_user)
+            await act.clock.sleep(STATUS_INTERVAL)
 
 
-async def _while_engaged(act: Activity, guiding: Guiding, user: str) -> None:
+async def _while_engaged(act: Activity, session: GuidanceSession, user: str) -> None:
     """Sends set points to the robot until this user's clutch is open; ends the stream, in which the arm brakes."""
     clock, period = act.clock, act.cell.settings.teleoperation.period
-    guiding.engage(user)
+    session.engage(user)
     async with act.cell.robot.servo() as stream:
         now = clock.monotonic()
-        while guiding.wanted == user:
+        while session.engaged_user == user:
             before, now = now, clock.monotonic()
-            velocities = guiding.advance(now, max(now - before, period))
-            stream.send(guiding.guide.positions, velocities)
+            velocities = session.advance(now, max(now - before, period))
+            stream.send(session.guide.positions, velocities)
             await clock.sleep(period)
-    guiding.release()
+    session.release()
 
 
 def register_teleoperation(registry: Registry[Cell, PlacementData]) -> None:

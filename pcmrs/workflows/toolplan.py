@@ -20,13 +20,13 @@ from pcmrs.workflows.collision_checks import check_postures, update_collision_sc
 from pcmrs.workflows.data import PlacementData, Planned, Point, as_message, as_transform
 from pcmrs.workflows.landmarks import check_same_head
 from pcmrs.workflows.paths import along_axis
-from pcmrs.workflows.reference import LATELY, check_reference
+from pcmrs.workflows.reference import RECENT, check_reference
 from pcmrs.workflows.zones import BODY
 
 Run = AnyRun[Cell, PlacementData]
 P = TypeVar("P", bound=PlacementData)
 
-SAME_POSTURE = 0.05
+POSTURE_TOLERANCE = 0.05
 """Postures that differ by less in every joint are one, rad."""
 SEED_TURNS = (0.0, 0.8, -0.8, 1.6, -1.6)
 """So far joints 1 and 3 are turned against each other to look for postures from there, rad: the elbow swings."""
@@ -58,7 +58,7 @@ def pose_of(asked: ToolPose) -> Transform:
 
 def accept_pose(run: AnyRun[Cell, P], pose: Transform) -> None:
     """Prepares a pose as the plan; refuses where the arm cannot reach it, or the registration is too inaccurate."""
-    missing = _missing(run)
+    missing = _missing_prerequisite(run)
     if missing:
         run.undecided.append(f"Whether the arm reaches it is not known before {missing}.")
     else:
@@ -83,7 +83,7 @@ def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Itera
     update_collision_scene(cell, run.data)
     standoff = cell.flange_for(base_from_coil @ along_axis(placement.standoff))
     target = cell.flange_for(base_from_coil @ along_axis(placement.confirm_offset))
-    body = _ball_around_body(cell)
+    body = _body_sphere(cell)
     found: list[Floats] = []
     refused: list[PcmrsError] = []
     for seed in _seeds(cell):
@@ -93,14 +93,14 @@ def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Itera
         except (UnreachableError, RefusalError) as error:
             refused.append(error)
             continue
-        if all(np.abs(posture - other).max() > SAME_POSTURE for other in found):
+        if all(np.abs(posture - other).max() > POSTURE_TOLERANCE for other in found):
             found.append(posture)
             yield posture
     if not found:
         raise refused[0]
 
 
-def _ball_around_body(cell: Cell) -> Floats | None:
+def _body_sphere(cell: Cell) -> Floats | None:
     """Centre and radius of the body, (4,), m, robot base, as in the collision scene; None without a surface."""
     model = cell.zones.model
     return model.bounding_sphere(BODY) if model.pairs_of_zone(BODY).any() else None
@@ -134,11 +134,11 @@ def previous_plan_fits(run: Run) -> None:
     if previous is None:
         raise RefusalError("no_previous_plan", "No tool pose was planned before: plan one.")
     check_same_head(run.cell, previous)
-    check_reference(run.cell, previous.reference, run.clock.monotonic() - LATELY)
+    check_reference(run.cell, previous.reference, run.clock.monotonic() - RECENT)
     accept_pose(run, as_transform(previous.image_from_coil))
 
 
-def _missing(run: AnyRun[Cell, P]) -> str:
+def _missing_prerequisite(run: AnyRun[Cell, P]) -> str:
     """What there has to be before reach can be decided; empty where it can."""
     poses = run.cell.poses
     if run.states.get("registration") != "111":

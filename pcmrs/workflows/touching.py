@@ -22,7 +22,7 @@ FRAMES_TIME = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Touched:
+class TouchMeasurement:
     """One touch.
 
     Attributes:
@@ -36,13 +36,13 @@ class Touched:
     since: float
 
 
-async def touch(run: Run, asked: Awaitable[None], what: str) -> Touched:
+async def touch(run: Run, request: Awaitable[None], target: str) -> TouchMeasurement:
     """Waits until the person holds the tip on something, and measures where it is.
 
     Args:
         run: The operation.
-        asked: The request to the pointer; it ends when the person says so.
-        what: Is touched, for texts.
+        request: The request to the pointer; it ends when the person says so.
+        target: Is touched, for texts.
 
     Raises:
         RefusalError: It is not touched in time, pointer or reference are not seen, or the samples spread too far.
@@ -50,25 +50,25 @@ async def touch(run: Run, asked: Awaitable[None], what: str) -> Touched:
     cell, settings = run.cell, run.cell.settings.registration
     try:
         async with run.clock.timeout(settings.touch_timeout_s):
-            await asked
+            await request
         since = run.clock.monotonic()
         frames = await cell.poses.collect(["body_ref", "pointer"], settings.samples, timeout=FRAMES_TIME)
     except TimeoutError:
-        text = f"{what} was not touched within {settings.touch_timeout_s:g} s; ask for it again."
+        text = f"{target} was not touched within {settings.touch_timeout_s:g} s; ask for it again."
         raise RefusalError("not_touched", text, limit=settings.touch_timeout_s) from None
     finally:
         with suppress(PcmrsError):  # the touch's own failure is the one to report
             await cell.pointer.release()
     tip = cell.pointer_from_tip.translation
     tips = np.array([frame["body_ref"].inverse() @ (frame["pointer"] @ tip) for frame in frames])
-    return Touched(tips.mean(axis=0), _held_still(rms_spread(tips), settings.spread_limit_mm, what), since)
+    return TouchMeasurement(tips.mean(axis=0), _held_still(rms_spread(tips), settings.spread_limit_mm, target), since)
 
 
-def _held_still(spread: float, limit_mm: float, what: str) -> float:
+def _held_still(spread: float, limit_mm: float, target: str) -> float:
     limit = limit_mm / 1000.0
     if not spread <= limit:
         text = (
-            f"The samples of {what} spread {spread * 1000:.2f} mm, the limit is {limit_mm:.2f} mm. Hold the pointer "
+            f"The samples of {target} spread {spread * 1000:.2f} mm, the limit is {limit_mm:.2f} mm. Hold the pointer "
             "still and touch it again."
         )
         raise RefusalError("spread_too_large", text, spread=spread, limit=limit)
