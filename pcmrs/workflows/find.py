@@ -13,16 +13,16 @@ from pcmrs.errors import ConfigurationError
 
 FOLDER = Path(__file__).parent
 GROUP = "pcmrs.workflows"
-"""Entry points whose values are modules; the blueprint lies beside the module."""
+"""Group of entry points. Their values are modules; the blueprint lies beside the module."""
 
 
 @dataclass(frozen=True, slots=True)
 class WorkflowFiles:
-    """A workflow that was found; nothing of it has been read or run.
+    """Files of a workflow. Finding them does not read or run any of them.
 
     Attributes:
-        blueprint: Its TOML file.
-        module: Import name of the Python file beside it; empty where that belongs to no package.
+        blueprint: TOML file of the blueprint.
+        module: Import name of the Python file beside it; empty if that belongs to no package.
     """
 
     blueprint: Path
@@ -30,27 +30,32 @@ class WorkflowFiles:
 
     @property
     def code(self) -> Path:
-        """The Python file of its own checks and steps; need not exist."""
+        """Python file with the workflow's own checks and steps; it need not exist."""
         return self.blueprint.with_suffix(".py")
 
 
 def find_workflow(name: str) -> WorkflowFiles:
-    """The workflow that a configuration or a user means.
+    """Return the files of the workflow that a configuration or a user names.
 
     Args:
-        name: Of a shipped workflow or of an entry point; or a path that ends in ``.toml``.
+        name: Name of a shipped workflow or of an entry point, or a path that ends in ``.toml``.
 
     Raises:
-        ConfigurationError: There is none, or more than one; the text lists what there is.
+        ConfigurationError: There is no such workflow, or more than one; the text lists the known ones.
     """
     return _at(Path(name).expanduser()) if name.endswith(".toml") else find_installed(name)
 
 
 def find_installed(name: str) -> WorkflowFiles:
-    """The workflow of that name: what a file of somebody else's names must not be a path, whose code would be run.
+    """Return the files of a workflow by its name only.
+
+    Names from other machines' files must not be paths, because the code at such a path would be run.
+
+    Args:
+        name: Name of a shipped workflow or of an entry point.
 
     Raises:
-        ConfigurationError: There is none, or more than one; the text lists what there is.
+        ConfigurationError: There is no such workflow, or more than one; the text lists the known ones.
     """
     found = [files for known, files in _installed() if known == name]
     if not found:
@@ -60,13 +65,13 @@ def find_installed(name: str) -> WorkflowFiles:
         raise ConfigurationError(text, workflow=name)
     if len(found) > 1:
         names = " and ".join(str(files.blueprint) for files in found)
-        text = f"More than one workflow is called {name!r}: {names}. Give the path of the one."
+        text = f"More than one workflow is called {name!r}: {names}. Give the path of one of them."
         raise ConfigurationError(text, workflow=name)
     return found[0]
 
 
 def _refuse_incomplete(name: str) -> None:
-    """Raises `ConfigurationError` where a package offers the workflow, but not the module that it names."""
+    """Raise `ConfigurationError` if a package offers the workflow but lacks the module that it names."""
     for point in entry_points(group=GROUP, name=name):
         package = point.dist.name if point.dist is not None else "a package"
         text = f"The workflow {name!r} is installed by {package}, but its module {point.module} is missing: "

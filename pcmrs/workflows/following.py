@@ -25,28 +25,28 @@ from pcmrs.workflows.placement import confirm_possible, target
 from pcmrs.workflows.setpoints import limit_twist
 
 MAX_ERROR, MAX_ERROR_ANGLE = 5e-4, float(np.radians(0.25))
-"""A tool that is farther behind a quick body errs no more than this by the arm's fault, m and rad."""
+"""Largest error that the integrator takes as the arm's, m and rad. A larger one is lag behind a fast body."""
 
 MAX_OFFSET_TIME = 0.3
-"""A tool that is seen too far from its place for so long, s, though nothing limits it, is not where it is seen: longer
-than what was seen while it caught up is on its way."""
+"""Time for which a tool may be seen too far from its place although nothing limits it, s. It is longer than the delay
+of frames taken while the tool was catching up."""
 
 
 class BodyFollower:
-    """Works out where the joints shall be next; moves nothing itself.
+    """Computes the next joint positions for the tool to follow the body. It moves nothing itself.
 
-    The tracker is taken to be where it makes the tool's pose by the joints agree with the one it sees: that takes in
-    the error of the arm's geometry, as it is at the start. What is left, and what comes as the arm moves on, is
-    integrated slowly from the tool's error against the body in the same exposure.
+    The tracker's pose is chosen so that the tool's pose by the joints agrees with the tracked one, which includes the
+    error of the arm's geometry at the start. The remaining error, and the error that arises as the arm moves on, is
+    integrated slowly from the tool's error against the body at one time of exposure.
 
     Args:
-        cell: With the arm at rest.
-        data: Of the procedure, with a registration and a plan in force.
-        frames: The newest ones, of a body that may move.
+        cell: Cell with the arm at rest.
+        data: Data of the procedure, with a registration and a plan in force.
+        frames: Newest frames of a body that may move.
 
     Attributes:
-        positions: Where the joints shall be, rad, (n,).
-        moved: How far the body is from where it was at first, m.
+        positions: Desired joint positions, rad, (n,).
+        moved: Distance of the body from its place at the start, m.
 
     Raises:
         RefusalError: Tool or body are not seen, or the tool is too far from its place to go there by itself.
@@ -76,15 +76,15 @@ class BodyFollower:
         self._limits = ClearanceLimits.at_posture(cell, self.positions)
 
     def take(self, frame: TrackerFrame) -> Transform:
-        """Takes a frame, and returns the tool's error in it, ``measured_from_desired``.
+        """Take a frame, and return the tool's error in it, ``measured_from_desired``.
 
         Raises:
-            RefusalError: The body jumped, the tool did, or what the arm errs by is too much to be believed.
+            RefusalError: The body or the tool jumped, or the arm's error is implausibly large.
         """
         elapsed = self._body.take(frame)
         error = measured_from_desired(frame, self._desired)
         self._check_offset(error, elapsed)
-        if not self._lagging:  # a tool that is limited in its speed is behind, not beside
+        if not self._lagging:  # the error of a tool at its speed limit is lag, not an error of the arm
             gain = elapsed / self._settings.correction_time
             step = gain * limit_twist(_twist(error), MAX_ERROR, MAX_ERROR_ANGLE)
             self._correction = self._correction @ Transform.from_rotvec(step[:3], step[3:])
@@ -92,14 +92,14 @@ class BodyFollower:
         return error
 
     def advance(self, time: float, elapsed: float) -> Floats:
-        """Goes on to where the tool shall be at `time`, s of the cell; returns the joint velocities to it, rad/s, (n,).
+        """Move on to the tool's pose at a time, and return the joint velocities of this step, rad/s, (n,).
 
         Args:
-            time: Now.
-            elapsed: Since the last call, s.
+            time: Present time, s of the cell.
+            elapsed: Time since the last call, s.
 
         Raises:
-            RefusalError: The body is not seen, has gone too far, or an arm that follows it would be in a zone.
+            RefusalError: The body is not seen or has gone too far, or the arm would be in a zone.
             UnreachableError: The arm cannot follow any farther.
         """
         stamp = self._body.stamp(time)
@@ -114,7 +114,7 @@ class BodyFollower:
         return velocities
 
     def _check_offset(self, error: Transform, elapsed: float) -> None:
-        """Refuses a tool that stays seen elsewhere: by then it has been corrected by much less than a millimetre."""
+        """Refuse a tool that is seen off its place for too long; until then it is corrected by much less than 1 mm."""
         try:
             check_correctable(error, self._cell.settings.placement)
         except RefusalError:
@@ -129,16 +129,16 @@ class BodyFollower:
         if self.moved > self._settings.range:
             text = (
                 f"The body has moved by {self.moved * 1000:.0f} mm since the tool began to follow it; the limit is "
-                f"{self._settings.range * 1000:g} mm. Back off, and approach anew."
+                f"{self._settings.range * 1000:g} mm. Back off, and approach again."
             )
             raise RefusalError("body_moved_far", text, moved=self.moved, limit=self._settings.range)
 
     def _goal(self, base_from_body_ref: Transform) -> Transform:
-        """``base_from_coil`` to tell the arm, for the tool to be at its place on the body."""
+        """Return the ``base_from_coil`` to command so that the tool is at its place on the body."""
         return base_from_body_ref @ self._desired @ self._correction
 
     def _move_tool(self, earlier: Transform, goal: Transform, elapsed: float) -> None:
-        """Moves the tool as the body moves, and smoothly on to its place there, within the limits of its motion."""
+        """Move the tool with the body, and smoothly to its place there, within the limits of its motion."""
         settings = self._settings
         with_body = _twist(earlier.inverse() @ goal) / elapsed
         catching_up = _twist(self._base_from_coil.inverse() @ earlier) / max(settings.smoothing_time, elapsed)
@@ -170,13 +170,13 @@ Activity = AnyActivity[Cell, PlacementData]
 Run = AnyRun[Cell, PlacementData]
 
 FIRST_FRAMES = 10
-"""So many show where all is before anything moves."""
+"""Number of frames that must show tool and body before anything moves."""
 FIRST_TIME = 5.0
-"""They come within this, s."""
+"""Longest wait for these frames, s."""
 
 
 def follow_possible(run: Run) -> None:
-    """Plans the straight way to where the body is now; refuses one that is too long for a small correction."""
+    """Plan the straight path to the body's present place, and refuse one that is too long for a small correction."""
     cell = run.cell
     image_from_coil = cell.frames(run.data).get(Frame.IMAGE, Frame.COIL)
     desired = target(run.data, cell.settings.placement.confirm_offset)
@@ -185,11 +185,11 @@ def follow_possible(run: Run) -> None:
 
 
 async def follow_head(act: Activity) -> None:
-    """Sends set points for as long as it is not told to end, and ends the stream before it does.
+    """Send set points until the activity is cancelled, and end the stream then.
 
     Raises:
-        RefusalError: See `BodyFollower`: the robot is held then.
-        DeviceError: The robot has ended the stream by itself.
+        RefusalError: See `BodyFollower`. The robot is then held.
+        DeviceError: The robot has ended the stream itself.
     """
     cell, clock = act.cell, act.clock
     await cell.poses.collect(BODIES, FIRST_FRAMES, timeout=FIRST_TIME)
@@ -210,6 +210,6 @@ async def follow_head(act: Activity) -> None:
 
 
 def register_following(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for this check and activity."""
+    """Register the names that blueprints use for this check and activity."""
     registry.long_check(follow_possible)
     registry.activity(follow_head, moves=True)

@@ -1,4 +1,4 @@
-"""Watches an arm that moves: holds it where it drifts into a zone, or goes to a body that is not seen any more."""
+"""Guard of a moving arm: it is held if it drifts into a zone, or goes to a body that is no longer seen."""
 
 from __future__ import annotations
 
@@ -15,16 +15,21 @@ from pcmrs.workflows.collision_checks import ClearanceLimits
 BODY = "body_ref"
 
 MAX_CHECK_INTERVAL = 0.1
-"""Between two looks, s: joints come more often."""
+"""Longest counted time between two checks, s. Measured joints arrive more often."""
 
 
 async def follow_guarded(cell: Cell, trajectory: JointTrajectory, *, towards_body: bool) -> MotionResult:
-    """Follows a trajectory, watched; `towards_body` says whether the tracker has to show the body on the way.
+    """Follow a trajectory under guard.
+
+    Args:
+        cell: Cell with robot and zones.
+        trajectory: Planned path.
+        towards_body: True if the tracker must show the body on the way.
 
     Raises:
-        RefusalError: The arm was held: it came nearer to a zone than planned, or the body was not seen.
+        RefusalError: The arm was held, because it came nearer to a zone than planned or the body was not seen.
         DeviceError: The robot answered with a failure.
-        UnknownOutcomeError: It did not answer.
+        UnknownOutcomeError: The robot did not answer.
     """
     async with guarded(cell, trajectory, towards_body=towards_body):
         return await cell.robot.follow(trajectory)
@@ -32,15 +37,15 @@ async def follow_guarded(cell: Cell, trajectory: JointTrajectory, *, towards_bod
 
 @asynccontextmanager
 async def guarded(cell: Cell, trajectory: JointTrajectory, *, towards_body: bool) -> AsyncIterator[None]:
-    """Watches a motion along a trajectory, or along a part of it, for as long as the context lasts.
+    """Guard a motion along a trajectory, or along a part of it, for as long as the context lasts.
 
     Args:
-        cell: The cell.
-        trajectory: The way as it was planned.
-        towards_body: The arm is held where the tracker does not show the body any more; a retreat goes on.
+        cell: Cell with robot and zones.
+        trajectory: Planned path.
+        towards_body: True if the arm must be held when the tracker no longer shows the body. A retreat goes on.
 
     Raises:
-        RefusalError: The arm was held: it came nearer to a zone than planned, or the body was not seen.
+        RefusalError: The arm was held, because it came nearer to a zone than planned or the body was not seen.
     """
     limits = await ClearanceLimits.along_motion(cell, trajectory.positions)
     guard = _Guard(cell, limits, _BodyVisibility(cell) if towards_body else None)
@@ -62,7 +67,7 @@ class _Guard:
         self._holding: asyncio.Task[JointState] | None = None
 
     def watch(self, state: JointState) -> None:
-        """Takes measured joints, and holds the arm the first time that a link is too near or the body is lost."""
+        """Take measured joints, and hold the arm the first time that a link is too near or the body is lost."""
         if self._refusal is not None:
             return
         self._place_body()
@@ -72,17 +77,17 @@ class _Guard:
             self._holding = asyncio.get_running_loop().create_task(self._cell.robot.hold())
 
     async def wait_until_held(self) -> None:
-        """Returns once an arm that had to be held stands."""
+        """Return once an arm that had to be held stands still."""
         if self._holding is not None:
             await self._holding
 
     def check(self) -> None:
-        """Raises `RefusalError` where the arm was held."""
+        """Raise `RefusalError` if the arm was held."""
         if self._refusal is not None:
             raise self._refusal
 
     def _place_body(self) -> None:
-        """Takes where the tracker sees the body now; while it does not, the body counts as where it was."""
+        """Place the body where the tracker sees it now. While it is not seen, its last place counts."""
         cell = self._cell
         with suppress(RefusalError):
             seen = cell.poses.newest(BODY)
@@ -92,10 +97,10 @@ class _Guard:
 
 
 class _BodyVisibility:
-    """Measures for how long the tracker has not shown the body, with every look.
+    """Timer of how long the tracker has not shown the body, updated by every check.
 
-    Time in which nobody looked counts as `MAX_CHECK_INTERVAL` at most: where this process or the robot's messages were
-    held up, poses wait to be taken, too.
+    The time between two checks counts as `MAX_CHECK_INTERVAL` at most. If this process or the robot's messages were
+    delayed, tracked poses wait to be taken, too.
     """
 
     def __init__(self, cell: Cell) -> None:
@@ -105,7 +110,7 @@ class _BodyVisibility:
         self._unseen = 0.0
 
     def refusal(self) -> RefusalError | None:
-        """Why the arm is to be held, if it is."""
+        """Return the refusal for an arm that must be held because the body is not seen; otherwise None."""
         cell, limit = self._cell, self._cell.settings.tracking.unseen
         now, captured = cell.clock.monotonic(), cell.poses.last_seen(BODY)
         if captured > self._captured and now - captured <= limit:

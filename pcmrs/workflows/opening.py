@@ -1,4 +1,4 @@
-"""Workflows ready to run: a blueprint with the checks and steps that it names."""
+"""Workflows ready to run: a blueprint with its checks and steps."""
 
 from __future__ import annotations
 
@@ -30,21 +30,29 @@ _log = logging.getLogger(__name__)
 
 
 def open_workflow(name: str) -> Workflow[Cell, PlacementData]:
-    """The workflow of that name or path, ready to run: its blueprint verified, its Python file run.
+    """Return a workflow ready to run: its blueprint is verified, and its Python file has run.
+
+    Args:
+        name: Name of the workflow, or path of its blueprint.
 
     Raises:
-        ConfigurationError: There is no such workflow, or its Python file is faulty.
-        BlueprintError: Its blueprint is unsound, or uses a name that nobody registers.
+        ConfigurationError: The workflow does not exist, or its Python file is faulty.
+        BlueprintError: Its blueprint is unsound, or uses a name that is not registered.
     """
     return _open(find_workflow(name))
 
 
 def open_installed(name: str) -> Workflow[Cell, PlacementData]:
-    """The same for a name that comes from elsewhere, such as another machine's journal; never a path.
+    """Return an installed workflow ready to run.
+
+    For names from elsewhere, such as another machine's journal, which must not be paths.
+
+    Args:
+        name: Name of the workflow.
 
     Raises:
-        ConfigurationError: There is no such workflow, or its Python file is faulty.
-        BlueprintError: Its blueprint is unsound, or uses a name that nobody registers.
+        ConfigurationError: The workflow does not exist, or its Python file is faulty.
+        BlueprintError: Its blueprint is unsound, or uses a name that is not registered.
     """
     return _open(find_installed(name))
 
@@ -64,7 +72,7 @@ def _open(files: WorkflowFiles) -> Workflow[Cell, PlacementData]:
 
 
 def _registry_with(files: WorkflowFiles, code: WorkflowCode) -> Registry[Cell, PlacementData]:
-    """The shared registry and what the workflow adds; a name of the one never means something of the other."""
+    """Return the shared registry with the workflow's additions. A workflow cannot redefine a shared name."""
     shared, registry = placement_registry(), placement_registry()
     add_source_location(files.code, code.register, registry)
     kinds: list[tuple[dict[str, Any], dict[str, Any]]] = [
@@ -82,7 +90,7 @@ def _registry_with(files: WorkflowFiles, code: WorkflowCode) -> Registry[Cell, P
 
 
 def placement_registry() -> Registry[Cell, PlacementData]:
-    """Checks and steps of the procedures that place a tool on a registered body."""
+    """Return the registry of checks and steps of the procedures that place a tool on a registered body."""
     registry: Registry[Cell, PlacementData] = Registry()
     register_calibration_checks(registry)
     register_landmark_operations(registry)

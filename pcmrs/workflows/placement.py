@@ -1,4 +1,4 @@
-"""What is worked out before the tool moves: each check plans the whole motion or refuses it."""
+"""Checks before the tool moves: each plans the whole motion or refuses it."""
 
 from __future__ import annotations
 
@@ -35,28 +35,32 @@ Run = AnyRun[Cell, PlacementData]
 NO_NUDGE: Point = (0.0, 0.0, 0.0)
 
 MAX_POSTURES = 3
-"""So many postures at the standoff are tried: each takes some 50 ms to plan."""
+"""Greatest number of postures at the standoff that are tried. Each takes about 50 ms to plan."""
 
 LIMIT_RESERVE = 0.005
-"""So far before the place where the arm cannot follow a line any more, it stops following it, m."""
+"""Distance by which a retreat stops before the place where the arm can no longer follow the line, m."""
 
-
-BY_HAND = "Register the body anew, or bring the arm away by hand, with the robot's own controls; then back off."
-"""What is left where even backing off is refused."""
+BY_HAND = "Register the body again, or bring the arm away by hand, with the robot's own controls; then back off."
+"""Advice if even backing off is refused."""
 
 
 class Nudge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Arguments of `nudge`, in the tool frame: m, and rotations about z, y, x in rad."""
+    """Arguments of `nudge`, in the tool frame.
+
+    Attributes:
+        translation: Translation, m.
+        rotation_zyx: Rotations about z, y, x, rad.
+    """
 
     translation: Point = NO_NUDGE
     rotation_zyx: Point = NO_NUDGE
 
 
 def approach_possible(run: Run) -> None:
-    """Plans the way to the standoff, by another posture where the first is refused.
+    """Plan the path to the standoff, with another posture if the first one is refused.
 
-    Refuses where the registration is not accurate enough there, each way passes a zone or the body, or the target is
-    out of reach.
+    It is refused if the registration is not accurate enough there, each path passes a zone or the body, or the target
+    is out of reach.
     """
     check_tre(run.cell, run.data, planned(run.data).translation)
     refused: list[PcmrsError] = []
@@ -70,13 +74,13 @@ def approach_possible(run: Run) -> None:
 
 
 def confirm_possible(run: Run) -> None:
-    """Plans the straight way along the tool's axis to the target."""
+    """Plan the straight path along the tool's axis to the target."""
     check_at_present_plan(run.data)
     run.prepared = _plan_straight_to(run, target(run.data, run.cell.settings.placement.confirm_offset))
 
 
 def nudge_possible(run: Run) -> None:
-    """Plans the straight way to the nudged pose, and refuses a sum of nudges that is too large."""
+    """Plan the straight path to the nudged pose, and refuse a sum of nudges that is too large."""
     check_at_present_plan(run.data)
     limits = run.cell.settings.placement
     translation, rotation = accumulated_nudges(run)
@@ -87,7 +91,16 @@ def nudge_possible(run: Run) -> None:
 
 
 def check_nudges(run: Run, translation: Point, rotation_zyx: Point) -> None:
-    """Refuses a sum of nudges that is too large, m and rad. Raises `RefusalError`."""
+    """Refuse a sum of nudges that is too large.
+
+    Args:
+        run: Present operation.
+        translation: Sum of translations, m.
+        rotation_zyx: Sum of rotations about z, y, x, rad.
+
+    Raises:
+        RefusalError: ``nudge_too_large``.
+    """
     limits = run.cell.settings.placement
     length, angle = math.dist(NO_NUDGE, translation), nudge_transform(NO_NUDGE, rotation_zyx).rotvec
     turned = math.degrees(float(np.linalg.norm(angle)))
@@ -100,11 +113,12 @@ def check_nudges(run: Run, translation: Point, rotation_zyx: Point) -> None:
 
 
 def retreat_possible(run: Run) -> None:
-    """Plans the straight way back along the tool's axis: to the standoff it belongs to, or clear of the body.
+    """Plan the straight path back along the tool's axis: to its standoff, or until it is clear of the body.
 
-    Where the arm cannot follow that line to its end it goes on home: backing off is the only way out of `held`,
-    so a joint limit on the line must not refuse it. Nor must a body of which only the reference has been seen: that may
-    be beside it, while +z leads away from the body by definition. Only the way home is held against the reference.
+    If the arm cannot follow that line to its end, the path continues home. Backing off is the only way out of `held`,
+    so a joint limit on the line must not refuse it. Neither must a body of which only the reference has been seen: the
+    reference may be beside the body, while +z leads away from the body by definition. Only the path home is checked
+    against the reference.
     """
     cell = run.cell
     straight, complete = _plan_back_off(run)
@@ -116,35 +130,48 @@ def retreat_possible(run: Run) -> None:
 
 
 def home_grows_distance(run: Run) -> None:
-    """Plans the way to the home posture; it may only lead away from the body."""
+    """Plan the path to the home posture, which may only lead away from the body."""
     run.prepared = _plan_retreat(run, list(run.cell.home))
 
 
 def initial_grows_distance(run: Run) -> None:
-    """Plans the way to the initial posture; it may only lead away from the body."""
+    """Plan the path to the initial posture, which may only lead away from the body."""
     run.prepared = _plan_retreat(run, run.cell.initial_joints or list(run.cell.home))
 
 
 def planned(data: PlacementData) -> Transform:
-    """``image_from_coil`` of the plan in force. Raises `RefusalError` when there is none."""
+    """Return ``image_from_coil`` of the plan in force. Raises `RefusalError` if there is none."""
     if data.plan is None:
         raise RefusalError("no_plan", "No tool pose is planned: plan one first.")
     return as_transform(data.plan)
 
 
 def target(data: PlacementData, height: float) -> Transform:
-    """``image_from_coil`` of the plan with all nudges, `height` (m) away along the tool's axis."""
+    """Return ``image_from_coil`` of the plan with all nudges, shifted along the tool's axis.
+
+    Args:
+        data: Data of the procedure.
+        height: Shift along the tool's +z axis, away from the body, m.
+
+    Raises:
+        RefusalError: There is no plan.
+    """
     return planned(data) @ along_axis(height) @ nudge_transform(data.nudge_translation, data.nudge_rotation_zyx)
 
 
 @lru_cache(maxsize=64)
 def nudge_transform(translation: Point, rotation_zyx: Point) -> Transform:
-    """``coil_from_nudged`` of a translation (m) and rotations about z, y, x (rad)."""
+    """Return ``coil_from_nudged`` of a nudge.
+
+    Args:
+        translation: Translation, m.
+        rotation_zyx: Rotations about z, y, x, rad.
+    """
     return Transform.from_zyx(translation, rotation_zyx)
 
 
 def accumulated_nudges(run: Run) -> tuple[Point, Point]:
-    """The sums of nudges with the one that is asked for."""
+    """Return the sums of nudges, including the requested one: translation in m and rotations in rad."""
     data, asked = run.data, run.payload
     x, y, z = np.add(data.nudge_translation, asked.translation).tolist()
     rz, ry, rx = np.add(data.nudge_rotation_zyx, asked.rotation_zyx).tolist()
@@ -152,7 +179,7 @@ def accumulated_nudges(run: Run) -> tuple[Point, Point]:
 
 
 def _plan_approach(run: Run, posture: Floats) -> JointTrajectory:
-    """The way to a posture at the standoff, from which the target can be reached."""
+    """Plan the path to a posture at the standoff from which the target can be reached."""
     cell = run.cell
     base_from_image = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE)
     way = plan_joint_path(run, cell.posture(), posture)
@@ -164,21 +191,21 @@ def _plan_approach(run: Run, posture: Floats) -> JointTrajectory:
 
 
 def _plan_straight_to(run: Run, image_from_coil: Transform) -> JointTrajectory:
-    """The straight way of the coil from where it is to a pose in the image."""
+    """Plan the straight path of the coil from its present pose to a pose in the image."""
     base_from_image = run.cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE)
     base_from_target = base_from_image @ planned(run.data)
     return _plan_line(run, run.cell.posture(), base_from_image @ image_from_coil, base_from_target)
 
 
 def _plan_line(run: Run, start: Floats, base_from_coil: Transform, base_from_target: Transform) -> JointTrajectory:
-    """The straight way of the coil from joint positions to a pose near the target of the plan."""
+    """Plan the straight path of the coil from joint positions to a pose near the target of the plan."""
     way = plan_linear_path(run, start, base_from_coil, near=True)
     check_towards(run.cell, run.data, way, base_from_target)
     return way
 
 
 def _plan_retreat(run: Run, posture: list[float]) -> JointTrajectory:
-    """Back off along the axis where the tool is at the body, then straight in the joints to a posture."""
+    """Plan a retreat along the axis if the tool is at the body, and then a motion of the joints to a posture."""
     cell = run.cell
     way = None if run.states["placement"] == "retracted" else _plan_back_off(run)[0]
     start = cell.posture() if way is None else way.positions[-1]
@@ -192,9 +219,9 @@ def _plan_retreat(run: Run, posture: list[float]) -> JointTrajectory:
 
 
 def _plan_back_off(run: Run) -> tuple[JointTrajectory, bool]:
-    """Straight along the tool's +z axis, as far as the standoff is from where the tool is; and whether all of it.
+    """Plan a straight path along the tool's +z axis to the standoff, and return it with a flag.
 
-    It is cut short where the arm cannot follow it any farther.
+    The flag is False if the path was shortened because the arm cannot follow it any farther.
     """
     length = whole = _retreat_length(run)
     while True:
@@ -206,7 +233,7 @@ def _plan_back_off(run: Run) -> tuple[JointTrajectory, bool]:
 
 
 def _append_way_home(run: Run, straight: JointTrajectory, *, checked_later: bool) -> JointTrajectory:
-    """On home from the end of a straight way that was cut short; the straight way alone where that is refused."""
+    """Append the path home to a shortened straight path; return the straight path alone if the path home is refused."""
     cell = run.cell
     home = plan_joint_path(run, straight.positions[-1], cell.home)
     if not checked_later:
@@ -221,14 +248,14 @@ def _append_way_home(run: Run, straight: JointTrajectory, *, checked_later: bool
 
 
 def _plan_straight_away(run: Run, length: float) -> JointTrajectory:
-    """Straight along the tool's +z axis. Raises `UnreachableError` where the arm cannot follow it to its end."""
+    """Plan a straight path along the tool's +z axis. Raises `UnreachableError` if the arm cannot follow it."""
     cell = run.cell
     base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
     return plan_linear_path(run, cell.posture(), base_from_coil @ along_axis(length))
 
 
 def _retreat_length(run: Run) -> float:
-    """To the standoff the tool belongs to, where it is on its axis; otherwise until it is clear of the body."""
+    """Return the distance to the tool's standoff if it is on its axis; otherwise the distance until it is clear, m."""
     try:
         way = _distance_to_standoff(run)
         return distance_until_clear(run.cell, run.data) if way is None else way
@@ -248,23 +275,23 @@ def _distance_to_standoff(run: Run) -> float | None:
 
 
 def at_present_plan(data: PlacementData) -> bool:
-    """Whether the tool was brought to the plan and registration that are in force."""
+    """Return True if the tool was brought to the plan and registration that are in force."""
     return data.approached is not None and data.approached == (data.plan_id, data.registration_id)
 
 
 def check_at_present_plan(data: PlacementData) -> None:
-    """Refuses to go on from where the tool was not brought for this plan, whatever the states say.
+    """Refuse to go on if the tool was not brought there for this plan, whatever the states say.
 
     Raises:
         RefusalError: ``not_at_plan``.
     """
     if not at_present_plan(data):
-        text = "The tool was not brought to the plan and registration in force: back off, then approach anew."
+        text = "The tool was not brought to the plan and registration in force: back off, then approach again."
         raise RefusalError("not_at_plan", text, plan=data.plan_id, registration=data.registration_id)
 
 
 def register_placement_checks(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these checks."""
+    """Register the names that blueprints use for these checks."""
     registry.payload("nudge", Nudge)
     registry.payload("retreat", Retreat)
     for check in (approach_possible, confirm_possible, nudge_possible, retreat_possible):

@@ -1,4 +1,4 @@
-"""Where the set points of teleoperators come in, and what the daemon tells them goes out."""
+"""Port between the bus and teleoperation: it receives set points and publishes statuses."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ SetpointHandler = Callable[[str, TeleopSetpoint], None]
 
 
 def _discard_setpoint(_user: str, _setpoint: TeleopSetpoint) -> None:
-    """Set points have no effect while nobody guides the tool."""
+    """Discard a set point, because nobody guides the tool."""
 
 
 def _discard_status(_status: TeleopStatus) -> None:
-    """A cell without a bus tells nobody."""
+    """Discard a status, because the cell has no bus."""
 
 
 @dataclass
 class TeleopPort:
-    """Between the bus and the activity that guides the tool.
+    """Port between the bus and the activity that guides the tool.
 
     Attributes:
-        receive: Takes a user's set point the moment it comes.
-        publish: Publishes a status.
+        receive: Function that takes a user's set point as soon as it arrives.
+        publish: Function that publishes a status.
     """
 
     receive: SetpointHandler = _discard_setpoint
@@ -33,7 +33,7 @@ class TeleopPort:
 
     @contextmanager
     def deliver_to(self, handler: SetpointHandler) -> Iterator[None]:
-        """Has set points heard for as long as the context lasts."""
+        """Deliver set points to a handler for as long as the context lasts."""
         self.receive = handler
         try:
             yield

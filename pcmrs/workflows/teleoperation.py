@@ -1,4 +1,4 @@
-"""A teleoperator guides the tool near its planned pose, for as long as the clutch is engaged."""
+"""Teleoperation: a user guides the tool near its planned pose while the clutch is engaged."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ Activity = AnyActivity[Cell, PlacementData]
 Run = AnyRun[Cell, PlacementData]
 
 BUS = "bus:"
-"""What the sources of those begin with who can send set points."""
+"""Prefix of the sources that can send set points."""
 
 FIRST_SETPOINT_TIME = 1.0
-"""The first set point may take so much longer than the others, s: until then nothing moves."""
+"""Additional time for the first set point, s. Until then nothing moves."""
 STATUS_INTERVAL = 0.02
-"""Between two statuses, s: as often as set points come."""
+"""Time between two statuses, s: the period of set points."""
 
 
 class GuidanceSession:
-    """Follows set points and the body, and waits for nothing.
+    """Session of guidance that follows set points and the body, without ever waiting.
 
     Args:
-        act: On whose behalf; the arm is at rest.
+        act: Activity that runs the session. The arm is at rest.
 
     Attributes:
-        guide: Says where the joints shall be.
+        guide: Tool that is guided, with its desired joint positions.
 
     Raises:
         RefusalError: Tool or body are not seen, or there is no plan.
@@ -64,11 +64,11 @@ class GuidanceSession:
 
     @property
     def engaged_user(self) -> str | None:
-        """User whose set points the workflow wants to count; None while the clutch is open."""
+        """User whose set points the workflow admits; None while the clutch is open."""
         return self._act.data.teleoperator if self._act.states["teleoperation"] == "engaged" else None
 
     def engage(self, user: str) -> None:
-        """The clutch has been engaged: the arm stands, and set points count from now on."""
+        """Start to admit set points of a user, with the arm at rest."""
         act, cell = self._act, self._act.cell
         now = act.clock.monotonic()
         self._admission = SetpointAdmission(user, now, self._settings)
@@ -79,23 +79,28 @@ class GuidanceSession:
         self.guide.begin()
 
     def release(self) -> None:
-        """The clutch has been opened."""
+        """Stop to admit set points, because the clutch is open."""
         self._admission = None
 
     def take_setpoint(self, user: str, setpoint: TeleopSetpoint) -> None:
-        """Takes a set point the moment it comes."""
+        """Take a set point as soon as it arrives.
+
+        Args:
+            user: User who has sent the set point.
+            setpoint: Set point.
+        """
         if self._admission is not None:
             self._admission.take(user, setpoint, self._act.clock.monotonic())
 
     def advance(self, now: float, elapsed: float) -> Floats:
-        """Goes on as the newest set point asks; returns the joint velocities that lead there, rad/s, (n,).
+        """Move on with the newest set point, and return the joint velocities of this step, rad/s, (n,).
 
         Args:
-            now: s of the cell.
-            elapsed: Since the last call, s.
+            now: Present time, s of the cell.
+            elapsed: Time since the last call, s.
 
         Raises:
-            RefusalError: No fresh set point has come, tool and body are not seen, or the body has jumped.
+            RefusalError: No recent set point has arrived, tool and body are not seen, or the body has jumped.
         """
         admission = self._admission
         if admission is None:
@@ -108,7 +113,7 @@ class GuidanceSession:
         return velocities
 
     def publish_status(self) -> None:
-        """Publishes how it goes."""
+        """Publish the status of the tool and of the set points."""
         act, pose, admission = self._act, self.guide.plan_from_tool, self._admission
         self._published_at = act.clock.monotonic()
         status = TeleopStatus(
@@ -131,7 +136,7 @@ class GuidanceSession:
             raise RefusalError("teleoperator_lost", text, user=admission.user, silence=silence, limit=limit)
 
     def _track_body(self, now: float) -> None:
-        """Takes where the tracker sees the body: the plan and the zones go with it."""
+        """Place the body where the tracker sees it, with the plan and the zones."""
         cell = self._act.cell
         for frame in cell.poses.frames_after(self._frame_number, BODIES):
             self._frame_number = frame["coil"].frame_number
@@ -142,7 +147,15 @@ class GuidanceSession:
 
 
 def planned_in_body_ref(cell: Cell, data: PlacementData) -> Transform:
-    """``body_ref_from_coil`` as planned and nudged. Raises `RefusalError` where there is no plan or registration."""
+    """Return ``body_ref_from_coil`` as planned and nudged.
+
+    Args:
+        cell: Cell with the settings.
+        data: Data of the procedure.
+
+    Raises:
+        RefusalError: There is no plan or registration.
+    """
     planned = desired_in_body_ref(cell, data)
     if planned is None:
         raise RefusalError("not_registered", "There is no registration and plan to guide the tool near.")
@@ -150,7 +163,7 @@ def planned_in_body_ref(cell: Cell, data: PlacementData) -> Transform:
 
 
 def guide_possible(run: Run) -> None:
-    """Refuses to guide a tool that is not seen with the body, or from where the arm cannot go to its planned pose."""
+    """Refuse to guide a tool that is not seen with the body, or whose arm cannot go from here to the planned pose."""
     check_at_present_plan(run.data)
     cell = run.cell
     body_ref_from_plan = planned_in_body_ref(cell, run.data)
@@ -159,14 +172,14 @@ def guide_possible(run: Run) -> None:
 
 
 async def see_tool_and_body(run: Run) -> None:
-    """Waits until tool and body have been seen together once more. Raises `RefusalError` where they are not."""
+    """Wait until tool and body have been seen together again. Raises `RefusalError` if they are not."""
     await run.cell.poses.collect(BODIES, FIRST_FRAMES, timeout=FIRST_TIME)
 
 
 def engage_possible(run: Run) -> None:
-    """Refuses whoever cannot send set points, and to engage where tool or body are hidden.
+    """Refuse users who cannot send set points, and an engagement while tool or body are hidden.
 
-    Set points come over the bus, and are known by the user in their key.
+    Set points arrive over the bus, whose keys name the user.
     """
     if not run.command.source.startswith(BUS):
         text = f"Set points come over the bus, which {run.command.source} does not use: engage by `pcmrs teleop`."
@@ -176,16 +189,16 @@ def engage_possible(run: Run) -> None:
 
 
 def keep_teleoperator(run: Run) -> None:
-    """The set points of who asks count from now on, and of nobody else."""
+    """Admit the set points of the requesting user from now on, and of no other user."""
     run.keep(teleoperator=run.command.user)
 
 
 async def teleoperate(act: Activity) -> None:
-    """Moves the tool as the engaged teleoperator asks; otherwise stands, and waits for the clutch.
+    """Move the tool as the engaged teleoperator commands; otherwise stand still, and wait for the clutch.
 
     Raises:
-        RefusalError: See `GuidanceSession`: the robot is held then.
-        DeviceError: The robot has ended the stream by itself.
+        RefusalError: See `GuidanceSession`. The robot is then held.
+        DeviceError: The robot has ended the stream itself.
     """
     session = GuidanceSession(act)
     with act.cell.teleop.deliver_to(session.take_setpoint):
@@ -197,7 +210,7 @@ async def teleoperate(act: Activity) -> None:
 
 
 async def _while_engaged(act: Activity, session: GuidanceSession, user: str) -> None:
-    """Sends set points to the robot until this user's clutch is open; ends the stream, in which the arm brakes."""
+    """Send set points to the robot until this user's clutch is open, then end the stream, which brakes the arm."""
     clock, period = act.clock, act.cell.settings.teleoperation.period
     session.engage(user)
     async with act.cell.robot.servo() as stream:
@@ -211,7 +224,7 @@ async def _while_engaged(act: Activity, session: GuidanceSession, user: str) -> 
 
 
 def register_teleoperation(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these checks, steps and activity."""
+    """Register the names that blueprints use for these checks, steps and activity."""
     registry.long_check(guide_possible)
     registry.check(engage_possible)
     registry.world_step(see_tool_and_body)

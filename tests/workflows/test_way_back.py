@@ -111,7 +111,7 @@ async def test_after_a_restart_the_way_back_is_straight_though_it_pass_the_refer
         if (name, pose) == ("ratms", 11):  # home is past the reference
             refused = await bench.refuse("placement.back_off", "distance_shrinks", confirm=True)
             assert refused.reason is not None
-            assert "Register the body anew" in refused.reason.text
+            assert "Register the body again" in refused.reason.text
             await register(bench)
         if bench.states["placement"] == "held":
             await bench.accept("placement.back_off", confirm=True)
