@@ -41,7 +41,7 @@ def main(steps: int) -> None:
     flange_from_coil = Transform.from_quat_wxyz((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
     zones = CellZones(IIWA14_R820, flange_from_coil, settings, read_surface(settings))
     zones.place_body(BASE_FROM_IMAGE)
-    zones.model.look_from(TRACKER, BODY_REF)
+    zones.model.set_sight_lines(TRACKER, BODY_REF)
     home, at_head = np.array(IIWA14_R820.home), np.array(AT_HEAD)
     arm = ArmModel(IIWA14_R820)
     rng = np.random.default_rng(1)
@@ -56,7 +56,7 @@ def main(steps: int) -> None:
         middle, high = np.percentile(microseconds, (50, 99))
         print(f"{name:20s} p50 {middle:6.1f} us   p99 {high:6.1f} us   limit 100 us")
     begin = time.perf_counter()
-    looks = len(zones.look_at(along[:: max(1, steps // 1000)]).postures)
+    looks = len(zones.sample_clearance(along[:: max(1, steps // 1000)]).postures)
     print(f"{'a whole approach':20s} {looks} looks in {(time.perf_counter() - begin) * 1e3:.1f} ms")
 
 

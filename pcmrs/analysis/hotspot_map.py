@@ -112,11 +112,11 @@ def _draw_expected(axes: Axes, search: HotspotSearch, view: Transform) -> Any:
     angle = 0.0
     if search.responded:
         best = as_transform(search.estimate.image_from_coil)
-        angle = heading(search.between(best.translation), best)
+        angle = heading(search.pose_at(best.translation), best)
     flat = _spokes((search.settings.rings + 0.5) * search.settings.spacing_mm / 1e3)
     on_plane = as_transform(search.places[0]) @ np.column_stack((flat, np.zeros(len(flat))))
-    poses = [search.between(point, angle) for point in on_plane]
-    amplitudes_uv = np.maximum(search.expected(poses) * 1e6, LEAST_UV)
+    poses = [search.pose_at(point, angle) for point in on_plane]
+    amplitudes_uv = np.maximum(search.expected_amplitudes(poses) * 1e6, LEAST_UV)
     seen = view @ np.array([pose.translation for pose in poses]) * 1e3
     scale = LogNorm(LEAST_UV, max(10.0 * LEAST_UV, float(amplitudes_uv.max())))
     triangles = Triangulation(seen[:, 0], seen[:, 1], Triangulation(*flat.T).triangles)

@@ -1,4 +1,4 @@
-"""Calibrations of tools and pointers: the files that keep them, when they may be used, and the poses they come from."""
+"""Calibrations of tools and pointers: their files, their validity, and the poses from which they are computed."""
 
 from pcmrs.calibration.file import Calibration, Kind, ToolType, next_version, read_calibration, write_calibration
 from pcmrs.calibration.validity import Expected, check_valid

@@ -1,4 +1,4 @@
-"""Calibration files: TOML, versioned, with the hash of what they say."""
+"""Calibration files: versioned TOML with a hash of the content."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Kind = Literal["tool", "pointer"]
 ToolType = Literal["coil", "drill_guide"]
 
 TRANSFORM: dict[Kind, str] = {"tool": "flange_from_coil", "pointer": "pointer_from_tip"}
-"""What a calibration of a kind must hold; the frames are those of `pcmrs.spatial.Frame`."""
+"""Transform that a calibration of each kind must hold; the frames are those of `pcmrs.spatial.Frame`."""
 
 HEADER = "# A calibration of PCMRS. The hash covers every value: what is changed by hand is refused; calibrate anew.\n"
 
@@ -31,24 +31,26 @@ Count = Annotated[int, msgspec.Meta(ge=1)]
 
 
 class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What was found about one tool or pointer.
+    """Calibration of one tool or pointer.
 
     Attributes:
-        schema: Of the file.
-        type: Of a tool; empty for a pointer.
-        serial: Of the thing itself; empty where it has none.
-        version: Grows with every calibration of the same thing.
-        cell: ``site/cell`` that it was made in and may be used in; empty for any.
-        method: How it was found, for people.
-        date: When.
-        valid_days: So long it may be used.
-        error_mm: Root mean square residual of the poses it was found from.
-        error_deg: The same of their rotations; 0 for a pointer, which has a point only.
-        transforms: ``a_from_b`` by name; must hold that of `TRANSFORM`.
-        sha256: Hash of everything else, as the file has it; empty before it is written.
+        schema: Version of the file format.
+        kind: ``tool`` or ``pointer``.
+        type: Type of a tool; empty for a pointer.
+        name: Name of the tool or pointer.
+        serial: Serial number of the tool or pointer; empty if it has none.
+        version: Number that grows with every calibration of the same tool or pointer.
+        cell: ``site/cell`` in which the calibration was made and may be used; empty for any cell.
+        method: Method of the calibration, for people.
+        date: Date and time of the calibration.
+        valid_days: Number of days for which it may be used.
+        error_mm: Root mean square residual of the positions of the calibration poses, mm.
+        error_deg: Root mean square residual of their rotations, deg; 0 for a pointer, which is a point.
+        transforms: ``a_from_b`` by name; the one named in `TRANSFORM` is required.
+        sha256: Hash of all other values, as stored in the file; empty before the file is written.
 
     Raises:
-        ValueError: A transform is missing or no pose, a number is not finite, or the type does not fit the kind.
+        ValueError: A transform is missing or not a pose, a number is not finite, or the type does not fit the kind.
     """
 
     schema: Literal[1] = 1
@@ -80,40 +82,44 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
                 raise ValueError(f"transforms.{name}: {error.text}") from None
 
     def transform(self) -> Transform:
-        """``flange_from_coil`` of a tool, ``pointer_from_tip`` of a pointer."""
+        """Return ``flange_from_coil`` of a tool, ``pointer_from_tip`` of a pointer."""
         pose = self.transforms[TRANSFORM[self.kind]]
         return Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
 
     def content_hash(self) -> str:
-        """SHA-256 of everything but `sha256`: of the values, not of how the file writes them."""
+        """Return the SHA-256 of everything but `sha256`: of the values, not of their notation in the file."""
         content = msgspec.structs.replace(self, sha256="")
         return hashlib.sha256(msgspec.json.encode(content, order="sorted")).hexdigest()
 
     def title(self) -> str:
-        """How texts call it."""
+        """Return name, serial number, version and date for messages."""
         serial = f", serial {self.serial}" if self.serial else ""
         return f"{self.name}{serial} (version {self.version} of {self.date:%Y-%m-%d})"
 
 
 def read_calibration(path: Path) -> Calibration:
-    """The calibration in a file, as it is: whether it may be used is for `check_valid`.
+    """Return the calibration in a file as it is. `check_valid` decides whether it may be used.
 
     Raises:
-        FileFormatError: It cannot be read, or is no calibration; the text says which key is wrong.
+        FileFormatError: The file cannot be read or is not a calibration; the text says which key is wrong.
     """
     try:
         return msgspec.convert(tomllib.loads(read_text(path)), Calibration)
     except tomllib.TOMLDecodeError as error:
         refuse(path, f"is not TOML: {error}.")
     except (msgspec.ValidationError, RecursionError) as error:
-        refuse(path, f"is no calibration: {error}.")
+        refuse(path, f"is not a calibration: {error}.")
 
 
 def write_calibration(path: Path, calibration: Calibration) -> Calibration:
-    """Writes a calibration with its hash, whole or not at all.
+    """Write a calibration with its hash, completely or not at all.
+
+    Args:
+        path: File to write. An existing one is replaced.
+        calibration: Calibration to write; its hash is ignored.
 
     Returns:
-        What was written.
+        The calibration with its hash, as it was written.
 
     Raises:
         FileFormatError: The file cannot be written.
@@ -129,14 +135,20 @@ def write_calibration(path: Path, calibration: Calibration) -> Calibration:
 
 
 def next_version(path: Path, kind: Kind, name: str, serial: str) -> int:
-    """The version that a new calibration in this file has: 1, or one more than the present one of the same thing.
+    """Return the version of a new calibration in a file: 1, or one more than the present one.
+
+    Args:
+        path: File that the new calibration will be written to.
+        kind: Kind of the new calibration.
+        name: Name of the tool or pointer.
+        serial: Serial number of the tool or pointer, or an empty string.
 
     Raises:
-        FileFormatError: The file holds something else, which is not overwritten.
+        FileFormatError: The file holds the calibration of another tool or pointer, which must not be overwritten.
     """
     if not path.exists():
         return 1
     present = read_calibration(path)
     if (present.kind, present.name, present.serial) != (kind, name, serial):
-        refuse(path, f"holds the calibration of another thing, {present.title()}: choose another file.")
+        refuse(path, f"holds the calibration of another tool or pointer, {present.title()}: choose another file.")
     return present.version + 1

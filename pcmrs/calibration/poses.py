@@ -1,7 +1,7 @@
-"""Files of poses to calibrate from: CSV with a header, or JSON with the same names.
+"""Files of poses for calibration: CSV with a header, or JSON with the same names.
 
 A pose ``a_from_b`` has the columns ``a_from_b_x_mm, …_y_mm, …_z_mm, …_qx, …_qy, …_qz, …_qw``; ``_m`` in place of
-``_mm`` for metres. A row is one moment.
+``_mm`` for metres. All poses of a row were taken at one time.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from pcmrs.spatial import Transform
 PIVOT = ("tracker_from_pointer",)
 HAND_EYE = ("base_from_flange", "tracker_from_coil")
 
-FARTHEST = 20.0
-"""No tracker sees so far, m: such a number was probably given in mm."""
+MAX_DISTANCE = 20.0
+"""Farthest distance from the tracker, m. No tracker sees farther: a larger number was probably given in mm."""
 
 
 def read_poses(path: Path, names: Sequence[str]) -> list[list[Transform]]:
-    """The poses of a file.
+    """Return the poses in a file.
 
     Args:
-        path: JSON where it ends in ``.json``, otherwise CSV.
-        names: Poses that every row must have, such as `PIVOT`; other columns are passed over.
+        path: File to read: JSON if its name ends in ``.json``, otherwise CSV.
+        names: Names of the poses that every row must have, such as `PIVOT`. Other columns are ignored.
 
     Returns:
         For each name one pose per row.
 
     Raises:
-        FileFormatError: The file cannot be read, a column or its unit is missing, or a row is no pose.
+        FileFormatError: The file cannot be read, a column or its unit is missing, or a row holds an invalid pose.
     """
     rows = _from_json(path) if path.suffix == ".json" else [row for _, row in read_table(path)[1]]
     if not rows:
@@ -43,12 +43,26 @@ def read_poses(path: Path, names: Sequence[str]) -> list[list[Transform]]:
 
 
 def header(names: Sequence[str], unit: str = "m") -> str:
-    """The header of a CSV file with these poses."""
+    """Return the header of a CSV file with these poses.
+
+    Args:
+        names: Names of the poses.
+        unit: Unit of the positions: ``m`` or ``mm``.
+    """
     return ",".join(column for name in names for column in _columns(name, unit))
 
 
 def write_poses(path: Path, names: Sequence[str], poses: Sequence[Sequence[Transform]]) -> None:
-    """Writes a CSV file that `read_poses` reads, in m. Raises `OSError`."""
+    """Write a CSV file that `read_poses` reads, with positions in m.
+
+    Args:
+        path: File to write.
+        names: Names of the poses.
+        poses: For each name one pose per row; all of one length.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
     rows = [
         ",".join(f"{value:.9g}" for pose in row for value in (*pose.translation, *pose.quat_xyzw))
         for row in zip(*poses, strict=True)
@@ -66,12 +80,12 @@ def _from_json(path: Path) -> Sequence[Mapping[str, Any]]:
     except (ValueError, RecursionError) as error:
         refuse(path, f"is not JSON: {error}.")
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        refuse(path, "is no JSON list of objects, one for each moment.")
+        refuse(path, "is not a JSON list of objects, one for each time.")
     return rows
 
 
 def _pose(path: Path, number: int, row: Mapping[str, Any], name: str) -> Transform:
-    """The pose `name` of a row. Raises `FileFormatError`."""
+    """Return the pose `name` of a row. Raises `FileFormatError`."""
     unit = next((unit for unit in ("m", "mm") if set(_columns(name, unit)) <= set(row)), None)
     if unit is None:
         refuse(
@@ -82,7 +96,7 @@ def _pose(path: Path, number: int, row: Mapping[str, Any], name: str) -> Transfo
         pose = Transform.from_quat_xyzw([value * METRES[unit] for value in numbers[:3]], numbers[3:])
     except (TypeError, ValueError, GeometryError) as error:
         refuse(path, f"holds no pose {name} in row {number}: {str(error).rstrip('.')}.", row=number)
-    if abs(pose.translation).max() > FARTHEST:
+    if abs(pose.translation).max() > MAX_DISTANCE:
         farthest = float(abs(pose.translation).max())
         refuse(path, f"has {name} {farthest:g} m away in row {number}: is the file in mm?", row=number, value=farthest)
     return pose

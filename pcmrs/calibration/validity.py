@@ -1,4 +1,4 @@
-"""Whether a calibration may be used here and now."""
+"""Check of whether a calibration may be used here and now."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from datetime import UTC, datetime, timedelta
 from pcmrs.calibration.file import Calibration, ToolType
 from pcmrs.errors import RefusalError
 
-CLOCKS_DIFFER = timedelta(hours=1)
-"""A calibration from farther in the future was dated by a wrong clock, or is judged by one."""
+CLOCK_TOLERANCE = timedelta(hours=1)
+"""Limit for dates in the future. A later date means that the clock of this or of the calibrating machine is wrong."""
 
 COMMAND = {"tool": "pcmrs calibrate hand-eye", "pointer": "pcmrs calibrate pivot"}
 
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What a calibration must be of.
+    """Cell, tool type and serial number for which a calibration must have been made.
 
     Attributes:
         cell: ``site/cell`` in which it is to be used.
-        tool_type: That the workflow works with; says nothing of a pointer.
-        serial: Of the tool or pointer that is mounted; empty where nobody said.
+        tool_type: Type of tool that the workflow needs; ignored for a pointer.
+        serial: Serial number of the mounted tool or pointer; empty if it is not known.
     """
 
     cell: str
@@ -30,12 +30,12 @@ class Expected:
 
 
 def check_valid(calibration: Calibration, expected: Expected, now: float) -> None:
-    """Refuses a calibration that must not be used. Pure.
+    """Raise an error if a calibration must not be used.
 
     Args:
-        calibration: As it was read.
-        expected: What it must be of.
-        now: Unix seconds.
+        calibration: Calibration as it was read.
+        expected: Cell, tool type and serial number that it must have been made for.
+        now: Present time, Unix seconds.
 
     Raises:
         RefusalError: ``calibration_changed``, ``calibration_foreign``, ``calibration_in_future`` or
@@ -50,7 +50,7 @@ def _check_unchanged(calibration: Calibration) -> None:
     if calibration.sha256 != calibration.content_hash():
         text = (
             f"The file of the {calibration.kind} {calibration.title()} was changed after it was written: its values "
-            f"do not give its hash. Bring back the original file, or calibrate anew ({COMMAND[calibration.kind]})."
+            f"do not give its hash. Bring back the original file, or calibrate again ({COMMAND[calibration.kind]})."
         )
         raise RefusalError("calibration_changed", text, name=calibration.name, recorded=calibration.sha256)
 
@@ -72,16 +72,16 @@ def _check_own(calibration: Calibration, expected: Expected) -> None:
 
 def _check_date(calibration: Calibration, now: datetime) -> None:
     date, over = calibration.date.isoformat(), now - calibration.date - timedelta(days=calibration.valid_days)
-    if calibration.date > now + CLOCKS_DIFFER:
+    if calibration.date > now + CLOCK_TOLERANCE:
         text = (
             f"The {calibration.kind} {calibration.title()} is dated {date}, but it is {now.isoformat()} here: set the "
-            "clock, or calibrate anew."
+            "clock, or calibrate again."
         )
         raise RefusalError("calibration_in_future", text, name=calibration.name, date=date)
     if over >= timedelta(0):
         text = (
             f"The calibration of the {calibration.kind} {calibration.title()} was valid for {calibration.valid_days} "
-            f"days and expired {over.days} days ago: calibrate anew ({COMMAND[calibration.kind]})."
+            f"days and expired {over.days} days ago: calibrate again ({COMMAND[calibration.kind]})."
         )
         raise RefusalError(
             "calibration_expired", text, name=calibration.name, date=date, valid_days=calibration.valid_days

@@ -1,8 +1,8 @@
-"""The arms as tables of facts, from which every model of an arm is made.
+"""Arms as tables of facts, from which every model of an arm is made.
 
-Lengths, joint limits, speeds and torques are those of KUKA's data sheets. KUKA publishes no inertias: masses,
-centres of mass and inertias are the approximations in common use in the research community, good enough to
-simulate and to compensate gravity roughly, not identified values.
+Lengths, joint limits, speeds and torques are from KUKA's data sheets. KUKA publishes no inertias: masses, centres of
+mass and inertias are the approximations in common use in the research community. They are good enough to simulate the
+arm and to compensate gravity roughly, but they are not identified values.
 """
 
 from __future__ import annotations
@@ -21,16 +21,18 @@ class JointFacts:
     """One revolute joint about the z axis of its frame, and the link that it moves.
 
     Attributes:
-        name: Unique in the arm.
-        xyz: Origin of the joint frame in the frame of the joint before it, m.
-        rpy: Its orientation there: fixed-axis roll, pitch, yaw, rad, as in URDF.
+        name: Name of the joint, unique in the arm.
+        xyz: Origin of the joint frame in the frame of the previous joint, m.
+        rpy: Orientation of the joint frame in the frame of the previous joint: fixed-axis roll, pitch, yaw, rad, as in
+            URDF.
         lower: Lowest position, rad.
         upper: Highest position, rad.
         velocity: Greatest speed, rad/s.
         effort: Greatest torque, N m.
-        mass: Of the link, kg.
+        mass: Mass of the link, kg.
         com: Centre of mass of the link in the joint frame, m.
-        inertia: Of the link about its centre of mass, axes of the joint frame: ixx iyy izz ixy ixz iyz, kg m^2.
+        inertia: Inertia of the link about its centre of mass, along the axes of the joint frame: ixx iyy izz ixy ixz
+            iyz, kg m^2.
     """
 
     name: str
@@ -46,7 +48,7 @@ class JointFacts:
 
     @property
     def parent_from_joint(self) -> Transform:
-        """Pose of the joint frame, at joint position 0, in the frame of the joint before it."""
+        """Pose of the joint frame at joint position 0 in the frame of the previous joint."""
         return _pose(self.xyz, self.rpy)
 
 
@@ -55,13 +57,13 @@ class ArmFacts:
     """A serial arm of revolute joints whose base is fixed.
 
     Attributes:
-        name: As in `ARMS`.
-        joints: From the base to the flange.
+        name: Name of the arm, as in `ARMS`.
+        joints: Joints from the base to the flange, (n,).
         flange_xyz: Origin of the flange in the frame of the last joint, m.
-        flange_rpy: Its orientation there: fixed-axis roll, pitch, yaw, rad.
-        home: Posture where the arm waits, clear of a body in front of it, rad.
-        stiffness: Of the simulated arm's joint impedance, N m/rad.
-        link_radius: Of all its links as capsules from joint to joint, m; wrist links are slimmer.
+        home: Posture in which the arm waits, clear of a body in front of it, rad, (n,).
+        stiffness: Joint stiffness of the simulated arm's impedance controller, N m/rad, (n,).
+        flange_rpy: Orientation of the flange in the frame of the last joint: fixed-axis roll, pitch, yaw, rad.
+        link_radius: Radius of all links as capsules from joint to joint, m. Wrist links of the real arm are slimmer.
     """
 
     name: str
@@ -82,7 +84,7 @@ def _pose(xyz: Triple, rpy: Triple) -> Transform:
     return Transform.from_zyx(xyz, rpy[::-1])
 
 
-# Axes at zero, where the arm stands upright: z, y, z, -y, z, y, z of the base.
+# In the zero posture the arm stands upright. Its joint axes are then z, y, z, -y, z, y, z of the base.
 _RPY = (
     (0.0, 0.0, 0.0),
     (pi / 2, 0.0, pi),

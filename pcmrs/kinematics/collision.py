@@ -1,4 +1,4 @@
-"""Shapes whose distances are computed by coal, each with its pose in the frame that carries it."""
+"""Convex shapes whose distances coal computes, each with its pose in the frame that carries it."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Solid:
     """A convex shape.
 
     Attributes:
-        geometry: As coal has it, about its own origin.
-        pose: Where that is in the frame that carries it, as Pinocchio has it.
+        geometry: coal's geometry about its own origin.
+        pose: Pose of that origin in the frame that carries the shape, a `pinocchio.SE3`.
     """
 
     geometry: Any
@@ -32,26 +32,43 @@ class Solid:
 
 
 def capsule(start: npt.ArrayLike, end: npt.ArrayLike, radius: float) -> Solid:
-    """All points within `radius` of the line from `start` to `end`, (3,), m; a ball where these are the same."""
+    """Return the capsule of all points within a distance of a line segment; a sphere if both ends are equal.
+
+    Args:
+        start: First end of the segment, m, (3,).
+        end: Second end of the segment, m, (3,).
+        radius: Distance from the segment, m.
+    """
     a, b = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
     return Solid(coal.Capsule(radius, float(np.linalg.norm(b - a))), pose_between(a, b))
 
 
 def cylinder(radius: float, half_length: float, middle: float = 0.0) -> Solid:
-    """A cylinder about the z axis, its middle `middle` along it; m."""
+    """Return a cylinder about the z axis.
+
+    Args:
+        radius: Radius, m.
+        half_length: Half of its length along z, m.
+        middle: z coordinate of its middle, m.
+    """
     return Solid(coal.Cylinder(radius, 2.0 * half_length), pinocchio.SE3(np.eye(3), np.array((0.0, 0.0, middle))))
 
 
 def box(size: npt.ArrayLike, frame_from_box: Transform) -> Solid:
-    """A box with edges `size` along its axes, m, (3,); its origin is its middle."""
+    """Return a box with its origin in its middle.
+
+    Args:
+        size: Lengths of its edges along its own x, y and z axes, m, (3,).
+        frame_from_box: Pose of the box in the frame that carries it.
+    """
     return Solid(coal.Box(np.asarray(size, dtype=float)), se3(frame_from_box))
 
 
 def hull(points: npt.ArrayLike) -> Solid:
-    """The convex hull of points (N, 3), m.
+    """Return the convex hull of points (N, 3), m.
 
     Raises:
-        GeometryError: There is none: fewer than four points, or all of them in a plane.
+        GeometryError: There are fewer than four points, or all of them lie in a plane.
     """
     points = np.asarray(points, dtype=float)
     # coal does not look whether Qhull has failed and reads on from nowhere: flat points must not reach it.
@@ -71,12 +88,20 @@ def _is_flat(points: Floats) -> bool:
 
 
 def pose_between(start: Floats, end: Floats) -> Any:
-    """A frame in the middle of the line from `start` to `end`, (3,), with z along it; as Pinocchio has it."""
+    """Return a frame in the middle of a line segment, with its z axis along the segment.
+
+    Args:
+        start: First end of the segment, m, (3,).
+        end: Second end of the segment, m, (3,).
+
+    Returns:
+        A `pinocchio.SE3` in the frame of both points.
+    """
     same = bool(np.all(start == end))
     turn = pinocchio.Quaternion.Identity() if same else pinocchio.Quaternion.FromTwoVectors(_Z, end - start)
     return pinocchio.SE3(turn, (start + end) / 2.0)
 
 
 def se3(transform: Transform) -> Any:
-    """The same as Pinocchio has it."""
+    """Return a transform as a `pinocchio.SE3`."""
     return pinocchio.SE3(transform.rotation, transform.translation)

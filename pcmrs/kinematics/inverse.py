@@ -1,4 +1,4 @@
-"""Inverse kinematics: the best posture that brings the flange to a pose."""
+"""Inverse kinematics: the joint positions of least cost that bring the flange to a pose."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pcmrs.errors import UnreachableError
 from pcmrs.kinematics import numeric, srs
 from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.posture import spheres
+from pcmrs.kinematics.posture import sphere_array
 from pcmrs.spatial import Floats, Transform
 
 
@@ -23,29 +23,30 @@ def inverse(
     joint_margin: float = 0.0,
     keep_away: npt.ArrayLike | None = None,
 ) -> Floats:
-    """Joint positions within the limits that reach the pose at the least cost (`pcmrs.kinematics.posture`), rad, (n,).
+    """Return joint positions within the limits that reach a pose at the least cost, rad, (n,).
 
-    S-R-S arms such as the iiwa: in closed form, the best of all branches over a scan of the arm angle every 2 deg that
-    is refined around the best. All others: by damped least squares from the seed and from random postures, the first
-    comfortable one or else the best of those found. The same arguments always give the same answer.
+    The cost is that of `pcmrs.kinematics.posture`. S-R-S arms such as the iiwa are solved in closed form: the best of
+    all branches over a scan of the arm angle in steps of 2 deg, refined around the best one. All other arms are solved
+    by damped least squares from the seed and from random postures: the first comfortable posture, or else the best of
+    those found. The same arguments always give the same answer.
 
     Args:
-        arm: The arm.
-        base_from_flange: The pose to reach.
+        arm: Model of the arm.
+        base_from_flange: Pose of the flange to reach, in the robot's base.
         seed: Joint positions to stay close to, rad, (n,).
         joint_margin: Distance to keep from every joint limit, rad.
         keep_away: Spheres that the forearm should keep away from, such as the head: rows of x, y, z and radius in the
-            base, m, (M, 4). A wish with a cost, not a check for collisions.
+            robot's base, m, (M, 4). This is a cost, not a collision check.
 
     Raises:
         GeometryError: `seed` does not hold one finite number per joint.
-        UnreachableError: The pose is too far, too near, or no posture was found that keeps the joint limits and the
+        UnreachableError: The pose is too far or too near, or no posture was found that keeps the joint limits and the
             margin.
     """
     near = joint_array(seed, arm.joints)
     _check_margin(arm, joint_margin)
     solve = srs.solve if arm.spherical else numeric.solve
-    return solve(arm, base_from_flange, near, joint_margin, None if keep_away is None else spheres(keep_away))
+    return solve(arm, base_from_flange, near, joint_margin, None if keep_away is None else sphere_array(keep_away))
 
 
 def _check_margin(arm: ArmModel, joint_margin: float) -> None:

@@ -1,7 +1,4 @@
-"""How fast the arm may move.
-
-Joint values as arrays.
-"""
+"""Joint values as checked arrays, and the limits of the arm's motion."""
 
 from __future__ import annotations
 
@@ -16,10 +13,14 @@ from pcmrs.spatial import Floats
 
 
 def joint_array(values: npt.ArrayLike, joints: int) -> Floats:
-    """A copy of one value per joint, (n,) for an arm of n = `joints` joints.
+    """Return a copy of joint values as an array, (n,).
+
+    Args:
+        values: One finite number per joint.
+        joints: Number n of joints of the arm.
 
     Raises:
-        GeometryError: They are not that many finite numbers.
+        GeometryError: The values are not that many finite numbers.
     """
     array = np.array(values, dtype=float)
     if array.shape != (joints,) or not all(map(isfinite, array.tolist())):
@@ -36,17 +37,17 @@ class MotionLimits:
     """Greatest speeds, accelerations and jerks of the joints and of the tool.
 
     Attributes:
-        joint_velocity: rad/s, one per joint.
-        joint_acceleration: rad/s^2, one per joint.
-        joint_jerk: rad/s^3, one per joint.
-        linear_velocity: m/s.
-        linear_acceleration: m/s^2.
-        linear_jerk: m/s^3.
-        angular_velocity: rad/s.
-        angular_acceleration: rad/s^2.
+        joint_velocity: Speed of each joint, rad/s, (n,).
+        joint_acceleration: Acceleration of each joint, rad/s^2, (n,).
+        joint_jerk: Jerk of each joint, rad/s^3, (n,).
+        linear_velocity: Speed of the tool point, m/s.
+        linear_acceleration: Acceleration of the tool point, m/s^2.
+        linear_jerk: Jerk of the tool point, m/s^3.
+        angular_velocity: Angular speed of the tool, rad/s.
+        angular_acceleration: Angular acceleration of the tool, rad/s^2.
 
     Raises:
-        ConfigurationError: A limit is not positive and finite, or not given for every joint.
+        ConfigurationError: A limit is not positive and finite, or is not given for every joint.
     """
 
     joint_velocity: tuple[float, ...]

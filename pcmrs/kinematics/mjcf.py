@@ -1,4 +1,4 @@
-"""An arm's facts as MuJoCo's MJCF; a scene attaches it or merges it."""
+"""MJCF of an arm for MuJoCo, written from its facts; a scene attaches or merges it."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ _NO_LENGTH = 1e-6  # m
 
 
 def mjcf(facts: ArmFacts, *, damping: float = 0.5, armature: float = 0.1, frictionloss: float = 0.3) -> str:
-    """The arm as an MJCF document: a chain of bodies, torque motors and a site named ``flange``.
+    """Return the arm as an MJCF document: a chain of bodies, torque motors and a site named ``flange``.
 
     Bodies are ``base`` and ``link_<number>``; joints and their motors have the names of the facts; a motor's
     control is the joint torque in N m. Links are capsules that touch the scene but not each other.
 
     Args:
-        facts: The arm.
+        facts: Facts of the arm.
         damping: Viscous friction of every joint, N m s/rad.
-        armature: Inertia of every joint's rotor behind its gear, kg m^2.
+        armature: Rotor inertia of every joint, seen through its gear, kg m^2.
         frictionloss: Dry friction of every joint, N m.
     """
     root = Element("mujoco", model=facts.name)
@@ -53,9 +53,9 @@ def _add_link(parent: Element, name: str, joint: JointFacts, friction: dict[str,
 
 
 def _add_capsule(body: Element, end: Sequence[float], radius: float) -> None:
-    """A capsule from the body's origin to the next joint; it collides with others, not with its like.
+    """Add a capsule from the body's origin to the next joint. It collides with other shapes, but not with other links.
 
-    Where the next joint sits in the same place, there is nothing between them.
+    Nothing is added if the next joint is at the same place.
     """
     if hypot(*end) < _NO_LENGTH:
         return

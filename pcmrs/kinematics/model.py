@@ -15,21 +15,24 @@ from pcmrs.kinematics.urdf import urdf
 from pcmrs.spatial import Floats, Transform, trusted_transform
 
 _SRS_AXES = np.array(((0, 0, 1), (0, 1, 0), (0, 0, 1), (0, -1, 0), (0, 0, 1), (0, 1, 0), (0, 0, 1)))
-_SAME = 1e-12  # m, and of unit vectors
+_SAME = 1e-12  # rounding of positions in m and of the components of unit vectors
 
 
 class ArmModel:
-    """A serial arm that computes where its flange is. Not to be shared between threads.
+    """A serial arm that computes the pose of its flange. Do not share it between threads.
+
+    Args:
+        facts: Facts of the arm.
 
     Attributes:
-        facts: What the model was made from.
-        joints: Their number n.
+        facts: Facts that the model was made from.
+        joints: Number n of joints.
         lower: Lowest joint positions, rad, (n,).
         upper: Highest joint positions, rad, (n,).
         velocity: Greatest joint speeds, rad/s, (n,).
-        heights: Of the joints and the flange above the base in the zero posture, m, (n + 1,).
-        spherical: Whether shoulder, elbow and wrist are those of an S-R-S arm that stands upright in the zero posture,
-            with the axes z, y, z, -y, z, y, z of the base.
+        heights: Heights of the joints and of the flange above the base in the zero posture, m, (n + 1,).
+        spherical: True for an S-R-S arm (spherical shoulder and wrist) that stands upright in the zero posture, with
+            its joint axes along z, y, z, -y, z, y, z of the base.
     """
 
     def __init__(self, facts: ArmFacts) -> None:
@@ -46,7 +49,7 @@ class ArmModel:
         self.spherical = self._is_spherical(flange)
 
     def forward(self, q: npt.ArrayLike) -> Transform:
-        """``base_from_flange`` at joint positions `q`, rad, (n,).
+        """Return ``base_from_flange`` at joint positions `q`, rad, (n,).
 
         Raises:
             GeometryError: `q` does not hold one finite number per joint.
@@ -56,7 +59,7 @@ class ArmModel:
         return trusted_transform(np.array(pose.rotation), np.array(pose.translation))
 
     def jacobian(self, q: npt.ArrayLike) -> Floats:
-        """Velocity of the flange per joint velocity, (6, n).
+        """Return the Jacobian of the flange's velocity with respect to the joint velocities, (6, n).
 
         Rows: linear velocity of the flange's origin, then angular velocity, both along the axes of the base.
 
@@ -69,11 +72,19 @@ class ArmModel:
         )
         return np.asarray(jacobian)
 
-    def gap(self, base_from_flange: Transform, q: Floats) -> tuple[Floats, Floats]:
-        """What is left of the way to a pose, and how the joints change it; `q` as from `joint_array`.
+    def pose_error_and_jacobian(self, base_from_flange: Transform, q: Floats) -> tuple[Floats, Floats]:
+        """Return the remaining error to a flange pose, and the Jacobian at the present posture.
+
+        Both in one call, because each step of inverse kinematics needs both and the forward kinematics are computed
+        once.
+
+        Args:
+            base_from_flange: Desired pose of the flange in the robot's base.
+            q: Joint positions as returned by `joint_array`, rad, (n,). They are not checked.
 
         Returns:
-            Translation (m) and rotation vector (rad) along the axes of the base, (6,); the `jacobian` there, (6, n).
+            Error as translation (m) and rotation vector (rad), along the axes of the base, (6,); and the `jacobian` at
+            `q`, (6, n).
         """
         frame = pinocchio.LOCAL_WORLD_ALIGNED
         jacobian = pinocchio.computeFrameJacobian(self._model, self._data, q, self._flange, frame)
@@ -81,8 +92,8 @@ class ArmModel:
         turn = pinocchio.log3(base_from_flange.rotation @ pose.rotation.T)
         return np.concatenate((base_from_flange.translation - pose.translation, turn)), jacobian
 
-    def origins(self, q: npt.ArrayLike) -> Floats:
-        """Origins of the joint frames in the base at joint positions `q`, m, (n, 3).
+    def joint_origins(self, q: npt.ArrayLike) -> Floats:
+        """Return the origins of the joint frames in the base at joint positions `q`, m, (n, 3).
 
         Raises:
             GeometryError: `q` does not hold one finite number per joint.
@@ -91,11 +102,11 @@ class ArmModel:
         return np.array([joint.translation for joint in self._data.oMi[1:]])
 
     def check_limits(self, q: npt.ArrayLike) -> None:
-        """Accepts joint positions `q`, rad, (n,), that lie within the limits.
+        """Raise an error unless joint positions `q`, rad, (n,), lie within the limits.
 
         Raises:
             GeometryError: `q` does not hold one finite number per joint.
-            UnreachableError: A joint lies outside its limits; it is named.
+            UnreachableError: A joint lies outside its limits; the text names it.
         """
         values = joint_array(q, self.joints)
         for joint, value in zip(self.facts.joints, values.tolist(), strict=True):
@@ -110,7 +121,7 @@ class ArmModel:
                 )
 
     def _is_spherical(self, base_from_flange: Transform) -> bool:
-        """Whether the joint axes and the flange are placed as `spherical` says; `_data` holds the zero posture."""
+        """Return True if joint axes and flange are placed as `spherical` says; `_data` must hold the zero posture."""
         poses = list(self._data.oMi[1:])
         if len(poses) != len(_SRS_AXES):
             return False

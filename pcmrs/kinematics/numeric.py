@@ -1,4 +1,4 @@
-"""Inverse kinematics of any serial arm: damped least squares from the seed, from beside it and from random postures."""
+"""Inverse kinematics of any serial arm by damped least squares from the seed, near it and from random postures."""
 
 from __future__ import annotations
 
@@ -9,20 +9,27 @@ import numpy as np
 from pcmrs.errors import UnreachableError
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.posture import LIMIT_COMFORT, cost
-from pcmrs.kinematics.track import TOLERANCE, descend
+from pcmrs.kinematics.track import TOLERANCE, damped_least_squares
 from pcmrs.spatial import Floats, Transform
 
 _RESTARTS = 50
-_SOLUTIONS = 4  # so many are compared where none is comfortable
+_SOLUTIONS = 4  # number of solutions compared if none is comfortable
 
 
 def solve(
     arm: ArmModel, base_from_flange: Transform, seed: Floats, joint_margin: float, keep_away: Floats | None
 ) -> Floats:
-    """The posture of least cost among those found, rad, (n,); see `pcmrs.kinematics.inverse.inverse`.
+    """Return the posture of least cost among those found, rad, (n,).
 
-    The first comfortable one is taken, which is near the seed where the seed leads to one; if there is none among the
-    first `_SOLUTIONS`, they are compared.
+    The first comfortable posture is returned; it is near the seed if the seed leads to one. If none of the first
+    `_SOLUTIONS` postures is comfortable, the best of them is returned.
+
+    Args:
+        arm: Model of the arm.
+        base_from_flange: Pose of the flange to reach, in the robot's base.
+        seed: Joint positions to stay close to, rad, (n,).
+        joint_margin: Distance to keep from every joint limit, rad.
+        keep_away: Spheres as returned by `pcmrs.kinematics.posture.sphere_array`, m, (M, 4), or None.
 
     Raises:
         UnreachableError: No posture was found.
@@ -31,12 +38,12 @@ def solve(
     restarts = np.random.default_rng(0).uniform(lower, upper, (_RESTARTS, arm.joints))
     found: list[tuple[float, Floats]] = []
     least = np.full(6, np.inf)
-    at_ease = np.clip(seed, lower + LIMIT_COMFORT, upper - LIMIT_COMFORT)
-    for start in (seed, at_ease, *restarts):
-        q, error = descend(arm, base_from_flange, start, lower, upper)
+    comfortable_seed = np.clip(seed, lower + LIMIT_COMFORT, upper - LIMIT_COMFORT)
+    for start in (seed, comfortable_seed, *restarts):
+        q, error = damped_least_squares(arm, base_from_flange, start, lower, upper)
         least = min(least, error, key=np.linalg.norm)
         if error @ error <= TOLERANCE**2:
-            q = _unwound(q, seed, lower, upper)
+            q = _unwrapped(q, seed, lower, upper)
             found.append((cost(arm, q, seed, keep_away), q))
             comfortable = found[-1][0] == np.linalg.norm(q - seed)
             if comfortable or len(found) == _SOLUTIONS:
@@ -46,12 +53,12 @@ def solve(
     return min(found, key=lambda pair: pair[0])[1]
 
 
-def _unwound(q: Floats, seed: Floats, lower: Floats, upper: Floats) -> Floats:
-    """Joints that may turn more than once, turned to where they are nearest to the seed within their limits."""
+def _unwrapped(q: Floats, seed: Floats, lower: Floats, upper: Floats) -> Floats:
+    """Turn joints that can turn more than once to their angle nearest to the seed within the limits, rad, (n,)."""
     near = q - tau * np.round((q - seed) / tau)
     near = near + tau * (np.where(near < lower, 1.0, 0.0) - np.where(near > upper, 1.0, 0.0))
-    unwound: Floats = np.where((near >= lower) & (near <= upper), near, q)
-    return unwound
+    unwrapped: Floats = np.where((near >= lower) & (near <= upper), near, q)
+    return unwrapped
 
 
 def _error(arm: ArmModel, least: Floats, joint_margin: float) -> UnreachableError:

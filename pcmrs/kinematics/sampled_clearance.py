@@ -1,4 +1,4 @@
-"""Whether a motion keeps out of the zones, looked at so closely that nothing is missed by more than a stated bound."""
+"""Clearance of a motion from the zones, sampled so densely that no distance is missed by more than a stated bound."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from pcmrs.kinematics.zones import Clearance, ZoneModel
 from pcmrs.spatial import Floats
 
 BOUND = 0.005
-"""Between two looks no distance falls by more than this below the smaller one that was found, m.
+"""Greatest drop of a distance between two samples below the smaller of both, m.
 
-Twice as much for the line of sight to the tool, which moves with the tool.
+For the line of sight to the tool it is twice as much, because that line moves with the tool.
 """
 NOISE = 0.001
-"""Shrinking by less than this is noise of the measured posture, m."""
+"""A distance that shrinks by less than this is regarded as noise of the measured posture, m."""
 
 
 @dataclass(frozen=True, eq=False)
 class Violation:
-    """Where a motion first comes too near.
+    """The first point of a motion that is too near to a zone or a link.
 
     Attributes:
-        clearance: Which link, which zone, how near.
-        posture: Joint positions there, rad, (n,).
+        clearance: The pair, its distance and its limit.
+        posture: Joint positions at that point, rad, (n,).
     """
 
     clearance: Clearance
@@ -36,57 +36,72 @@ class Violation:
 
 @dataclass(frozen=True, eq=False)
 class SampledClearance:
-    """A motion as it passes the zones.
+    """Distances of all pairs along a motion.
 
     Attributes:
-        postures: Looks at it, rad, (L, n): all points of the arm move by less than twice `BOUND` between two.
-        distances: Of every pair at each look, m, (L, P).
+        postures: Sampled postures, rad, (L, n). No point of the arm moves by more than twice `BOUND` between two of
+            them.
+        distances: Distance of every pair at each sample, m, (L, P).
     """
 
     postures: Floats
     distances: Floats
 
     def first_violation(self, zones: ZoneModel, limits: Floats) -> Violation | None:
-        """The first look at which a pair is nearer than its limit, m, (P,), or (L, P) where that differs by look."""
+        """Return the first sample at which a pair is nearer than its limit, or None.
+
+        Args:
+            zones: Model that the distances were computed with.
+            limits: Least distance of each pair, m, (P,), or (L, P) if it differs from sample to sample.
+        """
         return self._first(zones, limits, self.distances < limits)
 
     def first_approach(self, zones: ZoneModel, limits: Floats) -> Violation | None:
-        """The same for a retreat, which may begin too near: there, distances may only grow."""
+        """Return the first sample of a retreat at which a pair is below its limit and comes nearer, or None.
+
+        A retreat may start too near; from there on, distances may only grow.
+
+        Args:
+            zones: Model that the distances were computed with.
+            limits: Least distance of each pair, m, (P,), or (L, P) if it differs from sample to sample.
+        """
         shrinks = np.maximum.accumulate(self.distances, axis=0) - self.distances
         return self._first(zones, limits, (self.distances < limits) & (shrinks > NOISE))
 
     def _first(self, zones: ZoneModel, limits: Floats, broken: npt.NDArray[np.bool_]) -> Violation | None:
-        looks = np.flatnonzero(broken.any(axis=1))
-        if not len(looks):
+        samples = np.flatnonzero(broken.any(axis=1))
+        if not len(samples):
             return None
-        look = int(looks[0])
-        distances, wanted = self.distances[look], np.broadcast_to(limits, self.distances.shape)[look]
-        pair = int(np.argmin(np.where(broken[look], distances - wanted, np.inf)))
+        sample = int(samples[0])
+        distances, wanted = self.distances[sample], np.broadcast_to(limits, self.distances.shape)[sample]
+        pair = int(np.argmin(np.where(broken[sample], distances - wanted, np.inf)))
         clearance = Clearance(*zones.pairs[pair], float(distances[pair]), float(wanted[pair]))
-        return Violation(clearance, self.postures[look])
+        return Violation(clearance, self.postures[sample])
 
 
-def look_at(zones: ZoneModel, facts: ArmFacts, tool_reach: float, positions: npt.ArrayLike) -> SampledClearance:
-    """Looks at a motion.
+def sample_clearance(
+    zones: ZoneModel, facts: ArmFacts, tool_reach: float, positions: npt.ArrayLike
+) -> SampledClearance:
+    """Return the sampled distances of all pairs along a motion.
 
     Args:
-        zones: With all zones placed.
-        facts: The arm.
-        tool_reach: Farthest point of the tool from the flange, m.
-        positions: Joint positions along the motion, rad, (N, n), between which it is straight in joint space.
+        zones: Model in which all zones are placed.
+        facts: Facts of the arm.
+        tool_reach: Distance of the tool's farthest point from the flange, m.
+        positions: Joint positions along the motion, rad, (N, n). Between two of them it is straight in joint space.
     """
-    samples = np.asarray(positions, dtype=float)
-    # No point moves farther than the sum of each joint's turn times what lies beyond that joint, stretched out.
-    steps = np.abs(np.diff(samples, axis=0)) @ _reaches(facts, tool_reach)
-    way = np.concatenate(((0.0,), np.cumsum(steps)))
-    looks = np.linspace(0.0, way[-1], 1 + ceil(way[-1] / (2.0 * BOUND)))
-    at = np.interp(looks, way, np.arange(len(samples)))
-    postures = np.column_stack([np.interp(at, np.arange(len(samples)), joint) for joint in samples.T])
+    given = np.asarray(positions, dtype=float)
+    # No point of the arm moves farther than the sum over the joints of |turn| times the length of the arm beyond it.
+    steps = np.abs(np.diff(given, axis=0)) @ _lengths_beyond(facts, tool_reach)
+    path = np.concatenate(((0.0,), np.cumsum(steps)))
+    places = np.linspace(0.0, path[-1], 1 + ceil(path[-1] / (2.0 * BOUND)))
+    at = np.interp(places, path, np.arange(len(given)))
+    postures = np.column_stack([np.interp(at, np.arange(len(given)), joint) for joint in given.T])
     return SampledClearance(postures, np.array([zones.distances(q) for q in postures]))
 
 
-def _reaches(facts: ArmFacts, tool_reach: float) -> Floats:
-    """Length of the arm beyond every joint, stretched out, with the tool, m, (n,)."""
+def _lengths_beyond(facts: ArmFacts, tool_reach: float) -> Floats:
+    """Return the length of the stretched arm beyond each joint, with the tool, m, (n,)."""
     lengths = [float(np.linalg.norm(joint.xyz)) for joint in facts.joints[1:]]
     beyond = [*lengths, float(np.linalg.norm(facts.flange_xyz)) + tool_reach]
     return np.cumsum(beyond[::-1])[::-1]

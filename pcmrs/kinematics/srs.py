@@ -21,32 +21,32 @@ from pcmrs.kinematics.posture import (
     KEEP_AWAY_COMFORT,
     LIMIT_COMFORT,
     SINGULAR_COMFORT,
-    distances,
-    shortage,
+    comfort_penalty,
+    sphere_distances,
 )
 from pcmrs.spatial import Floats, Transform
 
 STRETCH_TOLERANCE = 1e-9  # m beyond the stretched arm that rounding may produce
-_SINGULAR = 1e-12  # sine of an angle below which the direction it tilts to is undefined
-_FORBIDDEN = 1e3  # cost of a posture beyond a limit, so that it comes after all others
-_SCANS = (90, 30, 30, 30)  # half the steps of each scan around the best arm angle of the one before
+_SINGULAR = 1e-12  # sine of a tilt angle below which the direction of the tilt is undefined
+_FORBIDDEN = 1e3  # cost of a posture beyond a limit, so that it ranks behind all others
+_SCANS = (90, 30, 30, 30)  # half the number of steps of each scan around the best arm angle of the previous scan
 
-# Turning joint 2, 4 or 6 the other way turns the joints beside it by half a turn: which joints that changes, in
-# each of the eight branches, (8, 7); and the sums over them as a matrix, (8, 14).
-_TURNED = np.array([(a, a, a ^ b, b, b ^ c, c, c) for a, b, c in product((False, True), repeat=3)])
-_SUM = np.hstack((~_TURNED, _TURNED)).astype(float)
+# If joint 2, 4 or 6 turns the other way, the joints beside it turn by half a turn. `_FLIPPED` marks the joints that
+# this changes in each of the eight branches, (8, 7). `_SUM` sums over the joints of each branch as a matrix, (8, 14).
+_FLIPPED = np.array([(a, a, a ^ b, b, b ^ c, c, c) for a, b, c in product((False, True), repeat=3)])
+_SUM = np.hstack((~_FLIPPED, _FLIPPED)).astype(float)
 
 
 @dataclass(frozen=True, eq=False)
-class _Elbow:
-    """The circle of the elbow about the line from shoulder to wrist, in the frame of the shoulder.
+class _ElbowCircle:
+    """Circle of the elbow about the line from shoulder to wrist, in a frame at the shoulder with the axes of the base.
 
     Attributes:
         wrist: Position of the wrist, m, (3,).
-        center: Of the circle, m, (3,).
-        radius: Of the circle, m.
-        axes: Two unit vectors that span its plane, as rows, (2, 3).
-        bend: Angle between upper arm and forearm, 0 when stretched, rad.
+        center: Center of the circle, m, (3,).
+        radius: Radius of the circle, m.
+        axes: Two unit vectors that span the plane of the circle, as rows, (2, 3).
+        bend: Angle between upper arm and forearm, 0 if the arm is stretched, rad.
     """
 
     wrist: Floats
@@ -59,10 +59,17 @@ class _Elbow:
 def solve(
     arm: ArmModel, base_from_flange: Transform, seed: Floats, joint_margin: float, keep_away: Floats | None
 ) -> Floats:
-    """The posture of least cost, rad, (7,); see `pcmrs.kinematics.inverse.inverse`.
+    """Return the posture of least cost, rad, (7,).
+
+    Args:
+        arm: Model of an arm that is `spherical`.
+        base_from_flange: Pose of the flange to reach, in the robot's base.
+        seed: Joint positions to stay close to, rad, (7,).
+        joint_margin: Distance to keep from every joint limit, rad.
+        keep_away: Spheres as returned by `pcmrs.kinematics.posture.sphere_array`, m, (M, 4), or None.
 
     Raises:
-        UnreachableError: The pose is too far, too near, or no posture keeps the joint limits.
+        UnreachableError: The pose is too far or too near, or no posture keeps the joint limits.
     """
     circle = _elbow_circle(arm, base_from_flange, float(max(arm.upper[3], -arm.lower[3])))
     center, step = _arm_angle(seed, circle), pi
@@ -70,40 +77,45 @@ def solve(
         angles = center + np.linspace(-step, step, 2 * count + 1)
         elbow = circle.center + circle.radius * (np.array((np.cos(angles), np.sin(angles))).T @ circle.axes)
         own = _postures(circle, elbow.T, base_from_flange.rotation, seed)
-        both = np.concatenate((own, _turned(own)))
+        both = np.concatenate((own, _flipped(own)))
         score = _scores(arm, both, seed, joint_margin, DETOUR * _shared(arm, own, elbow, circle.wrist, keep_away))
         branch, column = divmod(int(np.argmin(score)), len(angles))
         center, step = float(angles[column]), step / count
         allowed = score[branch, column] < _FORBIDDEN
-        if scan and allowed:  # finer scans only look for a narrow way between the limits
+        if scan and allowed:  # the last, finer scans only search for a narrow interval between the limits
             break
-    best: Floats = np.where(_TURNED[branch], both[7:, column], both[:7, column])
+    best: Floats = np.where(_FLIPPED[branch], both[7:, column], both[:7, column])
     if not allowed:
         raise _limit_error(arm, best, joint_margin)
     return best
 
 
 def _scores(arm: ArmModel, both: Floats, seed: Floats, joint_margin: float, shared: Floats) -> Floats:
-    """The cost of every branch at every arm angle; more than `_FORBIDDEN` by as much as limits are broken, (8, N)."""
+    """Return the cost of every branch at every arm angle, (8, N).
+
+    Beyond the limits it is `_FORBIDDEN` plus the sum of the excess, rad.
+    """
     lower, upper, near = np.tile((arm.lower, arm.upper, seed), 2)[..., None]
     slack = np.minimum(both - lower, upper - both)
-    scores: Floats = np.sqrt(_SUM @ np.square(both - near)) + DETOUR * (_SUM @ shortage(slack, LIMIT_COMFORT)) + shared
+    scores: Floats = (
+        np.sqrt(_SUM @ np.square(both - near)) + DETOUR * (_SUM @ comfort_penalty(slack, LIMIT_COMFORT)) + shared
+    )
     beyond = _SUM @ np.maximum(0.0, joint_margin - slack)
     scores[beyond > 0.0] = _FORBIDDEN + beyond[beyond > 0.0]
     return scores
 
 
 def _shared(arm: ArmModel, own: Floats, elbow: Floats, wrist: Floats, keep_away: Floats | None) -> Floats:
-    """Shortages that are the same in all branches, (N,): at singularities, and of the forearm from the spheres."""
-    short: Floats = shortage(np.abs(own[1::2]), SINGULAR_COMFORT).sum(axis=0)
+    """Return the penalties that all branches share, (N,): at singularities, and of the forearm near the spheres."""
+    short: Floats = comfort_penalty(np.abs(own[1::2]), SINGULAR_COMFORT).sum(axis=0)
     if keep_away is not None:
         shoulder = np.array((0.0, 0.0, arm.heights[1]))
         ends = np.broadcast_to(wrist + shoulder, elbow.shape)
-        short += shortage(distances(elbow + shoulder, ends, keep_away), KEEP_AWAY_COMFORT).sum(axis=1)
+        short += comfort_penalty(sphere_distances(elbow + shoulder, ends, keep_away), KEEP_AWAY_COMFORT).sum(axis=1)
     return short
 
 
-def _elbow_circle(arm: ArmModel, base_from_flange: Transform, bend_limit: float) -> _Elbow:
+def _elbow_circle(arm: ArmModel, base_from_flange: Transform, bend_limit: float) -> _ElbowCircle:
     _, shoulder, _, elbow, _, hand, _, flange = arm.heights.tolist()
     upper_arm, forearm = elbow - shoulder, hand - elbow
     wrist = base_from_flange @ np.array((0.0, 0.0, hand - flange)) - np.array((0.0, 0.0, shoulder))
@@ -115,7 +127,8 @@ def _elbow_circle(arm: ArmModel, base_from_flange: Transform, bend_limit: float)
             reach=reach,
             limit=upper_arm + forearm,
         )
-    # Half the angle by its tangent, and the height of the triangle by its area: exact for the stretched arm, too.
+    # The bend by the tangent of its half, and the radius by the area of the triangle (Heron): both are exact for the
+    # stretched arm, too.
     stretched = max(0.0, (upper_arm + forearm - reach) * (upper_arm + forearm + reach))
     folded = max(0.0, (reach - upper_arm + forearm) * (reach + upper_arm - forearm))
     bend = 2.0 * atan2(stretched**0.5, folded**0.5)
@@ -130,29 +143,29 @@ def _elbow_circle(arm: ArmModel, base_from_flange: Transform, bend_limit: float)
     direction = wrist / reach
     along = (reach**2 + upper_arm**2 - forearm**2) / (2.0 * reach)
     radius = (stretched * folded) ** 0.5 / (2.0 * reach)
-    return _Elbow(wrist, along * direction, radius, _perpendicular(direction), bend)
+    return _ElbowCircle(wrist, along * direction, radius, _perpendicular(direction), bend)
 
 
 def _perpendicular(direction: Floats) -> Floats:
-    """Two unit vectors perpendicular to a unit vector and to each other, as rows, (2, 3)."""
+    """Return two unit vectors perpendicular to a unit vector and to each other, as rows, (2, 3)."""
     first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
     first /= np.linalg.norm(first)
     return np.array((first, np.cross(direction, first)))
 
 
-def _arm_angle(q: Floats, circle: _Elbow) -> float:
-    """The arm angle whose elbow lies in the direction of the elbow at joint positions `q`."""
+def _arm_angle(q: Floats, circle: _ElbowCircle) -> float:
+    """Return the arm angle, rad, whose elbow lies in the direction of the elbow at joint positions `q`, rad, (7,)."""
     elbow = np.array((cos(q[0]) * sin(q[1]), sin(q[0]) * sin(q[1]), cos(q[1])))
     first, second = circle.axes @ elbow
     return atan2(second, first)
 
 
-def _postures(circle: _Elbow, elbow: Floats, rotation: Floats, near: Floats) -> Floats:
-    """Joint positions in the branch + - + of joints 2, 4, 6 for elbows (3, N), each in [-pi, pi], (7, N).
+def _postures(circle: _ElbowCircle, elbow: Floats, rotation: Floats, near: Floats) -> Floats:
+    """Return joint positions in the branch + - + of joints 2, 4, 6 for elbows (3, N), each in [-pi, pi], (7, N).
 
-    With base_from_flange = Rz(q1) Ry(q2) Rz(q3) Ry(-q4) Rz(q5) Ry(q6) Rz(q7) for rotations; x3, for example, is the
-    x axis behind the third of them. Where an axis is undefined, as when the upper arm is upright, the first joint of
-    the pair stays as in `near`.
+    The rotation is base_from_flange = Rz(q1) Ry(q2) Rz(q3) Ry(-q4) Rz(q5) Ry(q6) Rz(q7). x3, for example, is the x
+    axis after the third of these. If an axis is undefined, as when the upper arm is upright, the first joint of the
+    pair stays as in `near`.
     """
     q1, sine = _azimuth(elbow[0], elbow[1], near[0])
     q2 = np.arctan2(sine, elbow[2])
@@ -174,13 +187,13 @@ def _postures(circle: _Elbow, elbow: Floats, rotation: Floats, near: Floats) -> 
 
 
 def _azimuth(x: Floats, y: Floats, if_upright: float) -> tuple[Floats, Floats]:
-    """Direction of vectors (N,), (N,), and their length; `if_upright` where they have none."""
+    """Return the direction, rad, and the length of plane vectors, (N,) each; without a direction, `if_upright`."""
     length = np.sqrt(x * x + y * y)
     return np.where(length > _SINGULAR, np.arctan2(y, x), if_upright), length
 
 
-def _turned(own: Floats) -> Floats:
-    """What each joint is where its neighbour or it itself turns the other way, (7, N)."""
+def _flipped(own: Floats) -> Floats:
+    """Return each joint position as it is if the joint or its neighbour turns the other way, (7, N)."""
     turned = -own
     turned[::2] = np.where(own[::2] > 0.0, own[::2] - pi, own[::2] + pi)
     return turned

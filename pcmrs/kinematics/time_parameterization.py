@@ -1,17 +1,13 @@
-"""Progress along a way over time, at speeds that depend on the place.
+"""Time parameterization: progress along a path over time, at speeds that depend on the place.
 
-Ruckig plans motions under limits that are the same all along; so the way is cut into sections of one limit each, at
-whose borders the progress passes without acceleration, at the greatest speed from which every section can still be
-braked: found by a pass forwards and one backwards, as in J. Bobrow, S. Dubowsky, J. Gibson, Time-Optimal Control of
-Robotic Manipulators Along Specified Paths, IJRR 4 (1985).
+Ruckig plans motions with limits that are constant along the path (L. Berscheid, T. Kröger, Jerk-limited Real-time
+Trajectory Generation with Arbitrary Target States, RSS 2021). The path is therefore cut into sections of constant
+limits. The progress passes their borders without acceleration, at the greatest speed from which every later section can
+still be braked. A forward and a backward pass find these speeds, as in J. Bobrow, S. Dubowsky, J. Gibson, Time-Optimal
+Control of Robotic Manipulators Along Specified Paths, IJRR 4 (1985).
 
-Cubic splines through rows of numbers: C. de Boor, A Practical Guide to Splines, Springer 1978, chapter IV.
-
-SciPy has them, too; but `scipy.interpolate` takes longer to load than all else that a process needs to follow a motion.
-
-Profiles of position over time with bounded jerk, computed by Ruckig.
-
-L. Berscheid, T. Kröger, Jerk-limited Real-time Trajectory Generation with Arbitrary Target States, RSS 2021.
+Cubic splines follow C. de Boor, A Practical Guide to Splines, Springer 1978, chapter IV. SciPy has them, too, but
+importing `scipy.interpolate` takes longer than everything else that a process needs to follow a motion.
 """
 
 from __future__ import annotations
@@ -29,15 +25,24 @@ from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
 
+PERIOD = 0.005  # s between the samples of a trajectory
+_SPEED_RESERVE = 1e-6  # share of a border's speed, so that rounding leaves the section a solution
+
+SpeedLimitAt = Callable[[Floats], Floats]
+"""Greatest speed of flange and tool point, m/s, (K,), at joint positions rad, (K, n). It takes few different values."""
+
 
 class CubicSpline:
-    """The cubic spline through rows of numbers, with two continuous derivatives.
+    """Cubic spline through rows of numbers, with two continuous derivatives.
 
     Args:
-        places: Where the rows are, rising, (K,): at least four, or two where `ends` are given.
-        rows: What it passes through, (K, n).
-        ends: Slopes at the first and the last place, (n,) each. None lets the first two intervals share one cubic, and
-            the last two ("not a knot").
+        places: Ascending places of the rows, (K,): at least four, or at least two if `ends` are given.
+        rows: Values at the places, (K, n).
+        ends: Slopes at the first and at the last place, (n,) each. With None, the first two intervals share one cubic,
+            and so do the last two ("not a knot").
+
+    Attributes:
+        places: Places of the rows, (K,).
     """
 
     def __init__(
@@ -49,7 +54,12 @@ class CubicSpline:
         self._slopes = _slopes(self._steps, self._rows, ends)
 
     def __call__(self, places: npt.ArrayLike, order: int = 0) -> Floats:
-        """Its value at places (M,), or its derivative of order 1 or 2, (M, n)."""
+        """Return the value or a derivative of the spline, (M, n).
+
+        Args:
+            places: Places at which it is evaluated, (M,).
+            order: 0 for the value, 1 or 2 for that derivative.
+        """
         places = np.asarray(places, dtype=float)
         left = np.clip(np.searchsorted(self.places, places, side="right") - 1, 0, len(self._steps) - 1)
         step, away = self._steps[left, None], (places - self.places[left])[:, None]
@@ -66,7 +76,7 @@ class CubicSpline:
 
 
 def _slopes(steps: Floats, rows: Floats, ends: tuple[npt.ArrayLike, npt.ArrayLike] | None) -> Floats:
-    """The slopes at all places, (K, n), with which the second derivative is continuous."""
+    """Return the slopes at all places, (K, n), with which the second derivative is continuous."""
     chords = np.diff(rows, axis=0) / steps[:, None]
     below, above = np.append(steps[1:], 0.0), np.append(0.0, steps[:-1])
     main = np.concatenate(((1.0,), 2.0 * (steps[1:] + steps[:-1]), (1.0,)))
@@ -102,16 +112,18 @@ def _solve_tridiagonal(below: list[float], main: list[float], above: list[float]
 
 
 def _not_a_knot(near: float, next_: float, chord: Floats, next_chord: Floats) -> tuple[float, float, Floats]:
-    """Coefficients of the slopes at an end and beside it, and the right-hand side, by which two intervals are one."""
+    """Return the two coefficients and the right-hand side by which the two intervals at an end share one cubic."""
     both = near + next_
     return next_, both, ((near + 2.0 * both) * next_ * chord + near**2 * next_chord) / both
 
 
-PERIOD = 0.005  # s between the samples of a trajectory
-
-
 def joint_request(velocity: Floats, limits: MotionLimits) -> InputParameter:
-    """A motion of all joints along a straight line of joint space, with `velocity` (n,) as speed limits, rad/s."""
+    """Return Ruckig's request for a motion of all joints along a straight line of joint space.
+
+    Args:
+        velocity: Greatest speed of each joint, rad/s, (n,).
+        limits: Greatest accelerations and jerks of the joints.
+    """
     request = InputParameter(len(velocity))
     request.synchronization = Synchronization.Phase
     request.max_velocity = velocity.tolist()
@@ -121,7 +133,7 @@ def joint_request(velocity: Floats, limits: MotionLimits) -> InputParameter:
 
 
 def solve(request: InputParameter) -> Trajectory:
-    """The fastest profile.
+    """Return the fastest profile for a request.
 
     Raises:
         GeometryError: There is none.
@@ -135,19 +147,25 @@ def solve(request: InputParameter) -> Trajectory:
 
 
 def sample_times(duration: float, stretch: float, period: float) -> Floats:
-    """Times of a profile at which to sample it so that one sample per period plays it `stretch` times slower."""
+    """Return the times at which to sample a profile so that one sample per period plays it `stretch` times slower, s.
+
+    Args:
+        duration: Duration of the profile, s.
+        stretch: Factor on the duration, at least 1.
+        period: Time between samples, s.
+    """
     return np.linspace(0.0, duration, max(1, ceil(duration * stretch / period)) + 1)
 
 
-Allowed = Callable[[Floats], Floats]
-"""Greatest speed of flange and tool point, m/s, (K,), at joint positions rad, (K, n); of few different values."""
-
-_SLACK = 1e-6  # of a border's speed, so that rounding leaves the section a solution
-
-
 @dataclass(frozen=True)
-class Derivatives:
-    """Greatest speed, acceleration and jerk of the progress, which goes from 0 to 1: 1/s, 1/s², 1/s³."""
+class ProgressLimits:
+    """Greatest derivatives of the progress, which goes from 0 to 1.
+
+    Attributes:
+        velocity: Greatest speed, 1/s.
+        acceleration: Greatest acceleration, 1/s².
+        jerk: Greatest jerk, 1/s³.
+    """
 
     velocity: float
     acceleration: float
@@ -159,9 +177,9 @@ class Progress:
     """Progress from 0 to 1, from rest to rest.
 
     Attributes:
-        starts: When each section starts, and when the last one ends, s, (S + 1,).
-        borders: Progress there, (S + 1,).
-        sections: From each border on, as Ruckig has them.
+        starts: Start times of the sections, and the end time of the last one, s, (S + 1,).
+        borders: Progress at these times, (S + 1,).
+        sections: Ruckig's profile of each section, relative to its first border, (S,).
     """
 
     starts: Floats
@@ -174,7 +192,7 @@ class Progress:
         return float(self.starts[-1])
 
     def at(self, times: npt.ArrayLike) -> Floats:
-        """Progress at times, s, (M,)."""
+        """Return the progress at times, s, (M,)."""
         times = np.asarray(times, dtype=float)
         numbers = np.clip(np.searchsorted(self.starts, times, side="right") - 1, 0, len(self.sections) - 1)
         moved = [
@@ -184,27 +202,39 @@ class Progress:
         return np.asarray(np.clip(self.borders[numbers] + np.array(moved), 0.0, 1.0))
 
 
-def speeds_at(postures: Floats, limits: MotionLimits, allowed: Allowed | None) -> Floats:
-    """Greatest speed of flange and tool point at joint positions, rad, (K, n): by the limits and by what is allowed."""
+def speed_limits_at(postures: Floats, limits: MotionLimits, speed_limit_at: SpeedLimitAt | None) -> Floats:
+    """Return the greatest speed of flange and tool point at each posture, m/s, (K,).
+
+    Args:
+        postures: Joint positions, rad, (K, n).
+        limits: Limits that hold everywhere.
+        speed_limit_at: Lower speed limits at some postures.
+    """
     everywhere = np.full(len(postures), limits.linear_velocity)
-    return everywhere if allowed is None else np.minimum(everywhere, allowed(postures))
+    return everywhere if speed_limit_at is None else np.minimum(everywhere, speed_limit_at(postures))
 
 
-def tool_way(arm: ArmModel, postures: Floats, flange_from_tool: Transform) -> Floats:
-    """How far flange and tool point move between postures (K, n), whichever moves farther, m, (K - 1,)."""
+def tool_path_lengths(arm: ArmModel, postures: Floats, flange_from_tool: Transform) -> Floats:
+    """Return the distance that flange or tool point, whichever moves farther, moves between postures, m, (K - 1,).
+
+    Args:
+        arm: Model of the arm.
+        postures: Joint positions, rad, (K, n).
+        flange_from_tool: Pose of the tool point in the flange.
+    """
     flanges = [arm.forward(q) for q in postures]
     points = np.array([(flange.translation, flange @ flange_from_tool.translation) for flange in flanges])
     return np.asarray(np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1))
 
 
-def paced(places: Floats, ways: Floats, allowed: Floats, bounds: Derivatives) -> Progress:
-    """The progress that keeps its own bounds and the speed allowed at each place.
+def time_parameterize(places: Floats, ways: Floats, allowed: Floats, bounds: ProgressLimits) -> Progress:
+    """Return the fastest progress that keeps its own bounds and the speed limit at each place.
 
     Args:
-        places: Progress from 0 to 1, rising, (K,).
-        ways: How far the tool moves from one to the next, m, (K - 1,).
-        allowed: Greatest speed at each place, m/s, (K,).
-        bounds: Everywhere.
+        places: Ascending progress from 0 to 1, (K,).
+        ways: Distance that the tool moves from each place to the next, m, (K - 1,).
+        allowed: Greatest speed of the tool at each place, m/s, (K,).
+        bounds: Limits of the progress that hold everywhere.
     """
     levels = np.minimum(allowed[1:], allowed[:-1])
     rates = np.maximum(ways, np.finfo(float).tiny) / np.diff(places)
@@ -221,29 +251,29 @@ def paced(places: Floats, ways: Floats, allowed: Floats, bounds: Derivatives) ->
     return Progress(times, np.append(places[starts], 1.0), tuple(sections))
 
 
-def _border_speeds(lengths: Floats, limits: Floats, bounds: Derivatives) -> Floats:
-    """The greatest speeds at the borders of sections, 1/s, (S + 1,), 0 at both ends."""
+def _border_speeds(lengths: Floats, limits: Floats, bounds: ProgressLimits) -> Floats:
+    """Return the greatest speeds at the borders of sections, 1/s, (S + 1,), 0 at both ends."""
     speeds = np.concatenate(((0.0,), np.minimum(limits[1:], limits[:-1]), (0.0,)))
     for number, length in enumerate(lengths[:-1]):
-        speeds[number + 1] = min(speeds[number + 1], _reachable(speeds[number], float(length), bounds))
+        speeds[number + 1] = min(speeds[number + 1], _reachable_speed(speeds[number], float(length), bounds))
     for number in range(len(lengths) - 1, 0, -1):
-        speeds[number] = min(speeds[number], _reachable(speeds[number + 1], float(lengths[number]), bounds))
-    return speeds * (1.0 - _SLACK)
+        speeds[number] = min(speeds[number], _reachable_speed(speeds[number + 1], float(lengths[number]), bounds))
+    return speeds * (1.0 - _SPEED_RESERVE)
 
 
-def _reachable(speed: float, length: float, bounds: Derivatives) -> float:
-    """The greatest speed to which `speed` can change within a length of progress; or from which it can be reached."""
+def _reachable_speed(speed: float, length: float, bounds: ProgressLimits) -> float:
+    """Return the greatest speed, 1/s, to which `speed` can rise, or from which it can be reached, within a length."""
     fastest = speed + bounds.velocity
-    if _needed(speed, fastest, bounds) <= length:
+    if _needed_length(speed, fastest, bounds) <= length:
         return fastest
     slow, fast = speed, fastest
-    while slow < (middle := 0.5 * (slow + fast)) < fast:  # until no number is between them
-        slow, fast = (middle, fast) if _needed(speed, middle, bounds) <= length else (slow, middle)
+    while slow < (middle := 0.5 * (slow + fast)) < fast:  # bisection until no number is between both
+        slow, fast = (middle, fast) if _needed_length(speed, middle, bounds) <= length else (slow, middle)
     return slow
 
 
-def _needed(slow: float, fast: float, bounds: Derivatives) -> float:
-    """Progress made while the speed changes, without acceleration at either end: the mean speed times the time."""
+def _needed_length(slow: float, fast: float, bounds: ProgressLimits) -> float:
+    """Return the progress made during a change of speed without acceleration at either end: mean speed times time."""
     change = fast - slow
     if change * bounds.jerk <= bounds.acceleration**2:
         time = 2.0 * sqrt(change / bounds.jerk)
@@ -252,7 +282,7 @@ def _needed(slow: float, fast: float, bounds: Derivatives) -> float:
     return 0.5 * (slow + fast) * time
 
 
-def _section(length: float, limit: float, speeds: tuple[float, float], bounds: Derivatives) -> Trajectory:
+def _section(length: float, limit: float, speeds: tuple[float, float], bounds: ProgressLimits) -> Trajectory:
     request = InputParameter(1)
     request.current_velocity, request.target_velocity = [speeds[0]], [speeds[1]]
     request.target_position = [length]

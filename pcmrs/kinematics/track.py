@@ -1,4 +1,4 @@
-"""Inverse kinematics for small steps: damped least squares from the present posture."""
+"""Inverse kinematics for small steps by damped least squares from the present posture."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
 
-TOLERANCE = 1e-10  # m and rad between the pose reached and the pose asked for
+TOLERANCE = 1e-10  # m and rad between the reached and the desired pose
 _ITERATIONS = 100
-_PATIENCE = 6  # steps that need not bring the squared error down by a tenth
-_DAMPING = 0.1  # of the squared error; a fifth of Sugihara's takes half the steps to random targets
+_PATIENCE = 6  # steps without a reduction of the squared error by a tenth, after which the search ends
+_DAMPING = 0.1  # share of the squared error; a fifth of Sugihara's value halves the number of steps to random targets
 _IDENTITY = np.eye(6)
 
 Bools = npt.NDArray[np.bool_]
 
 
 def track(arm: ArmModel, base_from_flange: Transform, seed: npt.ArrayLike) -> Floats:
-    """Joint positions within the limits that reach the pose by small steps from `seed`, rad, (n,).
+    """Return joint positions within the limits that reach the pose by small steps from `seed`, rad, (n,).
 
     Args:
-        arm: The arm.
-        base_from_flange: The pose to reach, near that of `seed`.
+        arm: Model of the arm.
+        base_from_flange: Pose of the flange to reach, in the robot's base, near that of `seed`.
         seed: Joint positions to start from, rad, (n,).
 
     Raises:
         GeometryError: `seed` does not hold one finite number per joint.
         UnreachableError: The steps end before the pose: at a joint limit or at the edge of the workspace.
     """
-    q, error = descend(arm, base_from_flange, joint_array(seed, arm.joints), arm.lower, arm.upper)
+    q, error = damped_least_squares(arm, base_from_flange, joint_array(seed, arm.joints), arm.lower, arm.upper)
     if error @ error <= TOLERANCE**2:
         return q
     gap, turn = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
@@ -44,22 +44,29 @@ def track(arm: ArmModel, base_from_flange: Transform, seed: npt.ArrayLike) -> Fl
     )
 
 
-def descend(
+def damped_least_squares(
     arm: ArmModel, base_from_flange: Transform, start: Floats, lower: Floats, upper: Floats
 ) -> tuple[Floats, Floats]:
-    """Goes from a posture towards a pose, within limits, until it is there within `TOLERANCE` or gets no nearer.
+    """Go from a posture towards a pose, within limits, until the error is below `TOLERANCE` or no longer falls.
 
-    Every step is the shortest joint motion for what is left of the way, so that the posture stays near `start`;
-    its damping vanishes with the error (T. Sugihara, Solvability-Unconcerned Inverse Kinematics by the
-    Levenberg-Marquardt Method, IEEE Transactions on Robotics 27, 2011).
+    Every step is the shortest joint motion for the remaining error, so that the posture stays near `start`. The damping
+    vanishes with the error (T. Sugihara, Solvability-Unconcerned Inverse Kinematics by the Levenberg-Marquardt Method,
+    IEEE Transactions on Robotics 27, 2011).
+
+    Args:
+        arm: Model of the arm.
+        base_from_flange: Pose of the flange to reach, in the robot's base.
+        start: Joint positions to start from, rad, (n,).
+        lower: Lowest joint positions, rad, (n,).
+        upper: Highest joint positions, rad, (n,).
 
     Returns:
-        The last posture, rad, (n,), and what is left of the way, m and rad, (6,).
+        The last joint positions, rad, (n,), and the remaining error, m and rad, (6,).
     """
     q: Floats = np.clip(start, lower, upper)
     best, best_at = np.inf, 0
     for iteration in range(_ITERATIONS):
-        error, jacobian = arm.gap(base_from_flange, q)
+        error, jacobian = arm.pose_error_and_jacobian(base_from_flange, q)
         square = float(error @ error)
         if square < 0.9 * best:
             best, best_at = square, iteration
@@ -70,7 +77,7 @@ def descend(
 
 
 def _step(jacobian: Floats, error: Floats, square: float, at_lower: Bools, at_upper: Bools) -> Floats:
-    """The damped step; joints that would leave their limits stay and the others take over."""
+    """Return the damped step, rad, (n,). Joints that would leave their limits stay, and the others take over."""
     step = _solve(jacobian, error, square)
     blocked = (at_lower & (step < 0.0)) | (at_upper & (step > 0.0))
     if blocked.any():

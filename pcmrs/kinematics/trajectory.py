@@ -1,6 +1,6 @@
 """Joint trajectories with bounded jerk: point to point, along a straight line, and to a stop.
 
-All of them keep their path whatever the limits are: these only say how fast it is gone along.
+All of them keep their path whatever the limits are. The limits only set how fast the path is followed.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.straight import straight_motion
 from pcmrs.kinematics.time_parameterization import (
     PERIOD,
-    Allowed,
-    Derivatives,
+    ProgressLimits,
+    SpeedLimitAt,
     joint_request,
-    paced,
     sample_times,
     solve,
-    speeds_at,
-    tool_way,
+    speed_limits_at,
+    time_parameterize,
+    tool_path_lengths,
 )
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
@@ -34,8 +34,8 @@ __all__ = ["MotionLimits", "brake", "concatenate", "joint_motion", "straight_mot
 
 JOIN_TOLERANCE = 1e-6  # rad between the end of one trajectory and the start of the next
 
-_NO_PART = 1e-12  # of the way of the joint that moves farthest; a joint that moves less does not limit it
-_PLACE_DISTANCE = 0.006  # rad in any joint between two places at which a speed is worked out
+_NO_PART = 1e-12  # share of the motion of the joint that moves farthest; a joint that moves less sets no limit
+_PLACE_DISTANCE = 0.006  # rad in any joint between two places at which the speed limit is evaluated
 
 
 def joint_motion(
@@ -46,18 +46,18 @@ def joint_motion(
     period: float = PERIOD,
     *,
     flange_from_tool: Transform | None = None,
-    allowed: Allowed | None = None,
+    speed_limit_at: SpeedLimitAt | None = None,
 ) -> JointTrajectory:
-    """Moves all joints together from rest at `start` to rest at `goal`, rad, (n,).
+    """Move all joints together from rest to rest on a straight line of joint space.
 
     Args:
-        arm: The arm.
-        start: Joint positions, rad, (n,).
-        goal: The same.
-        limits: Of the joints; and `linear_velocity` of flange and tool point, whatever their paths.
+        arm: Model of the arm.
+        start: Joint positions at the start, rad, (n,).
+        goal: Joint positions at the end, rad, (n,).
+        limits: Limits of the joints, and `linear_velocity` of flange and tool point whatever their paths are.
         period: Time between samples, s.
-        flange_from_tool: Pose of the tool point; the flange itself by default.
-        allowed: Lower speeds of flange and tool point at some places.
+        flange_from_tool: Pose of the tool point in the flange; the flange itself by default.
+        speed_limit_at: Lower speed limits of flange and tool point at some postures.
 
     Raises:
         GeometryError: `start` or `goal` does not hold one finite number per joint.
@@ -70,25 +70,29 @@ def joint_motion(
         return JointTrajectory(period=period, positions=[begin.tolist()])
     places = np.linspace(0.0, 1.0, 1 + ceil(farthest / _PLACE_DISTANCE))
     postures = begin + places[:, None] * (end - begin)
-    ways = tool_way(arm, postures, flange_from_tool or Transform.identity())
-    speeds = speeds_at(postures, limits, allowed)
-    progress = paced(places, ways, speeds, _joint_bounds(arm, np.abs(end - begin), limits))
+    ways = tool_path_lengths(arm, postures, flange_from_tool or Transform.identity())
+    speeds = speed_limits_at(postures, limits, speed_limit_at)
+    progress = time_parameterize(places, ways, speeds, _joint_bounds(arm, np.abs(end - begin), limits))
     parts = progress.at(sample_times(progress.duration, 1.0, period))
     positions = begin + parts[:, None] * (end - begin)
     positions[-1] = end
     return JointTrajectory(period=period, positions=positions.tolist())
 
 
-def _joint_bounds(arm: ArmModel, way: Floats, limits: MotionLimits) -> Derivatives:
-    """What the joints allow of the progress along a way, rad, (n,), straight in joint space."""
+def _joint_bounds(arm: ArmModel, way: Floats, limits: MotionLimits) -> ProgressLimits:
+    """Return the limits of the progress along a straight way in joint space, rad, (n,), set by the joints."""
     velocity = np.minimum(limits.joint_velocity, arm.velocity)
     values = np.array((velocity, limits.joint_acceleration, limits.joint_jerk))
     moving = way > _NO_PART * way.max()
-    return Derivatives(*(values[:, moving] / way[moving]).min(axis=1).tolist())
+    return ProgressLimits(*(values[:, moving] / way[moving]).min(axis=1).tolist())
 
 
 def concatenate(a: JointTrajectory, b: JointTrajectory) -> JointTrajectory:
-    """One trajectory after the other; the posture between them, where the arm rests, is taken once.
+    """Join two trajectories. The posture between them, where the arm rests, appears once.
+
+    Args:
+        a: First trajectory.
+        b: Second trajectory, which starts where `a` ends.
 
     Raises:
         GeometryError: Their periods differ, or `b` does not start where `a` ends.
@@ -107,12 +111,12 @@ def concatenate(a: JointTrajectory, b: JointTrajectory) -> JointTrajectory:
 def brake(
     positions: Sequence[float], velocities: Sequence[float], limits: MotionLimits, period: float = PERIOD
 ) -> JointTrajectory:
-    """Stops every joint as fast as its acceleration and jerk limits allow.
+    """Stop every joint as fast as its acceleration and jerk limits allow.
 
     Args:
         positions: Joint positions now, rad, (n,).
         velocities: Joint velocities now, rad/s, (n,).
-        limits: Of the joints; joint positions are not limited, for nothing may keep the arm from braking.
+        limits: Limits of the joints. Joint positions are not limited, because nothing may keep the arm from braking.
         period: Time between samples, s.
 
     Raises:

@@ -1,4 +1,4 @@
-"""An arm's facts as URDF, for Pinocchio and other readers."""
+"""URDF of an arm for Pinocchio and other readers, written from its facts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pcmrs.kinematics.arms import ArmFacts, JointFacts
 
 
 def urdf(facts: ArmFacts) -> str:
-    """The arm as a URDF document, without geometry.
+    """Return the arm as a URDF document without geometry.
 
     Links: ``base``, one named ``link_<number>`` per joint, and ``flange`` on a fixed joint.
     """

@@ -16,14 +16,14 @@ _PACKAGE = "example-robot-data"
 
 @dataclass(frozen=True)
 class _Packaged:
-    """A URDF of the package, and what a URDF does not say.
+    """A URDF of the package, and the facts that a URDF does not hold.
 
     Attributes:
-        file: Its path ends so.
-        flange: The link that carries the tool.
-        home: Posture where the arm waits, clear of a body in front of it, rad.
-        stiffness: Of the simulated arm's joint impedance, N m/rad.
-        link_radius: Of its links, m.
+        file: End of the path of the URDF file.
+        flange: Link that carries the tool.
+        home: Posture in which the arm waits, clear of a body in front of it, rad, (n,).
+        stiffness: Joint stiffness of the simulated arm's impedance controller, N m/rad, (n,).
+        link_radius: Radius of the links as capsules, m.
     """
 
     file: str
@@ -51,18 +51,19 @@ _PACKAGED = {
 }
 
 KNOWN = (*ARMS, *_PACKAGED)
-"""Names of arms; besides them, `find_arm` takes the path of a URDF file."""
+"""Names of the known arms. `find_arm` also takes the path of a URDF file."""
 
 
 def find_arm(model: str) -> ArmFacts:
-    """The facts of an arm.
+    """Return the facts of an arm.
 
     Args:
-        model: One of `KNOWN`, or the path of a file that ends in ``.urdf``, whose home is the middle of its ranges.
+        model: One of `KNOWN`, or the path of a file that ends in ``.urdf``. The home posture of such an arm is the
+            middle of its joint ranges.
 
     Raises:
-        ConfigurationError: There is no such arm, its file cannot be read or does not describe an arm that we can
-            use, or the package of robot descriptions is not installed.
+        ConfigurationError: The arm is unknown, its file cannot be read or does not describe a usable arm, or the
+            package of robot descriptions is not installed.
     """
     if model in ARMS:
         return ARMS[model]

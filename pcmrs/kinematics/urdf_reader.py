@@ -1,4 +1,4 @@
-"""A URDF document read as an arm's facts: a serial chain of revolute joints from the root link to a flange."""
+"""Reader of URDF documents: a serial chain of revolute joints from the root link to a flange, as facts of an arm."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from math import atan2, cos, hypot, sin
 import numpy as np
 
 from pcmrs.kinematics.arms import ArmFacts, JointFacts, Triple
-from pcmrs.kinematics.body import Body, merged
-from pcmrs.kinematics.urdf_tree import UrdfJoint, UrdfTree
+from pcmrs.kinematics.urdf_tree import Body, UrdfJoint, UrdfTree, merge_bodies
 from pcmrs.spatial import Floats, Transform
 
 STIFFNESS = 2000.0
-"""Of every joint of a simulated arm that names none, N m/rad."""
+"""Joint stiffness of a simulated arm if none is given, N m/rad."""
 
 _Z = np.array((0.0, 0.0, 1.0))
 _FLANGES = ("tool0", "flange")  # in ROS-Industrial's order: +z points out of the arm in the first
@@ -27,20 +26,21 @@ def read_urdf(
     home: Sequence[float] | None = None,
     stiffness: Sequence[float] | None = None,
 ) -> ArmFacts:
-    """Reads an arm; what hangs on its flange is left out, for our tool takes its place.
+    """Read an arm from a URDF document. Everything mounted on its flange is left out, because our tool takes its place.
 
-    Links on fixed joints merge with the link that carries them, joints beside the chain stay at zero as if they were
-    fixed, and every joint frame is turned so that the joint's axis is its z.
+    Links on fixed joints merge with the link that carries them. Joints beside the chain stay at zero as if they were
+    fixed. Every joint frame is turned so that the joint's axis is its z axis.
 
     Args:
-        text: The document.
-        name: Of the arm.
-        flange: The link that carries the tool; by default ``tool0``, ``flange``, or the only link at an end.
-        home: Where the arm waits, rad; the middle of the ranges by default.
-        stiffness: Of the simulated joint impedance, N m/rad; `STIFFNESS` by default.
+        text: The URDF document.
+        name: Name of the arm.
+        flange: Link that carries the tool; by default ``tool0``, ``flange``, or the only link at an end.
+        home: Posture in which the arm waits, rad, (n,); by default the middle of the joint ranges.
+        stiffness: Joint stiffness of the simulated arm's impedance controller, N m/rad, (n,); `STIFFNESS` by default.
 
     Raises:
-        ConfigurationError: The document describes no such chain, or lacks a limit or an inertia; the joint is named.
+        ConfigurationError: The document describes no such chain, or lacks a limit or an inertia; the text names the
+            joint.
     """
     tree = UrdfTree(text, name)
     tip = flange or _flange(tree)
@@ -78,7 +78,7 @@ def _flange(tree: UrdfTree) -> str:
 
 
 def _turn_of_z_to(axis: Floats) -> Transform:
-    """The shortest turn, as ``joint_from_axis``, after which z is the joint's axis."""
+    """Return the shortest rotation, as ``joint_from_axis``, that turns the z axis into the joint's axis."""
     sine = np.cross(_Z, axis)
     angle = atan2(float(np.linalg.norm(sine)), float(axis[2]))
     if not sine.any():
@@ -87,11 +87,11 @@ def _turn_of_z_to(axis: Floats) -> Transform:
 
 
 def _body(tree: UrdfTree, joint: UrdfJoint, axis_from_joint: Transform, stops: set[str]) -> Body:
-    """Everything that moves with a joint and not with the next one, in the joint's turned frame."""
-    bodies = [body.seen_from(axis_from_joint) for body in tree.bodies_on(joint.child, stops)]
+    """Return everything that moves with a joint but not with the next one, in the joint's turned frame."""
+    bodies = [body.expressed_in(axis_from_joint) for body in tree.bodies_on(joint.child, stops)]
     if sum(body.mass for body in bodies) <= 0.0:
         raise tree.error(f"the joint {joint.name} moves a link without mass", "give its link an inertial element")
-    return merged(bodies)
+    return merge_bodies(bodies)
 
 
 def _facts(tree: UrdfTree, joint: UrdfJoint, parent_from_joint: Transform, body: Body) -> JointFacts:
@@ -105,10 +105,10 @@ def _facts(tree: UrdfTree, joint: UrdfJoint, parent_from_joint: Transform, body:
 
 
 def _rpy(rotation: Floats) -> Triple:
-    """Fixed-axis roll, pitch and yaw of a rotation, rad; exact also where roll and yaw turn about one axis.
+    """Return fixed-axis roll, pitch and yaw of a rotation, rad; exact also if roll and yaw turn about one axis.
 
-    Yaw is taken first, and roll from what it leaves (G. Slabaugh, Computing Euler Angles from a Rotation Matrix,
-    1999, treats that case apart instead).
+    Yaw is computed first, and roll from the remaining rotation. (G. Slabaugh, Computing Euler Angles from a Rotation
+    Matrix, 1999, treats the degenerate case separately instead.)
     """
     yaw = atan2(rotation[1, 0], rotation[0, 0])
     roll = atan2(

@@ -1,16 +1,52 @@
-"""The links and joints of a URDF document, with their numbers checked."""
+"""Links and joints of a URDF document with their numbers checked, and the mass properties of its links."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element, ParseError, fromstring
 
 import numpy as np
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.kinematics.body import Body
 from pcmrs.spatial import Floats, Transform
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Mass properties of a rigid body in some frame.
+
+    Attributes:
+        mass: Mass, kg.
+        com: Centre of mass in the frame, m, (3,).
+        inertia: Inertia about the centre of mass, along the axes of the frame, kg m^2, (3, 3).
+    """
+
+    mass: float
+    com: Floats
+    inertia: Floats
+
+    def expressed_in(self, frame_from_own: Transform) -> Body:
+        """Return the mass properties in another frame, given the pose of the present one in it."""
+        turn = frame_from_own.rotation
+        return Body(self.mass, frame_from_own @ self.com, turn @ self.inertia @ turn.T)
+
+
+def merge_bodies(bodies: Sequence[Body]) -> Body:
+    """Return bodies that are fixed to each other as one body, by the parallel axis theorem.
+
+    All bodies are in one frame, and their total mass must be positive.
+    """
+    mass = sum(body.mass for body in bodies)
+    com = sum((body.mass * body.com for body in bodies), np.zeros(3)) / mass
+    inertia = sum((body.inertia + _of_point(body.mass, body.com - com) for body in bodies), np.zeros((3, 3)))
+    return Body(mass, com, inertia)
+
+
+def _of_point(mass: float, offset: Floats) -> Floats:
+    """Return the inertia of a point mass at an offset (3,), m, about the origin, kg m^2, (3, 3)."""
+    inertia: Floats = mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    return inertia
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,12 +54,12 @@ class UrdfJoint:
     """A joint as its document states it.
 
     Attributes:
-        name: Unique in the document.
+        name: Name of the joint, unique in the document.
         kind: ``revolute``, ``fixed``, ``prismatic``, …
-        parent: The link that carries it.
-        child: The link that it moves.
-        parent_from_joint: Its frame, which is that of the child at joint position 0.
-        axis: Unit vector in its frame, (3,).
+        parent: Link that carries the joint.
+        child: Link that the joint moves.
+        parent_from_joint: Pose of the joint frame in the parent; at joint position 0 it is the frame of the child.
+        axis: Unit vector of the joint's axis in the joint frame, (3,).
     """
 
     name: str
@@ -39,13 +75,13 @@ class UrdfTree:
 
     Args:
         text: The document.
-        name: How errors call it.
+        name: Name of the arm in error messages.
 
     Attributes:
-        links: By name.
+        links: Link elements by name.
 
     Raises:
-        ConfigurationError: It is no URDF, or holds a number that is none.
+        ConfigurationError: The document is not URDF, or a number in it is malformed.
     """
 
     def __init__(self, text: str, name: str) -> None:
@@ -53,32 +89,37 @@ class UrdfTree:
         try:
             root = fromstring(text)  # noqa: S314  # Expat bounds how much entities grow
         except ParseError as error:
-            raise self.error(f"it is no XML: {error}", "check the file") from None
+            raise self.error(f"it is not XML: {error}", "check the file") from None
         self.links = {link.get("name", ""): link for link in root.findall("link")}
         self._elements = {joint.get("name", ""): joint for joint in root.findall("joint")}
         self._joints = [self._joint(name, element) for name, element in self._elements.items()]
 
     def error(self, what: str, advice: str) -> ConfigurationError:
-        """An error that says what is wrong with this arm, and what to do."""
+        """Return an error that says what is wrong with this arm and what to do.
+
+        Args:
+            what: The defect, as a clause.
+            advice: The remedy, as an imperative.
+        """
         return ConfigurationError(f"The arm {self._name!r} cannot be used: {what}; {advice}.", model=self._name)
 
     def joints_on(self, link: str) -> list[UrdfJoint]:
-        """The joints that a link carries."""
+        """Return the joints that a link carries."""
         return [joint for joint in self._joints if joint.parent == link]
 
     def chain(self, tip: str) -> list[UrdfJoint]:
-        """The joints from the root to a link."""
+        """Return the joints from the root to a link."""
         if tip not in self.links:
             raise self.error(f"it has no link {tip}", f"it has {', '.join(self.links)}")
         carrying = {joint.child: joint for joint in self._joints}
         chain: list[UrdfJoint] = []
         while tip in carrying:
-            chain.insert(0, carrying.pop(tip))  # popped, so that a circle ends
+            chain.insert(0, carrying.pop(tip))  # popped, so that the loop ends even if the links form a cycle
             tip = chain[0].parent
         return chain
 
     def limits(self, joint: UrdfJoint) -> tuple[float, float, float, float]:
-        """Lowest and highest position (rad), greatest speed (rad/s) and torque (N m) of a joint."""
+        """Return the lowest and highest position (rad), greatest speed (rad/s) and greatest torque (N m) of a joint."""
         limit = self._elements[joint.name].find("limit")
         missing = [key for key in ("lower", "upper", "velocity", "effort") if limit is None or key not in limit.attrib]
         if missing:
@@ -92,17 +133,17 @@ class UrdfTree:
         return lower, upper, velocity, effort
 
     def bodies_on(self, link: str, stops: Collection[str]) -> Iterator[Body]:
-        """The bodies of a link and of all that is joined to it, joints at 0, in the link's frame.
+        """Yield the bodies of a link and of everything joined to it with all joints at 0, in the link's frame.
 
         Args:
-            link: Where to begin.
-            stops: Names of joints beyond which nothing belongs to it.
+            link: Link to start from.
+            stops: Names of the joints that end the search; links beyond them are left out.
         """
         yield from self._own_body(link)
         for joint in self.joints_on(link):
             if joint.name not in stops:
                 for body in self.bodies_on(joint.child, stops):
-                    yield body.seen_from(joint.parent_from_joint)
+                    yield body.expressed_in(joint.parent_from_joint)
 
     def _own_body(self, link: str) -> Iterator[Body]:
         element = self.links[link].find("inertial") if link in self.links else None
@@ -117,7 +158,7 @@ class UrdfTree:
             np.zeros(3),
             np.array(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))),
         )
-        yield own.seen_from(self._pose(element, link))
+        yield own.expressed_in(self._pose(element, link))
 
     def _joint(self, name: str, element: Element) -> UrdfJoint:
         parent, child = (_link(element, key) for key in ("parent", "child"))

@@ -1,7 +1,7 @@
-"""How far the links of an arm, and the tool it carries, are from each other and from zones they must keep out of.
+"""Distances of an arm's links, and of the tool that it carries, from each other and from zones to keep out of.
 
-Links are capsules from joint to joint, as thick as those of the simulation; all distances are coal's, computed in one
-call by Pinocchio.
+Links are capsules from joint to joint with the radius that they have in the simulation. coal computes all distances, in
+one call by Pinocchio.
 """
 
 from __future__ import annotations
@@ -21,17 +21,22 @@ from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.urdf import urdf
 from pcmrs.spatial import Floats, Transform
 
-NOWHERE = pinocchio.SE3(np.eye(3), np.array((0.0, 0.0, -1000.0)))
-"""Where a zone is whose place is not known: too far away to matter."""
+FAR_AWAY = pinocchio.SE3(np.eye(3), np.array((0.0, 0.0, -1000.0)))
+"""Pose of a zone whose place is not known: too far away to matter."""
 SIGHT_OF_TOOL, SIGHT_OF_BODY = "sight_of_tool", "sight_of_body"
 TOOL, MOUNT = "tool", "mount"
 MOUNT_RADIUS = 0.03
-"""Of what joins the tool to the flange, m."""
+"""Radius of the mount that joins the tool to the flange, m."""
 
 
 @dataclass(frozen=True)
 class ToolShape:
-    """A cylinder about the z axis of the tool's frame, from the tool point along +z, away from the body; m."""
+    """A cylinder about the z axis of the tool's frame, from the tool point along +z, away from the body.
+
+    Attributes:
+        radius: Radius, m.
+        half_length: Half of its length, m.
+    """
 
     radius: float
     half_length: float
@@ -39,13 +44,13 @@ class ToolShape:
 
 @dataclass(frozen=True, eq=False)
 class Zone:
-    """What the arm keeps out of.
+    """A region that the arm keeps out of.
 
     Attributes:
-        name: Unique, as refusals have it.
-        solid: Its shape, in a frame that `ZoneModel.place` places in the robot's base.
-        margin: Distance that every link keeps from it, m.
-        tool_may_touch: Whether the tool and its mount need not keep it.
+        name: Name of the zone, unique; refusals show it.
+        solid: Shape of the zone, in a frame that `ZoneModel.place` places in the robot's base.
+        margin: Least distance of every link from the zone, m.
+        tool_may_touch: True if the tool and its mount may come nearer than the margin and touch the zone.
     """
 
     name: str
@@ -56,7 +61,14 @@ class Zone:
 
 @dataclass(frozen=True)
 class Clearance:
-    """How far a link is from a zone, or from another link, and how far it must be; m, negative where they overlap."""
+    """Distance of a link from a zone or from another link, and its limit; negative where they overlap.
+
+    Attributes:
+        link: Name of the link.
+        zone: Name of the zone or of the other link.
+        distance: Distance between both, m.
+        limit: Least allowed distance, m.
+    """
 
     link: str
     zone: str
@@ -65,25 +77,25 @@ class Clearance:
 
 
 class ZoneModel:
-    """The distances of all pairs that matter. Not to be shared between threads.
+    """Distances of all pairs of links and zones that matter. Do not share it between threads.
 
-    Every link but the fixed base keeps out of every zone, and of every link that is no neighbour: that is farther away
-    than the radius of a link in the zero posture, and does not only bend about the joint between. What the tracker sees
-    along, from its origin to tool and body, is a zone once `look_from` has said where it is; the tool and its mount may
-    cut the line to the tool, which carries the markers.
+    Every link except the fixed base keeps out of every zone and away from every link that is not its neighbour. Two
+    links are neighbours if they are no farther apart than the radius of a link in the zero posture, or do not move
+    against each other. The tracker's lines of sight, from its origin to the tool and to the body, are zones once
+    `set_sight_lines` has placed them. The tool and its mount may cut the line to the tool, which carries the markers.
 
     Args:
-        facts: The arm.
-        flange_from_tool: Pose of the tool's frame, whose +z points away from the body, back to the flange.
-        tool: Its shape.
-        zones: What to keep out of; nowhere until they are placed.
-        link_margin: Distance that links keep from each other, m.
-        sight_radius: How far every link stays from what the tracker sees along, m.
+        facts: Facts of the arm.
+        flange_from_tool: Pose of the tool's frame in the flange; its +z axis points away from the body.
+        tool: Shape of the tool.
+        zones: Zones to keep out of; they are far away until they are placed.
+        link_margin: Least distance of links from each other, m.
+        sight_radius: Least distance of every link from the tracker's lines of sight, m.
 
     Attributes:
-        links: Names, from the base to the tool.
-        pairs: Link and zone, or link and link, of every distance, in order.
-        limits: Distance that each pair keeps, m, (P,); minus infinity where it may touch.
+        links: Names of the links from the base to the tool.
+        pairs: Link and zone, or link and link, of every distance, (P,).
+        limits: Least distance of each pair, m, (P,); minus infinity if the pair may touch.
     """
 
     def __init__(
@@ -110,8 +122,8 @@ class ZoneModel:
         for sight in (SIGHT_OF_TOOL, SIGHT_OF_BODY):
             self._add(sight, 0, capsule(np.zeros(3), np.zeros(3), sight_radius))
         for name in (*self._zones, SIGHT_OF_TOOL, SIGHT_OF_BODY):
-            self._shape(name).placement = NOWHERE
-        wanted = dict.fromkeys(self._apart(facts.link_radius), link_margin) | self._kept_from_zones(zones)
+            self._shape(name).placement = FAR_AWAY
+        wanted = dict.fromkeys(self._separated_links(facts.link_radius), link_margin) | self._zone_limits(zones)
         for pair in wanted:
             self._geometry.addCollisionPair(pinocchio.CollisionPair(*(self._number[name] for name in pair)))
         self.pairs = tuple(wanted)
@@ -123,16 +135,29 @@ class ZoneModel:
         self._results = list(self._distances.distanceResults)  # views, which take longer to make than to read
 
     def place(self, zone: str, base_from_zone: Transform) -> None:
-        """Puts a zone where it is now, in the robot's base."""
+        """Place a zone.
+
+        Args:
+            zone: Name of the zone.
+            base_from_zone: Present pose of the zone in the robot's base.
+        """
         self._shape(zone).placement = se3(base_from_zone) * self._zones[zone].solid.pose
 
-    def look_from(self, tracker: npt.ArrayLike, body_ref: npt.ArrayLike) -> None:
-        """Takes the origins of the tracker and of the body's reference, in the robot's base, m, (3,)."""
+    def set_sight_lines(self, tracker: npt.ArrayLike, body_ref: npt.ArrayLike) -> None:
+        """Place the tracker's lines of sight to the body and to the tool.
+
+        Args:
+            tracker: Origin of the tracker in the robot's base, m, (3,).
+            body_ref: Origin of the body's reference in the robot's base, m, (3,).
+        """
         self._tracker = np.asarray(tracker, dtype=float)
-        self._stretch(SIGHT_OF_BODY, self._tracker, np.asarray(body_ref, dtype=float))
+        self._place_sight_line(SIGHT_OF_BODY, self._tracker, np.asarray(body_ref, dtype=float))
 
     def distances(self, q: npt.ArrayLike) -> Floats:
-        """Distance of every pair at joint positions `q`, rad, (n,); m, (P,), negative by as much as they overlap.
+        """Return the distance of every pair, m, (P,); negative by the depth where they overlap.
+
+        Args:
+            q: Joint positions, rad, (n,).
 
         Raises:
             GeometryError: `q` does not hold one finite number per joint.
@@ -140,22 +165,27 @@ class ZoneModel:
         pinocchio.forwardKinematics(self._model, self._data, joint_array(q, self._joints))
         if self._tracker is not None:
             base_from_tool = self._data.oMi[self._joints] * self._last_from_tool
-            self._stretch(SIGHT_OF_TOOL, self._tracker, base_from_tool.translation)
+            self._place_sight_line(SIGHT_OF_TOOL, self._tracker, base_from_tool.translation)
         pinocchio.updateGeometryPlacements(self._model, self._data, self._geometry, self._distances)
         pinocchio.computeDistances(self._geometry, self._distances)
         return np.array([found.min_distance for found in self._results])
 
     def clearance(self, distances: Floats, pair: int) -> Clearance:
-        """One pair of `distances`, (P,), with its names and its limit."""
+        """Return the distance of one pair with its names and its limit.
+
+        Args:
+            distances: Distances of all pairs, m, (P,).
+            pair: Index of the pair.
+        """
         link, zone = self.pairs[pair]
         return Clearance(link, zone, float(distances[pair]), float(self.limits[pair]))
 
-    def of_zone(self, zone: str) -> npt.NDArray[np.bool_]:
-        """Which pairs belong to a zone, (P,)."""
+    def pairs_of_zone(self, zone: str) -> npt.NDArray[np.bool_]:
+        """Return a mask of the pairs that belong to a zone, (P,)."""
         return np.array([other == zone for _, other in self.pairs])
 
-    def ball(self, zone: str) -> Floats:
-        """A ball around a zone that is a hull, where that is now: x, y, z and radius in the robot's base, m, (4,)."""
+    def bounding_sphere(self, zone: str) -> Floats:
+        """Return a sphere around a hull zone at its present place: x, y, z and radius in the robot's base, m, (4,)."""
         placed = self._shape(zone)
         points = np.asarray(placed.geometry.points())
         middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
@@ -181,8 +211,11 @@ class ZoneModel:
         self._add(TOOL, last, Solid(shape.geometry, self._last_from_tool * shape.pose))
         return (*names, MOUNT, TOOL)
 
-    def _apart(self, radius: float) -> list[tuple[str, str]]:
-        """Pairs of links that move against each other and are no neighbours: a radius apart in the zero posture."""
+    def _separated_links(self, radius: float) -> list[tuple[str, str]]:
+        """Return the pairs of links that move against each other and are no neighbours.
+
+        These are the pairs that are more than `radius` (m) apart in the zero posture.
+        """
         rigid = self.links[-3:]
         pairs = [pair for pair in combinations(self.links, 2) if not set(pair) <= set(rigid)]
         for pair in pairs:
@@ -193,7 +226,7 @@ class ZoneModel:
         self._geometry.removeAllCollisionPairs()
         return apart
 
-    def _kept_from_zones(self, zones: Sequence[Zone]) -> dict[tuple[str, str], float]:
+    def _zone_limits(self, zones: Sequence[Zone]) -> dict[tuple[str, str], float]:
         moving = self.links[1:]
         kept: dict[tuple[str, str], float] = {}
         for zone in zones:
@@ -203,8 +236,8 @@ class ZoneModel:
         kept |= {(link, SIGHT_OF_BODY): 0.0 for link in moving}
         return kept | {(link, SIGHT_OF_TOOL): 0.0 for link in moving if link not in (TOOL, MOUNT)}
 
-    def _stretch(self, sight: str, tracker: Floats, end: Floats) -> None:
-        """Lays a line of sight from the tracker to `end`, (3,) each, in the robot's base."""
+    def _place_sight_line(self, sight: str, tracker: Floats, end: Floats) -> None:
+        """Place a line of sight from the tracker to its other end, (3,) each, m, in the robot's base."""
         line, placed = self._sights[sight]
         line.halfLength = float(np.linalg.norm(end - tracker)) / 2.0
         placed.placement = pose_between(tracker, end)

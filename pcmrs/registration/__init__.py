@@ -1,8 +1,8 @@
-"""Registration of one frame to another from measured points, how accurate it is, and whether it may be used."""
+"""Registration of one frame to another from measured points, its accuracy, and the gates that decide about its use."""
 
 from pcmrs.registration.accuracy import predict_tre
 from pcmrs.registration.gates import Gate, RegistrationLimits
-from pcmrs.registration.noise import NoiseEstimate, spread_of
+from pcmrs.registration.noise import NoiseEstimate, rms_spread
 from pcmrs.registration.points import PointRegistration, register_points
 from pcmrs.registration.rigid import register_batch
 from pcmrs.registration.verdict import RegistrationVerdict, judge
@@ -17,5 +17,5 @@ __all__ = [
     "predict_tre",
     "register_batch",
     "register_points",
-    "spread_of",
+    "rms_spread",
 ]

@@ -1,8 +1,8 @@
-"""The most likely rigid transform when the noise differs between points and between directions.
+"""Most likely rigid transform if the noise differs between points and between directions.
 
 N. Ohta, K. Kanatani, Optimal Estimation of Three-Dimensional Rotation and Reliability Evaluation, ECCV 1998;
 R. Balachandran, J. M. Fitzpatrick, Iterative Solution for Rigid-Body Point-Based Registration with Anisotropic
-Weighting, SPIE Medical Imaging 2009. Here by Gauss-Newton steps on the motion group.
+Weighting, SPIE Medical Imaging 2009. Solved here by Gauss-Newton steps on the motion group.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ SMALL_STEP = 1e-12  # rad and m
 
 
 def fit_anisotropic(fixed: Floats, moving: Floats, covariances: Floats, start: RigidFit) -> Transform:
-    """``fixed_from_moving`` with the least sum of ``d_i^T C_i^-1 d_i`` over the pairs' differences d_i.
+    """Return the ``fixed_from_moving`` with the least sum of ``d_i^T C_i^-1 d_i`` over the pairs' differences d_i.
 
     Args:
-        fixed: m, (N, 3).
-        moving: m, (N, 3).
-        covariances: Of the fixed points' noise in the fixed frame, positive definite, m^2, (N, 3, 3).
-        start: The fit that knows nothing of them.
+        fixed: Points in the fixed frame, m, (N, 3).
+        moving: The same points in the moving frame, m, (N, 3).
+        covariances: Covariances of the fixed points' noise in the fixed frame, positive definite, m^2, (N, 3, 3).
+        start: Fit without covariances, from which the steps start.
 
     Raises:
-        GeometryError: The steps do not become small: the covariances are too unequal for these points.
+        GeometryError: The steps do not converge, because the covariances are too unequal for these points.
     """
-    inverses = inverse_of(covariances)
-    origin = moving.mean(axis=0)  # turning about it keeps rotation and translation apart
+    inverses = inverse_covariances(covariances)
+    origin = moving.mean(axis=0)  # rotating about the centroid decouples rotation and translation
     rotation, shifted = start.rotation, start.rotation @ origin + start.translation
     for _ in range(MAX_STEPS):
         turned = (moving - origin) @ rotation.T
@@ -42,15 +42,15 @@ def fit_anisotropic(fixed: Floats, moving: Floats, covariances: Floats, start: R
     raise GeometryError(text, steps=MAX_STEPS, last_step=float(np.abs(step).max()))
 
 
-def inverse_of(covariances: Floats) -> Floats:
-    """Inverse of each matrix, 1/m^2, (N, 3, 3)."""
+def inverse_covariances(covariances: Floats) -> Floats:
+    """Return the inverse of each covariance matrix, 1/m^2, (N, 3, 3)."""
     return np.asarray(np.linalg.inv(covariances), dtype=np.float64)
 
 
-def _step(turned: Floats, left: Floats, inverses: Floats) -> Floats:
-    """The small motion ``(rotation vector, translation)`` that lowers the sum most, (6,)."""
+def _step(turned: Floats, residuals: Floats, inverses: Floats) -> Floats:
+    """Return the small motion ``(rotation vector, translation)`` that reduces the sum most, rad and m, (6,)."""
     jacobians = motion_jacobians(turned)
     weighted = jacobians.swapaxes(1, 2) @ inverses
-    # Of least length: points on a line may turn about it as they like, which leaves their distances as they are.
-    step: Floats = np.linalg.lstsq((weighted @ jacobians).sum(axis=0), np.einsum("nij,nj->i", weighted, left))[0]
+    # The step of least norm, because points on a line can turn about it without any change of their distances.
+    step: Floats = np.linalg.lstsq((weighted @ jacobians).sum(axis=0), np.einsum("nij,nj->i", weighted, residuals))[0]
     return step

@@ -1,7 +1,7 @@
-"""What an operator or a file got wrong as a whole: the unit, or the order of the landmarks.
+"""Diagnosis of mistakes that affect all landmarks: a wrong unit or a wrong order.
 
-A diagnosis is made only where it explains what noise does not: a good set is never refused for being a little
-better explained by something else.
+A diagnosis is made only if it explains residuals that noise does not explain. A good set is never refused because
+another explanation fits slightly better.
 """
 
 from __future__ import annotations
@@ -15,31 +15,35 @@ from pcmrs.registration.rigid import sums_of_squares
 from pcmrs.spatial import Floats
 
 ALL_PERMUTATIONS = 7
-"""Up to so many landmarks all orders are tried (5,040); beyond, every exchange of two."""
+"""Largest number of landmarks for which all orders are tried (5,040). For more, every exchange of two is tried."""
 
 
 def unit_ratio(planned: Floats, digitized: Floats) -> float:
-    """How many times farther apart the digitized landmarks (N, 3) are than the planned ones.
+    """Return the ratio of the distances among the digitized landmarks to those among the planned ones.
 
-    Of the median distances, so that one wrong landmark does not look like another unit; 1 where landmarks of a set
-    coincide, which is no matter of units.
+    It compares medians, so that one wrong landmark does not look like another unit. It is 1 if landmarks of a set
+    coincide, which is not a matter of units.
+
+    Args:
+        planned: Landmarks as planned, in any frame, (N, 3).
+        digitized: Landmarks as digitized, in any frame, (N, 3).
     """
     apart, between = _median_distance(digitized), _median_distance(planned)
     return apart / between if apart > 0.0 and between > 0.0 else 1.0
 
 
-def explaining_order(planned: Floats, digitized: Floats, sigma: float, false_alarm: float) -> tuple[int, ...] | None:
-    """The order of the planned landmarks in which they were touched, where they were touched in another one.
+def detect_order(planned: Floats, digitized: Floats, sigma: float, false_alarm: float) -> tuple[int, ...] | None:
+    """Return the order in which the planned landmarks were touched if it was not the planned one.
 
     Args:
-        planned: m, (N, 3).
-        digitized: m, (N, 3).
-        sigma: Noise, standard deviation per axis, m.
-        false_alarm: Share of sets in the right order of which noise is not believed to explain the residuals.
+        planned: Landmarks as planned, m, (N, 3).
+        digitized: Landmarks as digitized, m, (N, 3).
+        sigma: Noise of a landmark, standard deviation per axis, m.
+        false_alarm: Share of sets in the right order whose residuals are not attributed to noise.
 
     Returns:
-        For each digitized landmark the planned one it belongs to; None when noise explains the given order, or no
-        other one.
+        For each digitized landmark the index of its planned one; None if noise explains the given order, or explains no
+        other order.
     """
     limit = chi_squared_limit(3 * len(planned) - 6, false_alarm) * sigma**2
     if sums_of_squares(digitized[None], planned[None])[0] <= limit:
@@ -51,7 +55,7 @@ def explaining_order(planned: Floats, digitized: Floats, sigma: float, false_ala
 
 
 def cycles(order: tuple[int, ...]) -> list[list[int]]:
-    """The landmarks that an order exchanges among each other: a pair, or more of them in a ring."""
+    """Return the groups of landmarks that an order exchanges: a pair, or more landmarks in a cycle."""
     found: list[list[int]] = []
     for start in range(len(order)):
         ring, at = [start], order[start]
@@ -64,7 +68,7 @@ def cycles(order: tuple[int, ...]) -> list[list[int]]:
 
 
 def _orders(count: int) -> np.ndarray[tuple[int, int], np.dtype[np.intp]]:
-    """Every order but the given one; beyond `ALL_PERMUTATIONS`, only exchanges of two."""
+    """Return every order but the given one; above `ALL_PERMUTATIONS` landmarks, only exchanges of two."""
     if count <= ALL_PERMUTATIONS:
         return np.array(list(itertools.permutations(range(count)))[1:])
     orders = np.tile(np.arange(count), (count * (count - 1) // 2, 1))

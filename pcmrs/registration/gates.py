@@ -1,4 +1,4 @@
-"""The gates of a registration: each says what was found, the limit, the reason and the remedy."""
+"""Gates of a registration. Each states the value, the limit, the reason and the remedy."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from pcmrs.registration.outliers import MIN_POINTS, OutlierTest
 from pcmrs.registration.points import MIRROR_RATIO, PointRegistration
 
 UNIT_RATIO = 10.0
-"""No digitization of the planned landmarks is so many times larger or smaller than they are."""
+"""Ratio of sizes, either way, from which on the digitized landmarks are in another unit than the planned ones."""
 
 
 @dataclass(frozen=True)
 class RegistrationLimits:
-    """What a registration must keep.
+    """Limits that a registration must keep.
 
     Attributes:
-        residual: Mean distance of the landmarks, m.
-        sigma: Noise of a landmark that is expected, standard deviation per axis, m.
-        tre: Predicted rms error at the target, m.
+        residual: Greatest mean distance of the landmarks after registration, m.
+        sigma: Expected noise of a landmark, standard deviation per axis, m.
+        tre: Greatest predicted rms error at the target, m.
         false_alarm: Share of good sets in which the mean-shift test may suspect a landmark.
 
     Raises:
@@ -47,15 +47,15 @@ class RegistrationLimits:
 
 @dataclass(frozen=True)
 class Gate:
-    """One question that a registration must pass.
+    """Result of one check that a registration must pass.
 
     Attributes:
-        name: Also the code of the refusal: ``wrong_unit``, ``mirrored``, ``swapped_landmarks``, ``landmark_outlier``,
-            ``residual_too_large`` or ``tre_too_large``.
-        accepted: Whether it passes.
-        value: What was found: a ratio, a number of landmarks, a test statistic, or a length in m.
-        limit: The largest value that passes, in the same unit.
-        text: What, value, limit, why, and what to do.
+        name: Name of the gate and code of its refusal: ``wrong_unit``, ``mirrored``, ``swapped_landmarks``,
+            ``landmark_outlier``, ``residual_too_large`` or ``tre_too_large``.
+        accepted: True if the registration passes.
+        value: Measured value: a ratio, a number of landmarks, a test statistic, or a length in m.
+        limit: Largest value that passes, in the same unit.
+        text: Explanation with the value, the limit, the reason and the remedy.
     """
 
     name: str
@@ -66,7 +66,10 @@ class Gate:
 
 
 def unit_gate(ratio: float) -> Gate:
-    """Are both sets in one unit? A ratio of 1000 or 1/1000 is mm for m; its value is the ratio or its inverse."""
+    """Check that both sets of landmarks are in one unit. A ratio of 1000 or 1/1000 means mm for m.
+
+    The value of the gate is the ratio or its inverse, whichever is larger.
+    """
     either_way = max(ratio, 1.0 / ratio)
     accepted = either_way < UNIT_RATIO
     text = (
@@ -83,13 +86,16 @@ def unit_gate(ratio: float) -> Gate:
     return Gate("wrong_unit", accepted, either_way, UNIT_RATIO, text)
 
 
-def refused_side_gate(error: MirroredPointsError) -> Gate:
-    """A mirror image fits far better."""
+def failed_mirror_gate(error: MirroredPointsError) -> Gate:
+    """Return the gate of a registration that was refused because a mirror image fits far better."""
     return Gate("mirrored", False, error.fields["ratio"], MIRROR_RATIO, error.text)
 
 
-def side_gate(registration: PointRegistration) -> Gate:
-    """No mirror image fits far better: `register_points` would have refused."""
+def mirror_gate(registration: PointRegistration) -> Gate:
+    """Return the passed gate of a registration.
+
+    If a mirror image fitted far better, `register_points` would have refused the points.
+    """
     text = (
         f"The best rotation leaves {registration.mirror_ratio:.2f} times as much as the best mirror image; more than "
         f"{MIRROR_RATIO:g} times is a flipped image, or left and right exchanged."
@@ -98,7 +104,13 @@ def side_gate(registration: PointRegistration) -> Gate:
 
 
 def order_gate(permutation: tuple[int, ...] | None, residual: float, names: Sequence[str]) -> Gate:
-    """Were the landmarks touched in the planned order?"""
+    """Check that the landmarks were touched in the planned order.
+
+    Args:
+        permutation: Order as returned by `detect_order`.
+        residual: Mean distance of the landmarks in the given order, m.
+        names: Names of the landmarks, (N,).
+    """
     if permutation is None:
         text = "Noise explains the landmarks in the planned order, or no exchange among them explains them better."
         return Gate("swapped_landmarks", True, 0.0, 0.0, text)
@@ -113,7 +125,14 @@ def order_gate(permutation: tuple[int, ...] | None, residual: float, names: Sequ
 
 
 def outlier_gate(test: OutlierTest | None, sigma: float, false_alarm: float, names: Sequence[str]) -> Gate:
-    """Is one landmark off by more than noise of `sigma` (m per axis) explains?"""
+    """Check that no landmark is off by more than noise explains.
+
+    Args:
+        test: Result of the mean-shift test; None if there were too few landmarks for it.
+        sigma: Noise of a landmark, standard deviation per axis, m.
+        false_alarm: False-alarm rate of the test.
+        names: Names of the landmarks, (N,).
+    """
     if test is None:
         text = (
             f"Not tested: with fewer than {MIN_POINTS} landmarks, leaving any one out explains everything. Plan one "
@@ -136,7 +155,13 @@ def outlier_gate(test: OutlierTest | None, sigma: float, false_alarm: float, nam
 
 
 def residual_gate(registration: PointRegistration, limits: RegistrationLimits, names: Sequence[str]) -> Gate:
-    """Do the landmarks fit?"""
+    """Check that the mean distance of the landmarks is within its limit.
+
+    Args:
+        registration: Registration of the landmarks.
+        limits: Limits that hold.
+        names: Names of the landmarks, (N,).
+    """
     accepted = registration.residual <= limits.residual
     text = (
         f"The registration residual is {registration.residual * 1e3:.2f} mm (mean distance of the landmarks), the "
@@ -149,7 +174,13 @@ def residual_gate(registration: PointRegistration, limits: RegistrationLimits, n
 
 
 def tre_gate(tre: float, limits: RegistrationLimits, *, at_centroid: bool) -> Gate:
-    """Is the target near enough to the landmarks, for their noise?"""
+    """Check that the predicted error at the target is within its limit.
+
+    Args:
+        tre: Predicted rms error, m.
+        limits: Limits that hold.
+        at_centroid: True if no target is known and the error was predicted at the centroid of the landmarks.
+    """
     accepted = tre <= limits.tre
     where = "the centroid of the landmarks, since no target is known yet" if at_centroid else "the target"
     text = (

@@ -1,4 +1,4 @@
-"""How noisy landmarks are: estimated from what registrations leave over, pooled with what is known before."""
+"""Noise of landmarks, estimated from the residuals of registrations and pooled with a prior."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ import numpy.typing as npt
 from pcmrs.errors import GeometryError
 
 MOTION_DEGREES = 6
-"""Degrees of freedom that a rigid fit takes from the residuals."""
+"""Degrees of freedom that a rigid fit removes from the residuals."""
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseEstimate:
-    """Residuals collected so far, of one pointer in one workflow; immutable, so it may be kept and passed on.
+    """Residuals collected with one pointer in one workflow. It is immutable, so it may be stored and passed on.
 
     Attributes:
-        sum_of_squares: Of the residual distances, m^2.
-        degrees: Degrees of freedom in it: ``sum_of_squares / degrees`` estimates the variance per axis.
+        sum_of_squares: Sum of the squared residual distances, m^2.
+        degrees: Degrees of freedom of that sum: ``sum_of_squares / degrees`` estimates the variance per axis.
     """
 
     sum_of_squares: float = 0.0
     degrees: int = 0
 
     def with_residuals(self, distances: npt.ArrayLike, count: int) -> NoiseEstimate:
-        """The estimate after one more registration.
+        """Return the estimate after one more registration.
 
         Its sum of squares over the variance per axis is chi-squared with 3N - 6 degrees of freedom (Fitzpatrick, West,
         Maurer, IEEE TMI 17 (1998): E[FRE^2] = (1 - 2/N) E[FLE^2]).
 
         Args:
-            distances: Of the pairs after mapping, m, (N,).
-            count: How many points the fit used, N.
+            distances: Distances of the pairs after registration, m, (N,).
+            count: Number N of points that the fit used.
 
         Raises:
-            GeometryError: Fewer than three points, or a distance is not finite.
+            GeometryError: There are fewer than three points, or a distance is not finite.
         """
         squares = float(np.sum(np.square(np.asarray(distances, dtype=float))))
         if count < 3 or not math.isfinite(squares):
@@ -46,21 +46,21 @@ class NoiseEstimate:
         return NoiseEstimate(self.sum_of_squares + squares, self.degrees + 3 * count - MOTION_DEGREES)
 
     def sigma(self, prior_sigma: float, prior_degrees: float) -> float:
-        """Standard deviation per axis, m: the pooled variance of the residuals and of a prior.
+        """Return the standard deviation per axis from the pooled variance of the residuals and of a prior, m.
 
-        The mean of the scaled inverse-chi-squared posterior of a normal variance (Gelman et al., Bayesian Data
-        Analysis, 3rd ed., 2013, section 2.6) but for the 2 in its denominator.
+        The pooled variance is the mean of the scaled inverse-chi-squared posterior of a normal variance (Gelman et al.,
+        Bayesian Data Analysis, 3rd ed., 2013, section 2.6), except for the 2 in its denominator.
 
         Args:
-            prior_sigma: What is believed without any residuals, m.
-            prior_degrees: How many degrees of freedom that belief is worth; more than zero.
+            prior_sigma: Standard deviation per axis that is assumed without any residuals, m.
+            prior_degrees: Number of degrees of freedom that the prior is worth; more than zero.
         """
         pooled = self.sum_of_squares + prior_degrees * prior_sigma**2
         return math.sqrt(pooled / (self.degrees + prior_degrees))
 
 
-def spread_of(samples: npt.ArrayLike) -> float:
-    """Root mean square distance of the samples (K, 3) of one point from their mean, m.
+def rms_spread(samples: npt.ArrayLike) -> float:
+    """Return the root mean square distance of samples (K, 3) of one point from their mean, m.
 
     Raises:
         GeometryError: There is no sample, or the shape is wrong.

@@ -1,9 +1,9 @@
-"""Which one landmark is wrong: the mean-shift test.
+"""Mean-shift test for one wrong landmark.
 
-If landmark i is off by an unknown shift, leaving it out removes from the sum of squares, over the variance, a
-chi-squared part of 3 degrees of freedom where there was no shift (R. D. Cook, S. Weisberg, Residuals and Influence in
-Regression, 1982, section 2.2.2; W. Baarda, A Testing Procedure for Use in Geodetic Networks, 1968). The largest of the
-N parts is compared with the quantile of chi-squared(3) at the false-alarm rate over N, after Bonferroni.
+If landmark i is not shifted, leaving it out reduces the sum of squares over the variance by a chi-squared number with 3
+degrees of freedom (R. D. Cook, S. Weisberg, Residuals and Influence in Regression, 1982, section 2.2.2; W. Baarda, A
+Testing Procedure for Use in Geodetic Networks, 1968). The largest of the N reductions is compared with the quantile of
+chi-squared(3) at the false-alarm rate over N, after Bonferroni.
 """
 
 from __future__ import annotations
@@ -14,25 +14,26 @@ from functools import lru_cache
 
 import numpy as np
 
-from pcmrs.registration.anisotropic import fit_anisotropic, inverse_of
+from pcmrs.registration.anisotropic import fit_anisotropic, inverse_covariances
 from pcmrs.registration.rigid import fit_rigid, sums_of_squares
 from pcmrs.spatial import Floats
 
 MIN_POINTS = 4
-"""With three landmarks, leaving any one out explains everything."""
+"""Least number of landmarks. With three, leaving out any one leaves no residual."""
 SHIFT_DEGREES = 3
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OutlierTest:
-    """The result of the mean-shift test.
+    """Result of the mean-shift test.
 
     Attributes:
-        statistics: What leaving out each landmark removes from the sum of squares over the variance, (N,).
-        limit: Above it, the largest is no accident.
-        suspect: The landmark with the largest one, where that is above the limit.
-        rivals: Others whose shift would make the measurement at least `false_alarm` times as likely as the suspect's.
-            With four landmarks there are often some: the remaining ones can be checked by three distances only.
+        statistics: Reduction of the sum of squares over the variance by leaving out each landmark, (N,).
+        limit: Greatest statistic that noise explains.
+        suspect: Index of the landmark with the largest statistic, if that is above the limit; otherwise None.
+        rivals: Indices of other landmarks whose shift would make the measurement at least `false_alarm` times as likely
+            as the suspect's shift. With four landmarks there often are some, because only three distances check the
+            remaining ones.
     """
 
     statistics: Floats
@@ -42,13 +43,13 @@ class OutlierTest:
 
 
 def mean_shift_test(fixed: Floats, moving: Floats, noise: float | Floats, false_alarm: float) -> OutlierTest:
-    """Tests whether one landmark is off by more than noise.
+    """Test whether one landmark is off by more than noise.
 
     Args:
-        fixed: m, (N, 3), N >= 4.
-        moving: m, (N, 3).
+        fixed: Points in the fixed frame, m, (N, 3), N >= 4.
+        moving: The same points in the moving frame, m, (N, 3).
         noise: Standard deviation per axis, m, or covariances of the fixed points, m^2, (N, 3, 3).
-        false_alarm: Share of sets without a wrong landmark in which one is suspected all the same.
+        false_alarm: Share of sets without a wrong landmark in which one is suspected nevertheless.
     """
     count = len(fixed)
     total, without = _chi_squares(fixed, moving, noise)
@@ -64,7 +65,7 @@ def mean_shift_test(fixed: Floats, moving: Floats, noise: float | Floats, false_
 
 @lru_cache
 def chi_squared_limit(degrees: int, false_alarm: float) -> float:
-    """Value that a chi-squared number exceeds with a given probability.
+    """Return the value that a chi-squared number exceeds with a given probability.
 
     Found by halving, since the tail falls with the value. SciPy has its inverse, but every process of a cell would load
     SciPy for this number.
@@ -96,7 +97,7 @@ def _chi_squared_tail(degrees: int, value: float) -> float:
 
 
 def _chi_squares(fixed: Floats, moving: Floats, noise: float | Floats) -> tuple[float, Floats]:
-    """Least sum of squares over the variance of all landmarks, and without each of them, (N,)."""
+    """Return the least sum of squares over the variance of all landmarks, and without each of them, (N,)."""
     others = np.array([np.delete(np.arange(len(fixed)), i) for i in range(len(fixed))])
     if isinstance(noise, float):
         total = sums_of_squares(fixed[None], moving[None])[0]
@@ -107,5 +108,5 @@ def _chi_squares(fixed: Floats, moving: Floats, noise: float | Floats) -> tuple[
 
 def _mahalanobis(fixed: Floats, moving: Floats, covariances: Floats) -> float:
     fixed_from_moving = fit_anisotropic(fixed, moving, covariances, fit_rigid(fixed, moving))
-    left = fixed_from_moving @ moving - fixed
-    return float(np.einsum("ni,nij,nj->", left, inverse_of(covariances), left))
+    residuals = fixed_from_moving @ moving - fixed
+    return float(np.einsum("ni,nij,nj->", residuals, inverse_covariances(covariances), residuals))

@@ -1,4 +1,4 @@
-"""Point-based rigid registration, checked: weights, anisotropic noise, and sets that fix no rotation."""
+"""Checked point-based rigid registration with weights, anisotropic noise and refusal of degenerate sets."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from pcmrs.registration.rigid import RigidFit, fit_rigid
 from pcmrs.spatial import Floats, Transform, trusted_transform
 
 MIN_POINTS = 3
-MIN_SPREAD = 1e-3  # m: largest singular value over sqrt(N) of points that do not coincide
-MIN_SHAPE = 0.02  # second over first singular value: below it, points lie on a line for all practical purposes
+MIN_SPREAD = 1e-3  # m: largest singular value over sqrt(N), below which points count as coincident
+MIN_SHAPE = 0.02  # second over first singular value, below which points count as collinear
 MIRROR_RATIO = 4.0
-"""A reflection that leaves this many times less than the best rotation is no accident of noise: with four points in the
-worst shape that happens about once in a thousand sets, in a layout of landmarks never in practice."""
-MIRROR_FLOOR = 0.25e-3  # m rms: where both leave next to nothing, their ratio says nothing
+"""Greatest ratio of the rms residuals of the best rotation and the best reflection that noise explains. With four
+points in the worst shape, noise exceeds it about once in a thousand sets; with a usual layout of landmarks practically
+never."""
+MIRROR_FLOOR = 0.25e-3  # m rms: if both residuals are smaller, their ratio has no meaning
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -27,13 +28,13 @@ class PointRegistration:
     """A rigid transform fitted to pairs of points.
 
     Attributes:
-        fixed_from_moving: Maps the moving points onto the fixed ones.
-        residual: Mean distance between the pairs after mapping, m; points of weight zero do not count.
+        fixed_from_moving: Transform that maps the moving points onto the fixed ones.
+        residual: Mean distance between the pairs after mapping, m. Points of weight zero do not count.
         rms: Root mean square of these distances (the fiducial registration error, FRE), m.
-        mirror_ratio: How many times more the best rotation leaves than the best reflection, or than `MIRROR_FLOOR`;
-            without covariances.
-        distances: Of each pair, m, (N,).
-        singular_values: Of the moving points about their centroid, descending, m, (3,).
+        mirror_ratio: Rms residual of the best rotation over that of the best reflection or `MIRROR_FLOOR`, whichever
+            is larger; computed without covariances.
+        distances: Distance of each pair after mapping, m, (N,).
+        singular_values: Singular values of the moving points about their centroid, descending, m, (3,).
     """
 
     fixed_from_moving: Transform
@@ -51,19 +52,19 @@ def register_points(
     weights: npt.ArrayLike | None = None,
     covariances: npt.ArrayLike | None = None,
 ) -> PointRegistration:
-    """The rigid transform that maps `moving` onto `fixed` with the least sum of squared distances.
+    """Return the rigid transform that maps `moving` onto `fixed` with the least sum of squared distances.
 
     Args:
         fixed: Points in the fixed frame, m, (N, 3).
         moving: The same points in the moving frame, in the same order, m, (N, 3).
-        weights: Of the squared distances, not negative, (N,); a point of weight zero does not count.
-        covariances: Of the fixed points' noise in the fixed frame, m^2, (N, 3, 3): distances count by their
-            likelihood instead (see `fit_anisotropic`). Not together with `weights`.
+        weights: Weights of the squared distances, not negative, (N,). A point of weight zero does not count.
+        covariances: Covariances of the fixed points' noise in the fixed frame, m^2, (N, 3, 3). With them, distances
+            count by their likelihood (see `fit_anisotropic`). They cannot be combined with `weights`.
 
     Raises:
-        GeometryError: Shapes differ or are wrong, a number is not finite, a weight is negative, or a covariance is
-            not positive definite.
-        DegeneratePointsError: Fewer than three points, or one of the sets is coincident or on a line.
+        GeometryError: Shapes differ or are wrong, a number is not finite, a weight is negative, or a covariance is not
+            positive definite.
+        DegeneratePointsError: There are fewer than three points, or one of the sets is coincident or collinear.
         MirroredPointsError: A mirror image fits far better than any rotation.
     """
     fixed, moving = checked_pairs(fixed, moving)
@@ -73,7 +74,7 @@ def register_points(
     _check_spread(fit.fixed, counted, "fixed")
     singular_values = _check_spread(fit.moving, counted, "moving")
     squares = fit.squares()
-    mirror_ratio = _check_side(fit, squares, counted, singular_values)
+    mirror_ratio = _check_mirror(fit, squares, counted, singular_values)
     fixed_from_moving = trusted_transform(fit.rotation, fit.translation)
     if covariances is not None:
         fixed_from_moving = fit_anisotropic(fixed, moving, _covariances(covariances, weights, len(fixed)), fit)
@@ -91,7 +92,15 @@ def register_points(
 
 
 def checked_pairs(fixed: npt.ArrayLike, moving: npt.ArrayLike) -> tuple[Floats, Floats]:
-    """Both sets as arrays (N, 3). Raises `GeometryError` when they are no pairs of finite points."""
+    """Return both sets as arrays (N, 3), m.
+
+    Args:
+        fixed: Points in the fixed frame, m, (N, 3).
+        moving: The same points in the moving frame, in the same order, m, (N, 3).
+
+    Raises:
+        GeometryError: The sets are not pairs of finite points.
+    """
     fixed, moving = _points(fixed, "fixed"), _points(moving, "moving")
     if fixed.shape != moving.shape:
         raise GeometryError(
@@ -103,7 +112,15 @@ def checked_pairs(fixed: npt.ArrayLike, moving: npt.ArrayLike) -> tuple[Floats, 
 
 
 def checked_point(values: npt.ArrayLike, which: str) -> Floats:
-    """One point as an array (3,), m. Raises `GeometryError` when it is none, or not finite."""
+    """Return one point as an array (3,), m.
+
+    Args:
+        values: Coordinates, m, (3,).
+        which: Name of the point in the error.
+
+    Raises:
+        GeometryError: The values are not a point, or not finite.
+    """
     point = np.asarray(values, dtype=float)
     if point.shape != (3,) or not np.isfinite(point).all():
         raise GeometryError(f"The {which} is {point.tolist()}; give three finite numbers, in m.", which=which)
@@ -114,7 +131,7 @@ def _points(values: npt.ArrayLike, which: str) -> Floats:
     points = np.asarray(values, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3:
         raise GeometryError(f"The {which} points have shape {points.shape}, must be (N, 3).", shape=points.shape)
-    if not math.isfinite(np.add.reduce(points, None)):  # a number that is not finite leaves no sum that is
+    if not math.isfinite(np.add.reduce(points, None)):  # a single number that is not finite makes the sum not finite
         rows = np.flatnonzero(~np.isfinite(points).all(axis=1)).tolist()
         raise GeometryError(f"The {which} points {rows} hold a number that is not finite; measure again.", rows=rows)
     return points
@@ -135,7 +152,15 @@ def _covariances(values: npt.ArrayLike, weights: npt.ArrayLike | None, count: in
 
 
 def checked_covariances(values: npt.ArrayLike, count: int) -> Floats:
-    """Covariances (N, 3, 3), m^2. Raises `GeometryError` when one is not symmetric and positive definite."""
+    """Return covariances as an array (N, 3, 3), m^2.
+
+    Args:
+        values: Covariances, m^2, (N, 3, 3).
+        count: Number N of points.
+
+    Raises:
+        GeometryError: A covariance is not symmetric and positive definite, or the shape is wrong.
+    """
     covariances = np.asarray(values, dtype=float)
     if covariances.shape != (count, 3, 3) or not np.isfinite(covariances).all():
         text = f"The covariances have shape {covariances.shape}; give {count} finite matrices (3, 3)."
@@ -166,10 +191,10 @@ def _check_count(moving: Floats, weights: Floats | None) -> None:
 
 
 def _check_spread(centred: Floats, weights: Floats | None, which: str) -> Floats:
-    """The singular values of points about their centroid, m, (3,); a point counts by its share of the weight.
+    """Return the singular values of points about their centroid, m, (3,); each point counts by its share of the weight.
 
     Raises:
-        DegeneratePointsError: The points do not fix a rotation.
+        DegeneratePointsError: The points do not determine a rotation.
     """
     count = len(centred)
     if weights is not None:
@@ -190,11 +215,11 @@ def _check_spread(centred: Floats, weights: Floats | None, which: str) -> Floats
     )
 
 
-def _check_side(fit: RigidFit, squares: Floats, weights: Floats | None, singular_values: Floats) -> float:
-    """How many times more the best rotation leaves than the best reflection.
+def _check_mirror(fit: RigidFit, squares: Floats, weights: Floats | None, singular_values: Floats) -> float:
+    """Return the ratio of the rms residuals of the best rotation and the best reflection.
 
     Raises:
-        MirroredPointsError: That is far less than what the best rotation leaves.
+        MirroredPointsError: The ratio is above `MIRROR_RATIO`.
     """
     total = len(squares) if weights is None else float(weights.sum())
     sum_of_squares = float(np.add.reduce(squares) if weights is None else weights @ squares)

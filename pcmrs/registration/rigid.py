@@ -1,8 +1,8 @@
-"""The rigid transform between paired points in closed form: one set, or many at once.
+"""Rigid transform between paired points in closed form, for one set or for many at once.
 
 K. S. Arun, T. S. Huang, S. D. Blostein, Least-Squares Fitting of Two 3-D Point Sets, IEEE PAMI 9 (1987); the
 reflection is handled after S. Umeyama, Least-Squares Estimation of Transformation Parameters Between Two Point
-Patterns, IEEE PAMI 13 (1991). Nothing is checked here: `register_points` does, and these are what its time goes into.
+Patterns, IEEE PAMI 13 (1991). Nothing is checked here: `register_points` does that and spends most of its time here.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from pcmrs.spatial import Floats
 
 
 class RigidFit(NamedTuple):
-    """``fixed_from_moving`` in parts, and what it was made from.
+    """``fixed_from_moving`` as rotation and translation, and the points that it was computed from.
 
     Attributes:
-        rotation: (3, 3).
-        translation: m, (3,).
-        smallest: The smallest singular value of the cross-covariance, m^2, negative where a reflection fits better:
-            its sum of squares is that of the rotation plus four times this.
-        fixed: The fixed points about their centroid, m, (N, 3).
-        moving: The moving points about theirs, m, (N, 3).
+        rotation: Rotation matrix, (3, 3).
+        translation: Translation, m, (3,).
+        smallest: Smallest singular value of the cross-covariance, m^2, negative if a reflection fits better. The
+            reflection's sum of squares is that of the rotation plus four times this value.
+        fixed: Fixed points relative to their centroid, m, (N, 3).
+        moving: Moving points relative to their centroid, m, (N, 3).
     """
 
     rotation: Floats
@@ -34,19 +34,19 @@ class RigidFit(NamedTuple):
     moving: Floats
 
     def squares(self) -> Floats:
-        """Squared distance that the fit leaves between each pair, m^2, (N,)."""
-        left = self.moving.dot(self.rotation.T) - self.fixed
-        squares: Floats = np.add.reduce(left * left, 1)
+        """Return the squared distance of each pair after the fit, m^2, (N,)."""
+        remaining = self.moving.dot(self.rotation.T) - self.fixed
+        squares: Floats = np.add.reduce(remaining * remaining, 1)
         return squares
 
 
 def fit_rigid(fixed: Floats, moving: Floats, weights: Floats | None = None) -> RigidFit:
-    """The rotation and translation that map `moving` onto `fixed` with the least weighted sum of squares.
+    """Return the rotation and translation that map `moving` onto `fixed` with the least weighted sum of squares.
 
     Args:
-        fixed: m, (N, 3).
-        moving: m, (N, 3).
-        weights: Not negative, (N,).
+        fixed: Points in the fixed frame, m, (N, 3).
+        moving: The same points in the moving frame, m, (N, 3).
+        weights: Weights of the squared distances, not negative, (N,).
     """
     shares = _equal_shares(len(fixed)) if weights is None else weights / weights.sum()
     fixed_centroid, moving_centroid = shares.dot(fixed), shares.dot(moving)
@@ -56,7 +56,7 @@ def fit_rigid(fixed: Floats, moving: Floats, weights: Floats | None = None) -> R
     u, singular, vt = np.linalg.svd(covariance)
     smallest = float(singular[2])
     if (_determinant(u) < 0.0) != (_determinant(vt) < 0.0):
-        # The sign goes to the smallest singular value: there a flip costs least, and nothing when points are coplanar.
+        # The sign goes to the smallest singular value: there a flip costs least, and nothing for coplanar points.
         u[:, 2] *= -1.0
         smallest = -smallest
     rotation = u.dot(vt)
@@ -65,18 +65,21 @@ def fit_rigid(fixed: Floats, moving: Floats, weights: Floats | None = None) -> R
 
 @lru_cache
 def _equal_shares(count: int) -> Floats:
-    """Weights of a mean; kept, since summing up takes three times as long as a product with them."""
+    """Return the weights of a mean, (N,).
+
+    They are cached, because computing them takes three times as long as a product with them.
+    """
     shares = np.full(count, 1.0 / count)
     shares.flags.writeable = False
     return shares
 
 
 def register_batch(fixed: Floats, moving: Floats) -> tuple[Floats, Floats]:
-    """The same fit for many sets at once, as Monte Carlo and leave-one-out need it.
+    """Return the unweighted fits of many sets at once, for Monte Carlo and leave-one-out.
 
     Args:
-        fixed: m, (B, N, 3).
-        moving: m, (N, 3) for all of them, or (B, N, 3).
+        fixed: Points of each set in the fixed frame, m, (B, N, 3).
+        moving: Points in the moving frame, m, (N, 3) for all sets, or (B, N, 3).
 
     Returns:
         Rotations (B, 3, 3) and translations (B, 3), m, of ``fixed_from_moving``.
@@ -92,20 +95,20 @@ def register_batch(fixed: Floats, moving: Floats) -> tuple[Floats, Floats]:
 
 
 def sums_of_squares(fixed: Floats, moving: Floats) -> Floats:
-    """The least sum of squared distances of each set that a rigid transform leaves, m^2, (B,).
+    """Return the least sum of squared distances of each set that a rigid transform leaves, m^2, (B,).
 
     Args:
-        fixed: m, (B, N, 3).
-        moving: m, (N, 3) for all of them, or (B, N, 3).
+        fixed: Points of each set in the fixed frame, m, (B, N, 3).
+        moving: Points in the moving frame, m, (N, 3) for all sets, or (B, N, 3).
     """
     rotations, translations = register_batch(fixed, moving)
-    left = moving @ rotations.swapaxes(-1, -2) + translations[:, None] - fixed
-    squares: Floats = np.einsum("bni,bni->b", left, left)
+    remaining = moving @ rotations.swapaxes(-1, -2) + translations[:, None] - fixed
+    squares: Floats = np.einsum("bni,bni->b", remaining, remaining)
     return squares
 
 
 def cross_matrices(vectors: Floats) -> Floats:
-    """``[v]x`` of each vector (N, 3), so that ``[v]x w = v x w``, (N, 3, 3)."""
+    """Return ``[v]x`` of each vector (N, 3), so that ``[v]x w = v x w``, (N, 3, 3)."""
     matrices = np.zeros((len(vectors), 3, 3))
     x, y, z = vectors.T
     matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
@@ -114,7 +117,10 @@ def cross_matrices(vectors: Floats) -> Floats:
 
 
 def motion_jacobians(points: Floats) -> Floats:
-    """How points move with a small motion ``(rotation vector, translation)`` of their frame, (N, 3, 6)."""
+    """Return the derivatives of points (N, 3) by a small motion of their frame, (N, 3, 6).
+
+    A motion is ``(rotation vector, translation)``, rad and m.
+    """
     return np.concatenate((-cross_matrices(points), np.tile(np.eye(3), (len(points), 1, 1))), axis=2)
 
 

@@ -1,9 +1,10 @@
-"""Refines a registration by points of the surface: trimmed point-to-plane ICP, anchored by the landmarks.
+"""Refinement of a registration by points of the surface: trimmed point-to-plane ICP, anchored by the landmarks.
 
 Point-to-plane after Y. Chen, G. Medioni, Object Modelling by Registration of Multiple Range Images, Image and Vision
 Computing 10 (1992); trimming after D. Chetverikov, D. Stepanov, P. Krsek, Robust Euclidean Alignment of 3D Point Sets:
 the Trimmed Iterative Closest Point Algorithm, Image and Vision Computing 23 (2005). The landmarks stay in the least
-squares with their own deviation: where a surface slides on itself, as a skull cap does, they hold it.
+squares with their own standard deviation. They hold the registration where the surface can slide on itself, as a skull
+cap does.
 """
 
 from __future__ import annotations
@@ -24,21 +25,21 @@ from pcmrs.spatial import Floats, Transform
 
 MAX_ITERATIONS = 100
 CONVERGED = 1e-6
-"""The largest motion of a landmark in the last iteration, m: far below what any tracker measures."""
+"""Largest motion of a landmark in the last iteration, m: far below the resolution of any tracker."""
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceRefinement:
-    """A registration to which a surface contributed.
+    """Registration that was refined by a surface.
 
     Attributes:
-        body_ref_from_image: The refined registration.
-        iterations: Until it stood still.
-        inliers: Which points were used at the end, (K,) of bool.
-        rms: Of the distances of these from the planes of their triangles, m.
-        tre_before: Predicted TRE at the target by the landmarks alone, rms, m.
-        tre_after: The same by landmarks and surface.
-        covariance: Of the small motion ``(rotation vector, translation)`` in body_ref that is between the refined
+        body_ref_from_image: Refined registration.
+        iterations: Number of iterations until convergence.
+        inliers: Mask of the points that were used at the end, (K,).
+        rms: Root mean square distance of the inliers from the planes of their triangles, m.
+        tre_before: Predicted rms TRE at the target with the landmarks alone, m.
+        tre_after: Predicted rms TRE at the target with landmarks and surface, m.
+        covariance: Covariance of the small motion ``(rotation vector, translation)`` in body_ref between the refined
             registration and the true one, rad and m, (6, 6).
     """
 
@@ -53,7 +54,7 @@ class SurfaceRefinement:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """What is known: see `refine_with_surface`."""
+    """Checked arguments of `refine_with_surface`."""
 
     landmarks_image: Floats
     landmarks_body_ref: Floats
@@ -66,12 +67,12 @@ class _Problem:
 
 @dataclass(frozen=True, eq=False)
 class _Linearized:
-    """The least squares about one registration."""
+    """Least-squares problem linearized about one registration."""
 
     landmark_information: Floats  # (6, 6)
-    surface_information: Floats  # (6, 6), as if inliers had not been selected
+    surface_information: Floats  # (6, 6), without a correction for the selection of inliers
     gradient: Floats  # (6,)
-    normals: Floats  # of the inliers, in body_ref, (I, 3)
+    normals: Floats  # unit normals at the inliers, in body_ref, (I, 3)
     inliers: npt.NDArray[np.bool_]  # (K,)
     rms: float
 
@@ -88,28 +89,28 @@ def refine_with_surface(
     target: npt.ArrayLike,
     trim: float = 0.9,
 ) -> SurfaceRefinement:
-    """Moves a registration to where landmarks and surface together fit best.
+    """Move a registration to where landmarks and surface together fit best.
 
     Args:
         registration: ``body_ref_from_image`` by the landmarks.
-        landmarks_image: As planned, m, (N, 3).
-        landmarks_body_ref: As digitized, in the same order, m, (N, 3).
-        sigma: Deviation of a digitized landmark per axis, m.
-        vertices: Of the surface in the image, m, (V, 3).
-        faces: Its triangles, counter-clockwise seen from outside, (F, 3).
-        points_body_ref: Points touched on the surface, m, (K, 3).
-        sigma_surface: Deviation of such a point along the normal, m.
-        target: Where the error matters, in the image, m, (3,).
-        trim: Part of the points that is believed, the nearest ones; the rest may be anything.
+        landmarks_image: Landmarks as planned, in the image, m, (N, 3).
+        landmarks_body_ref: Landmarks as digitized, in body_ref and in the same order, m, (N, 3).
+        sigma: Standard deviation of a digitized landmark per axis, m.
+        vertices: Vertices of the surface in the image, m, (V, 3).
+        faces: Triangles of the surface, counter-clockwise seen from outside, (F, 3).
+        points_body_ref: Points touched on the surface, in body_ref, m, (K, 3).
+        sigma_surface: Standard deviation of a touched point along the normal, m.
+        target: Point in the image at which the error is predicted, m, (3,).
+        trim: Share of the points that is used, those nearest to the surface. The others may be outliers.
 
     Raises:
-        GeometryError: Shapes are wrong, numbers not finite, or a deviation or `trim` is out of range.
-        DegeneratePointsError: The landmarks fix no rotation.
+        GeometryError: Shapes are wrong, numbers are not finite, or a standard deviation or `trim` is out of range.
+        DegeneratePointsError: The landmarks do not determine a rotation.
         MirroredPointsError: A mirror image fits the landmarks far better than any rotation.
         RefusalError: ``too_few_surface_points``, ``surface_far``, ``surface_flat``, ``surface_diverged``,
             ``surface_step_too_large``, ``surface_misfit`` or ``tre_not_lowered``: keep the landmarks' registration.
     """
-    register_points(landmarks_body_ref, landmarks_image)  # refuses what no registration could use
+    register_points(landmarks_body_ref, landmarks_image)  # raises if no registration could use these landmarks
     problem = _Problem(
         np.asarray(landmarks_image, dtype=float),
         np.asarray(landmarks_body_ref, dtype=float),
@@ -120,34 +121,34 @@ def refine_with_surface(
         _fraction(trim),
     )
     target_image = checked_point(target, "target")
-    checks.check_count(len(problem.points_body_ref), _believed(problem))
+    checks.check_count(len(problem.points_body_ref), _inlier_count(problem))
     before = _covariance(_landmark_information(problem, registration))
     _check_near(problem, registration, before)
     refined, iterations = _iterate(problem, registration)
-    at_end = _linearize(problem, refined)
+    final = _linearize(problem, refined)
     checks.check_step(refined @ registration.inverse(), before)
-    kept = _kept_information(problem.trim)
-    checks.check_fit(at_end.rms, problem.sigma_surface * math.sqrt(kept))
-    covariance = _covariance(at_end.landmark_information + kept * at_end.surface_information)
+    efficiency = _trimming_efficiency(problem.trim)
+    checks.check_fit(final.rms, problem.sigma_surface * math.sqrt(efficiency))
+    covariance = _covariance(final.landmark_information + efficiency * final.surface_information)
     tre_before, tre_after = _tre(registration @ target_image, before), _tre(refined @ target_image, covariance)
     checks.check_gain(tre_before, tre_after)
-    return SurfaceRefinement(refined, iterations, at_end.inliers, at_end.rms, tre_before, tre_after, covariance)
+    return SurfaceRefinement(refined, iterations, final.inliers, final.rms, tre_before, tre_after, covariance)
 
 
 def _check_near(problem: _Problem, registration: Transform, covariance: Floats) -> None:
     points = problem.points_body_ref
     jacobians = motion_jacobians(points)
     variances = np.einsum("kij,jl,kil->k", jacobians, covariance, jacobians) / 3.0 + problem.sigma_surface**2
-    checks.check_near(problem.surface.reach(registration.inverse() @ points), np.sqrt(variances))
+    checks.check_near(problem.surface.distance_bounds(registration.inverse() @ points), np.sqrt(variances))
 
 
 def _iterate(problem: _Problem, registration: Transform) -> tuple[Transform, int]:
-    """Gauss-Newton with new nearest points and new inliers each time."""
+    """Iterate Gauss-Newton steps, with new nearest points and new inliers in each step."""
     refined = registration
     for iteration in range(1, MAX_ITERATIONS + 1):
-        here = _linearize(problem, refined)
-        checks.check_curvature(here.normals)
-        step = np.linalg.solve(here.landmark_information + here.surface_information, here.gradient)
+        linearized = _linearize(problem, refined)
+        checks.check_curvature(linearized.normals)
+        step = np.linalg.solve(linearized.landmark_information + linearized.surface_information, linearized.gradient)
         moved = Transform.from_rotvec(step[3:], step[:3]) @ refined
         motion = np.abs((moved @ problem.landmarks_image) - (refined @ problem.landmarks_image)).max()
         refined = moved
@@ -163,7 +164,7 @@ def _linearize(problem: _Problem, registration: Transform) -> _Linearized:
     closest = registration @ closest_image
     distances = np.linalg.norm(points - closest, axis=1)
     inliers = np.zeros(len(points), dtype=bool)
-    inliers[np.argsort(distances, kind="stable")[: _believed(problem)]] = True
+    inliers[np.argsort(distances, kind="stable")[: _inlier_count(problem)]] = True
     normals = normals_image[inliers] @ registration.rotation.T
     off_plane = np.sum((points - closest)[inliers] * normals, axis=1)
     rows = np.einsum("ki,kij->kj", normals, motion_jacobians(closest[inliers]))
@@ -189,16 +190,16 @@ def _covariance(information: Floats) -> Floats:
     return np.asarray(np.linalg.inv(information), dtype=float)
 
 
-def _believed(problem: _Problem) -> int:
+def _inlier_count(problem: _Problem) -> int:
     return math.ceil(problem.trim * len(problem.points_body_ref))
 
 
-def _kept_information(trim: float) -> float:
-    """What an inlier tells, as a part of what a point tells that was not selected for being near.
+def _trimming_efficiency(trim: float) -> float:
+    """Return the information of an inlier relative to that of a point that was not selected for being near.
 
-    The variance of a normal distribution cut at the quantile q of `trim`, (2 Φ(q) − 1 − 2 q φ(q)) / trim: the
-    asymptotic efficiency of least trimmed squares (P. J. Rousseeuw, A. M. Leroy, Robust Regression, 1987, 4.2). Where
-    the trimmed points were outliers, it errs to the safe side.
+    It is the variance of a normal distribution cut at the quantile q of `trim`, (2 Φ(q) − 1 − 2 q φ(q)) / trim: the
+    asymptotic efficiency of least trimmed squares (P. J. Rousseeuw, A. M. Leroy, Robust Regression, 1987, 4.2). If the
+    trimmed points were outliers, it errs on the safe side.
     """
     if trim == 1.0:
         return 1.0
@@ -208,7 +209,7 @@ def _kept_information(trim: float) -> float:
 
 
 def _tre(target: Floats, covariance: Floats) -> float:
-    """Rms of the error at a target (3,) in body_ref whose registration has this covariance, m."""
+    """Return the rms error at a target (3,) in body_ref of a registration with this covariance, m."""
     (jacobian,) = motion_jacobians(target[None])
     return float(np.sqrt(np.trace(jacobian @ covariance @ jacobian.T)))
 

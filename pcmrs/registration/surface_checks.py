@@ -1,4 +1,4 @@
-"""When a surface does not help a registration, and what to do then: every refusal of `refine_with_surface`."""
+"""Checks of `refine_with_surface`: when a surface does not help a registration, and what to do then."""
 
 from __future__ import annotations
 
@@ -10,48 +10,56 @@ from pcmrs.errors import RefusalError
 from pcmrs.spatial import Floats, Transform
 
 MIN_POINTS = 20
-"""Of the surface: three times the freedoms of a rigid motion, after trimming."""
-FAR = 4.0
-"""Median distance of the points from the surface, in deviations that landmarks and probe explain; 0.7 to 2 is usual."""
+"""Least number of surface points after trimming: about three times the degrees of freedom of a rigid motion."""
+MAX_START_RATIO = 4.0
+"""Largest median distance of the points from the surface, in standard deviations that landmarks and probe explain. 0.7
+to 2 is usual."""
 MIN_CURVATURE = 0.03
-"""Second eigenvalue of the mean of n nᵀ: normals within about 20° of one direction are one flat patch."""
+"""Least second eigenvalue of the mean of n nᵀ. Below it, all normals are within about 20° of one direction, as on a
+flat patch."""
 MAX_STEP = 22.46
-"""99.9 % of chi-square with 6 degrees of freedom: how far, squared, the landmarks let the solution be moved."""
+"""Largest squared step of the registration in standard deviations of the landmarks: the 99.9 % quantile of chi-squared
+with 6 degrees of freedom."""
 MAX_MISFIT = 2.0
-"""Rms distance of the inliers, in what `sigma_surface` and the trimming explain."""
+"""Largest rms distance of the inliers, relative to what `sigma_surface` and the trimming explain."""
 MIN_GAIN = 0.02
-"""Part of the TRE that a refinement must take away; below that, it is not worth leaving the landmarks alone."""
+"""Least share of the TRE that a refinement must remove. Less is not worth a departure from the landmarks alone."""
 
 
-def check_count(touched: int, believed: int) -> None:
-    """Refuses so few points that six freedoms would fit to their noise."""
-    if believed < MIN_POINTS:
+def check_count(touched: int, inliers: int) -> None:
+    """Raise an error if so few points remain that six degrees of freedom would fit their noise.
+
+    Args:
+        touched: Number of touched points.
+        inliers: Number of points that remain after trimming.
+    """
+    if inliers < MIN_POINTS:
         text = (
-            f"{touched} points of the surface leave {believed} after trimming, at least {MIN_POINTS} are needed; "
+            f"{touched} points of the surface leave {inliers} after trimming, at least {MIN_POINTS} are needed; "
             "touch more."
         )
-        raise RefusalError("too_few_surface_points", text, count=believed, limit=MIN_POINTS)
+        raise RefusalError("too_few_surface_points", text, count=inliers, limit=MIN_POINTS)
 
 
 def check_near(distances: Floats, deviations: Floats) -> None:
-    """Refuses a start from which nearest points mean nothing: another mesh, its unit or its directions.
+    """Raise an error if the start is so far away that nearest points mean nothing: a wrong mesh, unit or orientation.
 
     Args:
-        distances: Of the touched points from the surface, m, (K,).
-        deviations: That landmarks and probe explain, m, (K,).
+        distances: Distances of the touched points from the surface, m, (K,).
+        deviations: Standard deviations of these distances that landmarks and probe explain, m, (K,).
     """
     ratio, median = float(np.median(distances / deviations)), float(np.median(distances))
-    if not ratio <= FAR:
+    if not ratio <= MAX_START_RATIO:
         text = (
             f"Half of the touched points are {median * 1000:.4g} mm or more from the surface, {ratio:.3g} times what "
-            f"landmarks and probe explain (limit {FAR:g}); check that the mesh is this patient's, its unit and its "
-            "directions."
+            f"landmarks and probe explain (limit {MAX_START_RATIO:g}); check that the mesh is this patient's, its unit "
+            "and its directions."
         )
-        raise RefusalError("surface_far", text, median=median, ratio=ratio, limit=FAR)
+        raise RefusalError("surface_far", text, median=median, ratio=ratio, limit=MAX_START_RATIO)
 
 
 def check_curvature(normals: Floats) -> None:
-    """Refuses points whose unit normals (K, 3) all but agree."""
+    """Raise an error if the unit normals of the points, (K, 3), nearly agree."""
     second = float(np.linalg.eigvalsh(normals.T @ normals / len(normals))[1])
     if second < MIN_CURVATURE:
         text = (
@@ -62,11 +70,11 @@ def check_curvature(normals: Floats) -> None:
 
 
 def check_step(motion: Transform, covariance: Floats) -> None:
-    """Refuses a refinement that the landmarks contradict.
+    """Raise an error if the refinement contradicts the landmarks.
 
     Args:
-        motion: From the landmarks' registration to the refined one, in body_ref.
-        covariance: Of the landmarks' registration, rad and m, (6, 6).
+        motion: Motion from the landmarks' registration to the refined one, in body_ref.
+        covariance: Covariance of the landmarks' registration, rad and m, (6, 6).
     """
     step = np.concatenate((motion.rotvec, motion.translation))
     squared = float(step @ np.linalg.solve(covariance, step))
@@ -79,7 +87,12 @@ def check_step(motion: Transform, covariance: Floats) -> None:
 
 
 def check_fit(rms: float, explained: float) -> None:
-    """Refuses a surface that the points do not fit at its best place; both rms, m."""
+    """Raise an error if the points do not fit the surface at its best place.
+
+    Args:
+        rms: Rms distance of the inliers from the surface, m.
+        explained: Rms distance that noise and trimming explain, m.
+    """
     limit = MAX_MISFIT * explained
     if rms > limit:
         text = (
@@ -90,7 +103,12 @@ def check_fit(rms: float, explained: float) -> None:
 
 
 def check_gain(before: float, after: float) -> None:
-    """Refuses a refinement that does not lower the predicted TRE, m."""
+    """Raise an error if the refinement does not lower the predicted TRE.
+
+    Args:
+        before: Predicted rms TRE with the landmarks alone, m.
+        after: Predicted rms TRE with landmarks and surface, m.
+    """
     if not after <= (1.0 - MIN_GAIN) * before:
         text = (
             f"With the surface the predicted TRE is {after * 1000:.3g} mm, without {before * 1000:.3g} mm: not "

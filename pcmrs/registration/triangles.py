@@ -1,4 +1,4 @@
-"""The point of a triangulated surface that is nearest to another point, exactly, for many points at once."""
+"""Nearest points on a triangulated surface, exactly and for many points at once."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from pcmrs.spatial import Floats
 
 Ints = npt.NDArray[np.int64]
 _EDGE = 1e-9
-"""Of a triangle's shares: a ray through the edge between two of them meets both, not none; and of a cosine: one along a
-triangle does not leave by it."""
+"""Tolerance of barycentric coordinates, so that a ray through the edge between two triangles meets both, not none; and
+of a cosine, so that a ray along a triangle does not exit through it."""
 
 
 class TriangleSurface:
-    """A triangulated surface that can be asked for nearest points.
+    """A triangulated surface with queries for nearest points.
 
     Args:
-        vertices: m, (V, 3).
-        faces: Indices of the corners, counter-clockwise seen from outside, (F, 3); triangles without area are left out.
+        vertices: Vertices, m, (V, 3).
+        faces: Indices of the corners, counter-clockwise seen from outside, (F, 3). Triangles without area are ignored.
 
     Raises:
-        GeometryError: Shapes are wrong, an index leads nowhere, a number is not finite, or no triangle has an area.
+        GeometryError: Shapes are wrong, an index is out of range, a number is not finite, or no triangle has an area.
     """
 
     def __init__(self, vertices: npt.ArrayLike, faces: npt.ArrayLike) -> None:
@@ -38,45 +38,48 @@ class TriangleSurface:
         from scipy.spatial import cKDTree  # takes longer to load than all else here; the daemon needs no tree
 
         self._tree = cKDTree(middles)
-        self._reach = float(np.linalg.norm(self._corners - middles[:, None], axis=2).max())
+        self._largest_radius = float(np.linalg.norm(self._corners - middles[:, None], axis=2).max())
 
-    def reach(self, points: Floats) -> Floats:
-        """Distances of points (K, 3) to a near point of the surface, m, (K,): never below those to the nearest."""
+    def distance_bounds(self, points: Floats) -> Floats:
+        """Return upper bounds of the distances of points (K, 3) from the surface, m, (K,).
+
+        Each is the distance to a near triangle, so never less than the distance to the nearest one.
+        """
         _, near = self._tree.query(points)
         found: Floats = np.linalg.norm(closest_on_triangles(points, self._corners[near]) - points, axis=1)
         return found
 
     def closest(self, points: Floats) -> tuple[Floats, Floats]:
-        """The nearest points of the surface, and its unit normals there, interpolated between the corners.
+        """Return the nearest points of the surface, and its unit normals there, interpolated between the corners.
 
-        A triangle as near as one already found has its middle within that distance and the largest distance from
-        a middle to its corners, so no other need be looked at.
+        A nearer triangle has its middle within the bound on the distance plus the largest distance of a middle from its
+        corners, so that no other triangle has to be examined.
 
         Args:
-            points: m, (K, 3).
+            points: Points, m, (K, 3).
 
         Returns:
-            Nearest points, m, (K, 3), and outward normals, (K, 3): they turn smoothly from triangle to triangle.
+            Nearest points, m, (K, 3), and outward unit normals, (K, 3), which turn smoothly from triangle to triangle.
         """
-        radii = self.reach(points) * (1.0 + 1e-9) + self._reach
+        radii = self.distance_bounds(points) * (1.0 + 1e-9) + self._largest_radius
         near = self._tree.query_ball_point(points, radii)
         counts = np.array([len(indices) for indices in near])
         candidates = np.concatenate([np.asarray(indices, dtype=np.int64) for indices in near])
-        asking = np.repeat(np.arange(len(points)), counts)
-        found = closest_on_triangles(points[asking], self._corners[candidates])
-        squared = np.sum((found - points[asking]) ** 2, axis=1)
+        queries = np.repeat(np.arange(len(points)), counts)
+        found = closest_on_triangles(points[queries], self._corners[candidates])
+        squared = np.sum((found - points[queries]) ** 2, axis=1)
         # Sorted by point, then by distance: the first of each point is its nearest.
-        best = np.lexsort((candidates, squared, asking))[np.concatenate(([0], np.cumsum(counts)[:-1]))]
+        best = np.lexsort((candidates, squared, queries))[np.concatenate(([0], np.cumsum(counts)[:-1]))]
         return found[best], self._normals(found[best], candidates[best])
 
-    def leaving(self, start: Floats, direction: Floats) -> Floats | None:
-        """Where a ray from a point first comes out of the surface, m, (3,); None where it never does.
+    def exit_point(self, start: Floats, direction: Floats) -> Floats | None:
+        """Return the point at which a ray first leaves the surface, m, (3,), or None.
 
         T. Möller, B. Trumbore, J. Graph. Tools 2 (1997) 21, for all triangles at once.
 
         Args:
-            start: m, (3,).
-            direction: Of any length but zero, (3,).
+            start: Start of the ray, m, (3,).
+            direction: Direction of the ray, of any length but zero, (3,).
         """
         ray = direction / np.linalg.norm(direction)
         sides = self._corners[:, 1:] - self._corners[:, :1]
@@ -97,14 +100,14 @@ class TriangleSurface:
 
 
 def closest_on_triangles(points: Floats, corners: Floats) -> Floats:
-    """The point of each triangle that is nearest to the point of the same row, (K, 3).
+    """Return the point of each triangle that is nearest to the point of the same row, m, (K, 3).
 
-    The foot of the perpendicular where it lies in the triangle, else the nearest point of the three sides
+    It is the foot of the perpendicular if that lies in the triangle, otherwise the nearest point of the three sides
     (C. Ericson, Real-Time Collision Detection, 2005, sections 3.4 and 5.1).
 
     Args:
-        points: m, (K, 3).
-        corners: m, (K, 3, 3).
+        points: Points, m, (K, 3).
+        corners: Corners of the triangles, m, (K, 3, 3).
     """
     sides = np.roll(corners, -1, axis=1) - corners
     offsets = points[:, None] - corners
@@ -121,7 +124,10 @@ def closest_on_triangles(points: Floats, corners: Floats) -> Floats:
 
 
 def _vertex_normals(faces: Ints, crosses: Floats) -> Floats:
-    """The unit normal at each corner of each triangle, (F, 3, 3): the mean of those that meet there, by area."""
+    """Return the unit normal at each corner of each triangle, (F, 3, 3).
+
+    It is the area-weighted mean of the normals of the triangles that meet there.
+    """
     sums = np.zeros((faces.max() + 1, 3))
     np.add.at(sums, faces, crosses[:, None])
     found: Floats = _unit(sums)[faces]
@@ -129,14 +135,20 @@ def _vertex_normals(faces: Ints, crosses: Floats) -> Floats:
 
 
 def _unit(vectors: Floats) -> Floats:
-    """Vectors (K, 3) made one long; zero stays zero, as on an edge where a sheet turns back: it has no normal."""
+    """Return vectors (K, 3) scaled to length one.
+
+    Zero stays zero: on an edge where a sheet turns back there is no normal.
+    """
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     unit: Floats = vectors / np.where(lengths > 0.0, lengths, 1.0)
     return unit
 
 
 def _barycentric(points: Floats, corners: Floats) -> Floats:
-    """The shares of the corners (K, 3, 3) in points of their triangles (K, 3), (K, 3): parts of the area."""
+    """Return the barycentric coordinates of points (K, 3) in their triangles with corners (K, 3, 3), (K, 3).
+
+    They are shares of the area of the triangle.
+    """
     offsets = corners - points[:, None]
     areas = np.linalg.norm(np.cross(np.roll(offsets, -1, axis=1), np.roll(offsets, -2, axis=1)), axis=2)
     shares: Floats = areas / areas.sum(axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""The verdict on a registration: whether it may be used, and every gate that says why."""
+"""Verdict on a registration: the decision about its use, and all gates that justify it."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy.typing as npt
 
 from pcmrs.errors import GeometryError, MirroredPointsError
 from pcmrs.registration.accuracy import predict_tre
-from pcmrs.registration.diagnosis import explaining_order, unit_ratio
+from pcmrs.registration.diagnosis import detect_order, unit_ratio
 from pcmrs.registration.gates import (
     Gate,
     RegistrationLimits,
+    failed_mirror_gate,
+    mirror_gate,
     order_gate,
     outlier_gate,
-    refused_side_gate,
     residual_gate,
-    side_gate,
     tre_gate,
     unit_gate,
 )
@@ -35,14 +35,15 @@ from pcmrs.spatial import Floats
 
 @dataclass(frozen=True, eq=False)
 class RegistrationVerdict:
-    """Whether a registration may be used, and why not.
+    """Decision about the use of a registration, with its reasons.
 
     Attributes:
-        registration: The transform ``body_ref_from_image`` and its residuals; None where none makes sense.
-        gates: In the order asked; a wrong unit, side or order ends the questions: it explains all that would follow.
+        registration: Transform ``body_ref_from_image`` and its residuals; None if no registration makes sense.
+        gates: Gates in the order of their checks. A wrong unit, a mirror image or a wrong order ends the checks,
+            because it explains all later failures.
         tre: Predicted rms error at the target, m.
         suspect: Index of the one landmark to digitize again.
-        permutation: For each digitized landmark the planned one it belongs to, where they were exchanged.
+        permutation: For each digitized landmark the index of its planned one, if they were exchanged.
     """
 
     registration: PointRegistration | None
@@ -53,12 +54,12 @@ class RegistrationVerdict:
 
     @property
     def accepted(self) -> bool:
-        """Every gate passes."""
+        """True if every gate passes."""
         return self.refusal is None
 
     @property
     def refusal(self) -> Gate | None:
-        """The first gate that does not pass."""
+        """First gate that does not pass, or None."""
         return next((gate for gate in self.gates if not gate.accepted), None)
 
 
@@ -71,20 +72,20 @@ def judge(
     target: npt.ArrayLike | None,
     covariances: npt.ArrayLike | None = None,
 ) -> RegistrationVerdict:
-    """Registers, and says whether the result may be used.
+    """Register, and decide whether the result may be used.
 
     Args:
         planned: Landmarks in the image, m, (N, 3).
         digitized: The same landmarks in body_ref, in the same order, m, (N, 3).
-        limits: What must be kept.
-        names: Of the landmarks, (N,).
-        target: Where the error matters, in the image, m, (3,); None for the centroid of the landmarks.
-        covariances: Of the digitized landmarks' noise in body_ref, m^2, (N, 3, 3), where it is known better than as
+        limits: Limits that the registration must keep.
+        names: Names of the landmarks, (N,).
+        target: Point in the image at which the error is predicted, m, (3,); None for the centroid of the landmarks.
+        covariances: Covariances of the digitized landmarks' noise in body_ref, m^2, (N, 3, 3); by default
             ``limits.sigma`` in every axis.
 
     Raises:
         GeometryError: Shapes are wrong, a number is not finite, or a covariance is not positive definite.
-        DegeneratePointsError: The landmarks, planned or digitized, fix no rotation.
+        DegeneratePointsError: The planned or the digitized landmarks do not determine a rotation.
     """
     digitized, planned = checked_pairs(digitized, planned)
     _check_names(names, len(planned))
@@ -97,17 +98,17 @@ def judge(
     try:
         registration = register_points(digitized, planned, covariances=covariances)
     except MirroredPointsError as error:
-        return RegistrationVerdict(None, (unit, refused_side_gate(error)))
-    permutation = explaining_order(planned, digitized, sigma, limits.false_alarm)
+        return RegistrationVerdict(None, (unit, failed_mirror_gate(error)))
+    permutation = detect_order(planned, digitized, sigma, limits.false_alarm)
     order = order_gate(permutation, registration.residual, names)
     if permutation is not None:
-        return RegistrationVerdict(registration, (unit, side_gate(registration), order), permutation=permutation)
+        return RegistrationVerdict(registration, (unit, mirror_gate(registration), order), permutation=permutation)
     testable = len(planned) >= MIN_POINTS
     outlier = mean_shift_test(digitized, planned, noise, limits.false_alarm) if testable else None
     tre = _tre(registration, planned, target_image, noise)
     gates = (
         unit,
-        side_gate(registration),
+        mirror_gate(registration),
         order,
         outlier_gate(outlier, sigma, limits.false_alarm, names),
         residual_gate(registration, limits, names),
@@ -123,12 +124,15 @@ def _check_names(names: Sequence[str], count: int) -> None:
 
 
 def _sigma(noise: float | Floats) -> float:
-    """Standard deviation per axis, m, that an equal isotropic noise of the same size has."""
+    """Return the standard deviation per axis of an isotropic noise of the same size, m."""
     return noise if isinstance(noise, float) else float(np.sqrt(np.mean(np.diagonal(noise, axis1=1, axis2=2))))
 
 
 def _tre(registration: PointRegistration, planned: Floats, target: Floats | None, noise: float | Floats) -> float:
-    """Rms, m, at the target in the image (3,); worked out in body_ref, where the covariances are."""
+    """Return the predicted rms error at a target in the image (3,), m, or at the centroid of the landmarks.
+
+    It is computed in body_ref, the frame of the covariances.
+    """
     body_ref_from_image = registration.fixed_from_moving
     at = body_ref_from_image @ (planned.mean(axis=0) if target is None else target)
     return float(predict_tre(body_ref_from_image @ planned, at, noise)[0])

@@ -1,4 +1,4 @@
-"""The coordinate frames of a cell."""
+"""Coordinate frames of a cell."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from enum import StrEnum
 
 
 class Frame(StrEnum):
-    """Right-handed frames, in metres.
+    """Right-handed coordinate frames, in metres.
 
     Attributes:
-        WORLD: Fixed to the room.
-        ROBOT_BASE: Foot of the arm, +z along its first axis.
-        FLANGE: Mounting face of the last link, +z out of the face.
-        TOOL: What the flange carries; +z points away from the body.
-        COIL: The tracked marker body on the tool.
-        TRACKER: The camera of the optical tracker.
-        BODY_REF: The marker body fixed to the patient.
-        POINTER: The marker body of the digitizing pointer.
-        POINTER_TIP: The tip of that pointer.
-        IMAGE: The patient's medical image; RAS: +x right, +y anterior, +z superior.
+        WORLD: Frame fixed to the room.
+        ROBOT_BASE: Foot of the arm, with +z along the first joint axis.
+        FLANGE: Mounting face of the last link, with +z out of the face.
+        TOOL: Tool on the flange, with +z away from the body.
+        COIL: Tracked marker body on the tool.
+        TRACKER: Camera of the optical tracker.
+        BODY_REF: Marker body fixed to the patient.
+        POINTER: Marker body of the digitizing pointer.
+        POINTER_TIP: Tip of the digitizing pointer.
+        IMAGE: The patient's medical image in RAS: +x right, +y anterior, +z superior.
     """
 
     WORLD = "world"

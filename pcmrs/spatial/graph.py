@@ -1,4 +1,4 @@
-"""The frame graph: which transforms between frames are known now."""
+"""Frame graph: the transforms between frames that are known now."""
 
 from __future__ import annotations
 
@@ -12,17 +12,22 @@ from pcmrs.spatial.transform import Transform
 class FrameGraph:
     """Known transforms between frames, as a forest: at most one path joins two frames.
 
-    One path means one answer: measured and calibrated transforms of a loop never agree exactly.
+    One path gives one answer. Measured and calibrated transforms of a loop would never agree exactly.
     """
 
     def __init__(self) -> None:
         self._edges: dict[Frame, dict[Frame, Transform]] = {frame: {} for frame in Frame}
 
     def set(self, parent: Frame, child: Frame, parent_from_child: Transform) -> None:
-        """Sets or replaces the transform between two neighbours.
+        """Set or replace the transform between two neighbours.
+
+        Args:
+            parent: First frame.
+            child: Second frame.
+            parent_from_child: Pose of the second frame in the first.
 
         Raises:
-            GeometryError: The frames are the same, or already joined by other frames.
+            GeometryError: The frames are the same, or other frames already join them.
         """
         path = None if child in self._edges[parent] else self._path(parent, child)
         if path is not None:
@@ -36,12 +41,21 @@ class FrameGraph:
         self._edges[child][parent] = parent_from_child.inverse()
 
     def clear(self, parent: Frame, child: Frame) -> None:
-        """Forgets the transform between two neighbours, if it is known."""
+        """Remove the transform between two neighbours if it is known.
+
+        Args:
+            parent: First frame.
+            child: Second frame.
+        """
         self._edges[parent].pop(child, None)
         self._edges[child].pop(parent, None)
 
     def get(self, target: Frame, source: Frame) -> Transform:
-        """``target_from_source``, composed along the path.
+        """Return ``target_from_source``, composed along the path.
+
+        Args:
+            target: Frame in which the pose is wanted.
+            source: Frame whose pose is wanted.
 
         Raises:
             MissingTransformError: No known transforms join the two frames.
@@ -60,7 +74,7 @@ class FrameGraph:
         return target_from_source
 
     def _path(self, start: Frame, end: Frame) -> list[Frame] | None:
-        """Frames from `start` to `end`, both included; None when nothing joins them."""
+        """Return the frames from `start` to `end`, both included, or None if no path joins them."""
         paths = [[start]]
         while paths:
             path = paths.pop()

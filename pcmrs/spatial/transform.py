@@ -16,8 +16,8 @@ Floats = npt.NDArray[np.float64]
 
 ORTHONORMAL_TOLERANCE = 1e-6
 GIMBAL_LOCK = 1e-7
-"""The cosine of the middle angle below which the first and the last turn about the same axis."""
-UNIT_QUATERNION_TOLERANCE = 1e-3  # quaternions arrive as text with few decimals; they are normalized then
+"""Cosine of the middle angle below which the first and the last rotation are about the same axis."""
+UNIT_QUATERNION_TOLERANCE = 1e-3  # quaternions that arrive as text have few decimals; they are normalized
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -31,7 +31,7 @@ class Transform:
         translation: Origin of frame b in frame a, m, (3,).
 
     Raises:
-        GeometryError: A number is not finite, a shape is wrong, or the matrix is no rotation.
+        GeometryError: A number is not finite, a shape is wrong, or the matrix is not a rotation.
     """
 
     rotation: Floats
@@ -44,12 +44,16 @@ class Transform:
 
     @classmethod
     def identity(cls) -> Self:
-        """Frames that coincide."""
+        """Return the transform between frames that coincide."""
         return cls(np.eye(3), np.zeros(3))
 
     @classmethod
     def from_quat_wxyz(cls, position: npt.ArrayLike, quat: npt.ArrayLike) -> Self:
-        """From a translation (3,) in m and a unit quaternion w x y z.
+        """Return a transform from a translation and a unit quaternion w x y z.
+
+        Args:
+            position: Translation, m, (3,).
+            quat: Unit quaternion in the order w x y z, (4,).
 
         Raises:
             GeometryError: The length of the quaternion is not 1 within `UNIT_QUATERNION_TOLERANCE`.
@@ -59,7 +63,11 @@ class Transform:
 
     @classmethod
     def from_quat_xyzw(cls, position: npt.ArrayLike, quat: npt.ArrayLike) -> Self:
-        """From a translation (3,) in m and a unit quaternion x y z w.
+        """Return a transform from a translation and a unit quaternion x y z w.
+
+        Args:
+            position: Translation, m, (3,).
+            quat: Unit quaternion in the order x y z w, (4,).
 
         Raises:
             GeometryError: The length of the quaternion is not 1 within `UNIT_QUATERNION_TOLERANCE`.
@@ -68,7 +76,10 @@ class Transform:
 
     @classmethod
     def _from_unit_quaternion(cls, position: npt.ArrayLike, x: float, y: float, z: float, w: float) -> Self:
-        """A rotation by construction: it need not be checked, and every tracked pose comes this way."""
+        """Build the rotation without a check, because it is valid by construction.
+
+        Every tracked pose takes this path.
+        """
         rotation = np.array(
             (
                 (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
@@ -82,10 +93,10 @@ class Transform:
 
     @classmethod
     def from_matrix(cls, matrix: npt.ArrayLike) -> Self:
-        """From a homogeneous matrix (4, 4), translation in m.
+        """Return a transform from a homogeneous matrix (4, 4) with its translation in m.
 
         Raises:
-            GeometryError: The last row is not 0 0 0 1, or the upper part is no rotation.
+            GeometryError: The last row is not 0 0 0 1, or the upper left part is not a rotation.
         """
         matrix = _array(matrix, (4, 4), "homogeneous matrix")
         if not np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0), rtol=0.0, atol=ORTHONORMAL_TOLERANCE):
@@ -97,7 +108,12 @@ class Transform:
 
     @classmethod
     def from_rotvec(cls, position: npt.ArrayLike, rotvec: npt.ArrayLike) -> Self:
-        """From a translation (3,) in m and a rotation vector (3,): axis times angle in rad."""
+        """Return a transform from a translation and a rotation vector.
+
+        Args:
+            position: Translation, m, (3,).
+            rotvec: Rotation vector: axis times angle, rad, (3,).
+        """
         x, y, z = _array(rotvec, (3,), "rotation vector").tolist()
         half = 0.5 * math.hypot(x, y, z)
         scale = 0.5 * (math.sin(half) / half if half else 1.0)
@@ -105,9 +121,11 @@ class Transform:
 
     @classmethod
     def from_zyx(cls, position: npt.ArrayLike, angles: npt.ArrayLike) -> Self:
-        """From a translation (3,) in m and the angles of ``Rz(a) Ry(b) Rx(c)``, (3,) in rad: a b c, as of a KUKA pose.
+        """Return a transform from a translation and the angles a b c of ``Rz(a) Ry(b) Rx(c)``, as in a KUKA pose.
 
-        They are also the yaw, pitch and roll of a URDF's ``rpy``, in this order.
+        Args:
+            position: Translation, m, (3,).
+            angles: Angles a b c, rad, (3,). They are also yaw, pitch and roll of a URDF's ``rpy``, in this order.
         """
         a, b, c = _array(angles, (3,), "angles").tolist()
         sa, ca, sb, cb, sc, cc = math.sin(a), math.cos(a), math.sin(b), math.cos(b), math.sin(c), math.cos(c)
@@ -138,7 +156,7 @@ class Transform:
         return moved
 
     def inverse(self) -> Transform:
-        """``b_from_a`` of ``a_from_b``."""
+        """Return ``b_from_a`` of ``a_from_b``."""
         return trusted_transform(self.rotation.T, -self.rotation.T @ self.translation)
 
     @property
@@ -172,7 +190,7 @@ class Transform:
     def zyx(self) -> Floats:
         """Angles a b c of ``Rz(a) Ry(b) Rx(c)``, (3,) in rad, with b in [-pi/2, pi/2].
 
-        At b = +-pi/2 only a sum of a and c is known; c is 0 then.
+        At b = +-pi/2 only the sum or difference of a and c is determined; c is 0 then.
         """
         (a, b, _), (d, e, _), (g, h, i) = self.rotation.tolist()
         cosine = math.hypot(a, d)
@@ -182,22 +200,32 @@ class Transform:
 
 
 def rotation_angle(one: Transform, other: Transform) -> float:
-    """Angle in [0, pi] rad that turns the rotation of `one` into that of `other`.
+    """Return the angle between the rotations of two poses of one frame, in [0, pi] rad.
 
-    With ``|R - R^T| = 2 sqrt(2) sin(angle)`` (Frobenius norm) and ``trace R = 1 + 2 cos(angle)``; an arc cosine
-    alone would lose half of the digits of small angles. In plain floats: every tracked pose comes this way.
+    It follows from ``|R - R^T| = 2 sqrt(2) sin(angle)`` (Frobenius norm) and ``trace R = 1 + 2 cos(angle)``. An arc
+    cosine alone would lose half of the digits of small angles. It uses plain floats, because every tracked pose takes
+    this path.
+
+    Args:
+        one: First pose.
+        other: Second pose.
     """
     (a, b, c), (d, e, f), (g, h, i) = (one.rotation.T @ other.rotation).tolist()
     return math.atan2(math.hypot(h - f, c - g, d - b), a + e + i - 1.0)
 
 
 def distance(a: Transform, b: Transform) -> float:
-    """Distance between the origins of two poses of one frame, m."""
+    """Return the distance between the origins of two poses of one frame, m.
+
+    Args:
+        a: First pose.
+        b: Second pose.
+    """
     return math.dist(a.translation.tolist(), b.translation.tolist())
 
 
 def mean_transform(transforms: Sequence[Transform]) -> Transform:
-    """Mean translation and chordal mean rotation (Hartley et al., Rotation Averaging, IJCV 2013).
+    """Return the mean translation and the chordal mean rotation (Hartley et al., Rotation Averaging, IJCV 2013).
 
     Raises:
         GeometryError: There are no transforms.
@@ -206,13 +234,18 @@ def mean_transform(transforms: Sequence[Transform]) -> Transform:
         raise GeometryError("The mean of no transforms does not exist; give at least one.")
     quaternions = np.array([_quaternion(transform.rotation) for transform in transforms])
     translations = np.array([transform.translation for transform in transforms])
-    # The mean is the eigenvector of the largest eigenvalue, which comes last; the sign of a quaternion does not count.
+    # The mean is the eigenvector of the largest eigenvalue, which is the last. It does not depend on quaternion signs.
     mean = np.linalg.eigh(quaternions.T @ quaternions).eigenvectors[:, -1]
     return Transform.from_quat_wxyz(translations.mean(axis=0), mean)
 
 
 def trusted_transform(rotation: Floats, translation: Floats) -> Transform:
-    """A transform from parts known to be valid, which become its own: composition is on every control path."""
+    """Return a transform from parts known to be valid, without a check or a copy: composition is on every control path.
+
+    Args:
+        rotation: Rotation matrix, (3, 3). The transform takes it over and makes it read-only.
+        translation: Translation, m, (3,). The transform takes it over and makes it read-only.
+    """
     transform = object.__new__(Transform)
     _fill(transform, rotation, translation)
     return transform
@@ -225,7 +258,7 @@ def _fill(transform: Transform, rotation: Floats, translation: Floats) -> None:
 
 
 def _unit_quaternion(quat: npt.ArrayLike) -> tuple[float, float, float, float]:
-    """The quaternion, normalized, in its own order. Raises `GeometryError` when it is none."""
+    """Return the normalized quaternion in its own order. Raises `GeometryError` if it is not a unit quaternion."""
     a, b, c, d = _array(quat, (4,), "quaternion").tolist()
     norm = math.sqrt(a * a + b * b + c * c + d * d)
     if abs(norm - 1.0) > UNIT_QUATERNION_TOLERANCE:
@@ -239,10 +272,10 @@ def _unit_quaternion(quat: npt.ArrayLike) -> tuple[float, float, float, float]:
 
 
 def _quaternion(rotation: Floats) -> tuple[float, float, float, float]:
-    """Unit quaternion w x y z with w >= 0 of a rotation matrix (3, 3).
+    """Return the unit quaternion w x y z with w >= 0 of a rotation matrix (3, 3).
 
-    Computed from its largest component, so that no digits are lost (Shepperd, Quaternion from Rotation Matrix, 1978).
-    In plain floats: every published pose comes this way.
+    It is computed from its largest component, so that no digits are lost (Shepperd, Quaternion from Rotation Matrix,
+    1978). It uses plain floats, because every published pose takes this path.
     """
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     squares = (1.0 + a + e + i, 1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i)  # four times w^2, x^2, y^2, z^2
@@ -261,10 +294,10 @@ def _quaternion(rotation: Floats) -> tuple[float, float, float, float]:
 
 
 def _array(values: npt.ArrayLike, shape: tuple[int, ...], what: str) -> Floats:
-    """A copy of `values`.
+    """Return a copy of `values` as an array of a given shape.
 
     Raises:
-        GeometryError: They are no numbers, not finite, or have another shape.
+        GeometryError: The values are not numbers, not finite, or have another shape.
     """
     try:
         array = np.array(values, dtype=float)

@@ -1,1 +1,1 @@
-"""Transcranial magnetic stimulation of the motor cortex: what a pulse evokes, and the intensity that it takes."""
+"""Transcranial magnetic stimulation of the motor cortex: evoked potentials, motor threshold and hot-spot."""

@@ -1,4 +1,4 @@
-"""A grid of coil poses on the scalp, in the order in which they are mapped."""
+"""Grids of coil poses on the scalp, in the order in which they are mapped."""
 
 from __future__ import annotations
 
@@ -8,26 +8,28 @@ import numpy as np
 
 from pcmrs.errors import GeometryError
 from pcmrs.spatial import Floats, Transform
-from pcmrs.tms.scalp import Closest, along_scalp
+from pcmrs.tms.scalp import NearestPoints, along_scalp
 
 CORNERS = np.array([(math.cos(k * math.pi / 3.0), math.sin(k * math.pi / 3.0)) for k in range(6)])
 MAX_RINGS = 20
 MAX_ROWS = 20
 
 
-def grid_on_scalp(closest: Closest, centre: Transform, spacing: float, rings: int) -> tuple[Transform, ...]:
-    """Poses of a hexagonal grid, in a spiral from its centre outwards: each is next to the one before.
+def grid_on_scalp(closest: NearestPoints, centre: Transform, spacing: float, rings: int) -> tuple[Transform, ...]:
+    """Return poses of a hexagonal grid in a spiral from its centre outwards.
 
-    Every pose is tangent to the scalp, its handle as that of the centre carried along without a turn.
+    Each pose is next to the previous one.
+
+    Every pose is tangent to the scalp. Its handle is that of the centre, carried along without a turn.
 
     Args:
-        closest: The scalp.
-        centre: ``image_from_coil`` of the middle; it is brought onto the scalp.
-        spacing: Between neighbours, along the scalp, m.
-        rings: Around the centre: 0 for it alone, 1 for 7 poses, 2 for 19.
+        closest: Query for the nearest points of the scalp.
+        centre: ``image_from_coil`` of the middle. It is moved onto the scalp.
+        spacing: Distance between neighbours along the scalp, m.
+        rings: Number of rings around the centre: 0 for the centre alone, 1 for 7 poses, 2 for 19.
 
     Raises:
-        GeometryError: The spacing is not positive, there are not 0 to `MAX_RINGS` rings, or the centre's +z points
+        GeometryError: The spacing is not positive, there are not 0 to `MAX_RINGS` rings, or the centre's +z axis points
             into the head.
     """
     if not (math.isfinite(spacing) and spacing > 0.0) or not 0 <= rings <= MAX_RINGS:
@@ -37,23 +39,25 @@ def grid_on_scalp(closest: Closest, centre: Transform, spacing: float, rings: in
 
 
 def rows_on_scalp(
-    closest: Closest, centre: Transform, spacing: float, rows: int, columns: int
+    closest: NearestPoints, centre: Transform, spacing: float, rows: int, columns: int
 ) -> tuple[Transform, ...]:
-    """Poses of a rectangular grid, row by row in turns: each is next to the one before.
+    """Return poses of a rectangular grid row by row in alternating directions.
 
-    Rows lie along x of the centre, the first one where +y points; every pose is tangent to the scalp, its handle as
-    that of the centre carried along without a turn.
+    Each pose is next to the previous one.
+
+    Rows lie along x of the centre, and the first row is on the +y side. Every pose is tangent to the scalp. Its handle
+    is that of the centre, carried along without a turn.
 
     Args:
-        closest: The scalp.
-        centre: ``image_from_coil`` of the middle; it is brought onto the scalp.
-        spacing: Between neighbours, along the scalp, m.
-        rows: 1 to `MAX_ROWS`.
-        columns: The same.
+        closest: Query for the nearest points of the scalp.
+        centre: ``image_from_coil`` of the middle. It is moved onto the scalp.
+        spacing: Distance between neighbours along the scalp, m.
+        rows: Number of rows, 1 to `MAX_ROWS`.
+        columns: Number of poses per row, 1 to `MAX_ROWS`.
 
     Raises:
         GeometryError: The spacing is not positive, there are not 1 to `MAX_ROWS` rows or columns, or the centre's +z
-            points into the head.
+            axis points into the head.
     """
     if not (math.isfinite(spacing) and spacing > 0.0) or not (1 <= rows <= MAX_ROWS and 1 <= columns <= MAX_ROWS):
         asked = f"{spacing:g} m, {rows} and {columns}"
@@ -65,11 +69,11 @@ def rows_on_scalp(
 
 
 def hexagons(rings: int) -> Floats:
-    """Places of a hexagonal grid with unit spacing, in a spiral outwards, (1 + 3 rings (rings + 1), 2)."""
+    """Return places of a hexagonal grid with unit spacing, in a spiral outwards, (1 + 3 rings (rings + 1), 2)."""
     places = [np.zeros((1, 2))]
     for ring in range(1, rings + 1):
         steps = np.arange(ring)[None, :, None] / ring
         sides = CORNERS[:, None] + steps * (np.roll(CORNERS, -1, axis=0) - CORNERS)[:, None]
-        # Each ring ends at its first corner, next to which the ring around it begins.
+        # Each ring ends at its first corner, which is next to the start of the following ring.
         places.append(np.roll(ring * sides.reshape(-1, 2), -1, axis=0))
     return np.concatenate(places)

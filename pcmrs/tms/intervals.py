@@ -1,4 +1,4 @@
-"""How soon after another, and how often, single pulses may be given."""
+"""Limits of the interval between single pulses, and of their number."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from pcmrs.errors import RefusalError
 class IntervalSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Limits of single pulses.
 
-    Pulses that follow each other at 1 Hz or faster are repetitive stimulation, which has limits of its own and is not
-    given here (Rossi et al., Clin. Neurophysiol. 120 (2009) 2008 and 132 (2021) 269). At 0.9 Hz for a quarter of an
-    hour motor evoked potentials become smaller, at 0.1 Hz not (Chen et al., Neurology 48 (1997) 1398); at intervals of
-    5 s they are smaller and vary more than at 10 s (Hassanzahraee et al., Brain Connect. 9 (2019)).
+    Pulses at 1 Hz or faster are repetitive stimulation, which has its own limits and is not supported here (Rossi et
+    al., Clin. Neurophysiol. 120 (2009) 2008 and 132 (2021) 269). At 0.9 Hz for a quarter of an hour motor evoked
+    potentials become smaller, at 0.1 Hz they do not (Chen et al., Neurology 48 (1997) 1398). At intervals of 5 s they
+    are smaller and vary more than at 10 s (Hassanzahraee et al., Brain Connect. 9 (2019)).
 
     Attributes:
-        least: From one pulse to the next, s.
-        most_pulses: In one session. The longest trains at 1 Hz that were found safe up to 110 % of the threshold had
-            1,800 (Rossi et al. 2009).
+        least: Least interval between two pulses, s.
+        most_pulses: Greatest number of pulses in one session. The longest trains at 1 Hz that were found safe up to
+            110 % of the threshold had 1,800 pulses (Rossi et al. 2009).
     """
 
     least: Annotated[float, msgspec.Meta(gt=1.0, le=60.0)] = 5.0
@@ -28,17 +28,17 @@ class IntervalSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def check_interval(now: float, last: float | None, settings: IntervalSettings) -> None:
-    """Refuses a pulse that would come too soon.
+    """Refuse a pulse that would come too soon.
 
     Args:
-        now: Of the clock that also said when `last` was, s.
-        last: When the last pulse was given; None before the first.
-        settings: The limits.
+        now: Present time, s, on the clock of `last`.
+        last: Time of the last pulse, s; None before the first pulse.
+        settings: Limits of single pulses.
 
     Raises:
-        RefusalError: ``pulse_too_soon``; the field ``wait`` says how long to wait, s.
+        RefusalError: ``pulse_too_soon``. Its field ``wait`` is the remaining time, s.
     """
-    if last is None or now - last >= settings.least:  # a nan passes for too soon
+    if last is None or now - last >= settings.least:  # nan counts as too soon
         return
     wait = settings.least - (now - last)
     raise RefusalError(
@@ -51,11 +51,11 @@ def check_interval(now: float, last: float | None, settings: IntervalSettings) -
 
 
 def check_count(given: int, settings: IntervalSettings) -> None:
-    """Refuses a pulse after too many.
+    """Refuse a pulse after too many.
 
     Args:
-        given: Pulses in this session.
-        settings: The limits.
+        given: Number of pulses given in this session.
+        settings: Limits of single pulses.
 
     Raises:
         RefusalError: ``too_many_pulses``.

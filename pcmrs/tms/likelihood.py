@@ -1,13 +1,13 @@
-"""The motor threshold by maximum likelihood, the next pulse where the threshold is thought to be.
+"""Motor threshold by maximum likelihood, with the next pulse at the most likely threshold.
 
 Awiszus, TMS and threshold hunting, Suppl. Clin. Neurophysiol. 56 (2003) 13: the probability of a response is a
-cumulative Gaussian of the intensity, its mean the threshold, its standard deviation 0.07 of it. A prior takes the place
-of his two pulses that never were, no response to 0 % and one to 100 %.
+cumulative Gaussian of the intensity, with the threshold as its mean and 0.07 of it as its standard deviation. A prior
+takes the place of his two virtual pulses, no response to 0 % and one to 100 %.
 
-Where amplitudes are known, they say by how much a pulse was above or below: their logarithm is taken to be linear in
-the same Gaussian variable, between the noise and `TOP` times a response (a censored regression: Tobin, Econometrica 26
-(1958) 24), and a response to have its least amplitude at the threshold. The slope is not known and is averaged over.
-Yes and no alone say nothing of the slope, and the result is that of Awiszus.
+Known amplitudes tell by how much a pulse was above or below the threshold. Their logarithm is assumed to be linear in
+the same Gaussian variable between the noise and `TOP` times a response (a censored regression: Tobin, Econometrica 26
+(1958) 24), and a response at the threshold to have its least amplitude. The slope is unknown and is averaged over.
+Responses without amplitudes tell nothing about the slope, and the result is that of Awiszus.
 """
 
 from __future__ import annotations
@@ -22,24 +22,31 @@ from pcmrs.spatial import Floats
 from pcmrs.tms.settings import Estimate, EstimatorState, Pulse, ThresholdSettings
 
 SPREAD = 0.07
-"""Of the threshold: Awiszus 2003."""
+"""Standard deviation of the Gaussian as a share of the threshold (Awiszus 2003)."""
 
 TOP = 4.0
-"""Times the amplitude of a response: beyond, the logarithm levels off, and a pulse only counts as above."""
+"""Multiple of the least amplitude of a response above which the logarithm levels off. A larger amplitude only counts as
+above."""
 
 THRESHOLDS = np.arange(1.0, 150.0, 0.25)[:, None]
-"""Looked at, percent of the maximum stimulator output, (T, 1); above 100 lies what no pulse reaches."""
+"""Grid of thresholds, percent of the maximum stimulator output, (T, 1). Those above 100 are out of reach of any
+pulse."""
 
 SLOPES = np.geomspace(0.15, 3.0, 10)
-"""Looked at, decades of the amplitude per spread of the Gaussian, (S,)."""
+"""Grid of slopes, decades of the amplitude per standard deviation of the Gaussian, (S,)."""
 
 TAIL = 0.025
-"""Probability beyond each end of the interval."""
+"""Probability beyond each end of the interval of 95 %."""
 
 
 @lru_cache(maxsize=256)
-def standing(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> EstimatorState:
-    """Where the threshold is thought to be after these pulses, and whether that is certain enough."""
+def estimator_state(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> EstimatorState:
+    """Return the estimated threshold after some pulses, the next intensity, and the decision about the end.
+
+    Args:
+        settings: Settings of the threshold hunt.
+        pulses: Pulses so far.
+    """
     estimate, low, high = _estimate(settings, pulses)
     ceiling = math.floor(settings.ceiling)
     certain = high - low <= settings.interval * estimate
@@ -57,7 +64,7 @@ def standing(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> Estimato
 
 
 def _estimate(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> tuple[float, float, float]:
-    """The most probable threshold and the ends of its interval, percent."""
+    """Return the most probable threshold and the ends of its interval of 95 %, percent of the output."""
     log_posterior = logsumexp(_log_joint(settings, pulses), axis=1)
     distribution = np.cumsum(np.exp(log_posterior - logsumexp(log_posterior)))
     low, high = THRESHOLDS[np.searchsorted(distribution, (TAIL, 1.0 - TAIL)), 0]
@@ -66,7 +73,10 @@ def _estimate(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> tuple[f
 
 @lru_cache(maxsize=256)
 def _log_joint(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> Floats:
-    """Logarithm of prior and likelihood of every threshold and slope, (T, S); what came before is remembered."""
+    """Return the logarithm of prior and likelihood for every threshold and slope, (T, S).
+
+    The cache holds the result for the earlier pulses, so that each pulse is evaluated once.
+    """
     if not pulses:
         deviations = (THRESHOLDS - settings.prior_mean) / settings.prior_sd
         return np.repeat(-0.5 * deviations**2, len(SLOPES), axis=1)
@@ -74,7 +84,12 @@ def _log_joint(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> Floats
 
 
 def log_likelihood(settings: ThresholdSettings, pulse: Pulse) -> Floats:
-    """Of one pulse but for a constant, for every threshold and slope, (T, S) or (T, 1)."""
+    """Return the log-likelihood of one pulse up to a constant, for every threshold and slope, (T, S) or (T, 1).
+
+    Args:
+        settings: Settings of the threshold hunt.
+        pulse: Pulse with its response.
+    """
     deviation = (pulse.intensity - THRESHOLDS) / (SPREAD * THRESHOLDS)
     if pulse.amplitude is None:
         return np.asarray(log_ndtr(deviation if pulse.responded else -deviation))

@@ -1,4 +1,4 @@
-"""The motor evoked potential in an epoch of the electromyogram, and whether it can be believed."""
+"""Motor evoked potential (MEP) in an epoch of the electromyogram, and the validity of its measurement."""
 
 from __future__ import annotations
 
@@ -12,36 +12,42 @@ from pcmrs.messages import Epoch
 from pcmrs.spatial import Floats
 from pcmrs.tms.settings import MepSettings
 
-LEAST_RATE_HZ = 1000.0
-"""Surface electromyograms reach up to 500 Hz: Merletti, J. Electromyogr. Kinesiol. 9 (1999), standards of ISEK."""
+MIN_RATE_HZ = 1000.0
+"""Least sampling rate. Surface electromyograms contain frequencies up to 500 Hz (Merletti, J. Electromyogr. Kinesiol. 9
+(1999), standards of ISEK)."""
 
-LARGEST = 1.0
-"""Offset of the electrodes and stimulus artefact included, V; more is in another unit."""
+MAX_VOLTAGE = 1.0
+"""Largest plausible sample, including the offset of the electrodes and the stimulus artefact, V. A larger one is in
+another unit."""
 
 ONSET_SHARE = 0.1
+"""Share of the peak-to-peak amplitude by which the signal leaves its baseline when a response begins."""
+
 ONSET_SIGMA = 3.0
-"""A response begins where the signal leaves its baseline by a share of its amplitude, and by more than its noise."""
+"""Multiple of the baseline's noise by which the signal leaves its baseline when a response begins."""
 
 SATURATED_SHARE = 0.99
-"""Of the full scale: noise and gain keep an amplifier at its rail just below it."""
+"""Share of the full scale from which on the amplifier is saturated. Noise and gain keep its rail just below the full
+scale."""
 
-HELD = 5
-"""So many equal samples in a row at the greatest or least value are a rail, where the amplifier names none."""
+RAIL_SAMPLES = 5
+"""Number of equal successive samples at the greatest or least value that show saturation if the amplifier reports no
+full scale."""
 
 
 class Mep(msgspec.Struct, frozen=True):
-    """What one pulse evoked.
+    """Motor evoked potential of one pulse.
 
     Attributes:
-        peak_to_peak: Within the window, V, without hum.
-        latency: From the pulse until the response begins, s; None when there is none.
+        peak_to_peak: Peak-to-peak amplitude within the window, without hum, V.
+        latency: Time from the pulse to the onset of the response, s; None without a response.
         peak: Time of the greatest value within the window since the pulse, s.
-        trough: The same of the least.
-        baseline_rms: Activity before the pulse, without offset and hum, V.
-        preactivated: The muscle was not at rest.
-        saturated: The amplifier was at its limit, before the pulse or within the window.
-        artefact: The stimulus reaches into the window.
-        present: There is a response, and it can be believed.
+        trough: Time of the least value within the window since the pulse, s.
+        baseline_rms: Root mean square activity before the pulse, without offset and hum, V.
+        preactivated: True if the muscle was not at rest.
+        saturated: True if the amplifier was saturated before the pulse or within the window.
+        artefact: True if the stimulus artefact reaches into the window.
+        present: True if there is a response in a valid measurement.
     """
 
     peak_to_peak: float
@@ -56,16 +62,20 @@ class Mep(msgspec.Struct, frozen=True):
 
     @property
     def valid(self) -> bool:
-        """Whether the measurement can be believed; otherwise the pulse says nothing, not even that there is none."""
+        """True if the measurement is valid; otherwise it shows neither a response nor its absence."""
         return not (self.preactivated or self.saturated or self.artefact)
 
 
 def judge_mep(epoch: Epoch, settings: MepSettings) -> Mep:
-    """Looks for the response to a pulse.
+    """Return the response to a pulse.
+
+    Args:
+        epoch: Electromyogram around the pulse.
+        settings: Window, baseline and limits.
 
     Raises:
-        RefusalError: ``bad_epoch``: no samples, some that are not finite or not in V, or a rate that no electromyogram
-            has; ``epoch_too_short``: baseline or window lie outside; ``emg_dead``: every sample is the same.
+        RefusalError: ``bad_epoch``: there are no samples, some are not finite or not in V, or the sampling rate is not
+            plausible; ``epoch_too_short``: baseline or window lie outside; ``emg_dead``: every sample is the same.
     """
     times, signal = waveform(epoch, settings)
     raw = np.asarray(epoch.samples)
@@ -92,11 +102,15 @@ def judge_mep(epoch: Epoch, settings: MepSettings) -> Mep:
 
 
 def waveform(epoch: Epoch, settings: MepSettings) -> tuple[Floats, Floats]:
-    """Times since the pulse, s, and the signal less the offset and the hum of its baseline, V, both (N,).
+    """Return times since the pulse, s, and the signal without offset and hum, V, both (N,).
 
     Regression-subtraction: offset, sine and cosine are fitted to the baseline by least squares, and continued under the
-    response (Mewett, Nazeran, Reynolds, Removing power line noise from recorded EMG, EMBC 2001). It leaves the shape of
-    the response alone, which a notch filter does not.
+    response (Mewett, Nazeran, Reynolds, Removing power line noise from recorded EMG, EMBC 2001). Unlike a notch filter,
+    it leaves the shape of the response unchanged.
+
+    Args:
+        epoch: Electromyogram around the pulse.
+        settings: Baseline and frequency of the mains.
 
     Raises:
         RefusalError: As `judge_mep`.
@@ -111,35 +125,35 @@ def waveform(epoch: Epoch, settings: MepSettings) -> tuple[Floats, Floats]:
 
 
 def _checked(epoch: Epoch) -> tuple[Floats, Floats]:
-    """Times since the pulse, s, and samples, V, both (N,)."""
+    """Return times since the pulse, s, and samples, V, both (N,). Raises `RefusalError` as `judge_mep`."""
     samples = np.asarray(epoch.samples, dtype=float)
-    if not LEAST_RATE_HZ <= epoch.rate_hz < math.inf or not math.isfinite(epoch.start):
+    if not MIN_RATE_HZ <= epoch.rate_hz < math.inf or not math.isfinite(epoch.start):
         raise RefusalError(
             "bad_epoch",
-            f"{epoch.rate_hz} samples per second from {epoch.start} s on are no electromyogram; it needs "
-            f"{LEAST_RATE_HZ:g} at least.",
+            f"{epoch.rate_hz} samples per second from {epoch.start} s on are not an electromyogram; it needs at least "
+            f"{MIN_RATE_HZ:g} samples per second.",
             rate_hz=epoch.rate_hz,
         )
     wrong = int(np.sum(~np.isfinite(samples)))
     if wrong or not len(samples):
         raise RefusalError(
-            "bad_epoch", f"{wrong} of {len(samples)} samples are no numbers. Check the amplifier.", wrong=wrong
+            "bad_epoch", f"{wrong} of {len(samples)} samples are not numbers. Check the amplifier.", wrong=wrong
         )
     if np.ptp(samples) == 0.0:
         raise RefusalError(
             "emg_dead", f"The signal of {epoch.muscle} does not change at all. Check electrodes and amplifier."
         )
-    if np.abs(samples).max() > LARGEST:
+    if np.abs(samples).max() > MAX_VOLTAGE:
         raise RefusalError(
             "bad_epoch",
-            f"The largest sample is {np.abs(samples).max():g} V; none is larger than {LARGEST:g} V. Check its unit.",
+            f"The largest sample is {np.abs(samples).max():g} V, the limit is {MAX_VOLTAGE:g} V. Check its unit.",
             largest=float(np.abs(samples).max()),
         )
     return epoch.start + np.arange(len(samples)) / epoch.rate_hz, samples
 
 
 def _part(times: Floats, start: float, end: float, name: str) -> slice:
-    """The samples from `start` to `end`, s since the pulse."""
+    """Return the slice of samples from `start` to `end`, s since the pulse. Raises `RefusalError`."""
     half = 0.5 * (times[1] - times[0]) if len(times) > 1 else 0.0
     first, last = (int(index) for index in np.searchsorted(times, (start - half, end + half)))
     if times[0] > start + half or times[-1] < end - half or last - first < 3:
@@ -154,19 +168,22 @@ def _part(times: Floats, start: float, end: float, name: str) -> slice:
 
 
 def _at_rail(raw: Floats, full_scale: float | None) -> bool:
-    """Whether the amplifier was at its limit; where it names none, whether the signal stays at its extremes."""
+    """Return True if the amplifier was saturated.
+
+    If it reports no full scale, it was saturated if the signal stays at one of its extremes.
+    """
     if full_scale is not None:
         return bool(np.abs(raw).max() >= SATURATED_SHARE * full_scale)
-    return any(_longest_run(raw == extreme) >= HELD for extreme in (raw.max(), raw.min()))
+    return any(_longest_run(raw == extreme) >= RAIL_SAMPLES for extreme in (raw.max(), raw.min()))
 
 
 def _longest_run(flags: np.typing.NDArray[np.bool_]) -> int:
-    """Of True."""
+    """Return the length of the longest run of True."""
     changes = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False]))))
     return int(np.diff(changes)[::2].max(initial=0))
 
 
 def _onset(times: Floats, signal: Floats, rms: float) -> float:
-    """When the response begins; the signal is large within the window, so there is such a time."""
+    """Return the time at which the response begins, s; the signal exceeds the limit somewhere within the window."""
     limit = max(ONSET_SHARE * float(np.ptp(signal)), min(ONSET_SIGMA * rms, 0.5 * float(np.ptp(signal))))
     return float(times[np.argmax(np.abs(signal) >= limit)])

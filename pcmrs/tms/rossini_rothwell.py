@@ -1,8 +1,8 @@
-"""The motor threshold by relative frequency, 5 of 10.
+"""Motor threshold by relative frequency, 5 of 10 (Rossini-Rothwell).
 
-Rossini et al., Clin. Neurophysiol. 126 (2015) 1071: from a low intensity up in steps of 5 % until every pulse is
-answered, then down in steps of 1 % until less than 5 of 10 are; the intensity before is the threshold. "Every pulse" is
-three of them here, and a step ends as soon as its answer is known.
+Rossini et al., Clin. Neurophysiol. 126 (2015) 1071: the intensity rises from a low value in steps of 5 % until every
+pulse evokes a response, then it falls in steps of 1 % until fewer than 5 of 10 do. The threshold is the previous
+intensity. "Every pulse" means three pulses here, and a step ends as soon as its result is known.
 """
 
 from __future__ import annotations
@@ -13,26 +13,36 @@ from collections.abc import Generator, Sequence
 from pcmrs.tms.settings import Estimate, EstimatorState, Pulse, ThresholdSettings
 
 RISE = 5
-"""Percent of the maximum stimulator output, upwards."""
+"""Step upwards, percent of the maximum stimulator output."""
 
-ANSWERED_ALL = 3
-ENOUGH, OF = 5, 10
+ALL_RESPONSES = 3
+"""Number of pulses that must all evoke a response before the intensity falls."""
+
+MIN_RESPONSES, TRIALS = 5, 10
+"""Number of responses, and of pulses, that define the threshold."""
 
 Protocol = Generator[int, bool, int]
-"""Asks for intensities, is told of responses, and comes to a threshold."""
+"""Generator that yields intensities, receives responses, and returns a threshold."""
 
 
-def standing(settings: ThresholdSettings, pulses: Sequence[Pulse]) -> EstimatorState:
-    """What the protocol asks for after these pulses, or comes to; until then it estimates where it is."""
+def estimator_state(settings: ThresholdSettings, pulses: Sequence[Pulse]) -> EstimatorState:
+    """Return the next intensity of the protocol after some pulses, or its threshold.
+
+    Until the threshold is known, the next intensity is the estimate.
+
+    Args:
+        settings: Settings of the threshold hunt.
+        pulses: Pulses so far.
+    """
     protocol = _protocol(settings)
-    asked = next(protocol)
+    intensity = next(protocol)
     try:
         for pulse in pulses:
-            asked = protocol.send(pulse.responded)
+            intensity = protocol.send(pulse.responded)
     except StopIteration as end:
         threshold = float(end.value)
     else:
-        return EstimatorState(Estimate(float(asked)), float(asked))
+        return EstimatorState(Estimate(float(intensity)), float(intensity))
     refusal = None
     if threshold > settings.ceiling:
         refusal = "above_ceiling"
@@ -46,25 +56,25 @@ def standing(settings: ThresholdSettings, pulses: Sequence[Pulse]) -> EstimatorS
 def _protocol(settings: ThresholdSettings) -> Protocol:
     ceiling = math.floor(settings.ceiling)
     intensity = min(round(settings.start), ceiling)
-    while not (yield from _all_answered(intensity)) and intensity < ceiling:
+    while not (yield from _all_responded(intensity)) and intensity < ceiling:
         intensity = min(intensity + RISE, ceiling)
-    while intensity >= settings.floor and (yield from _half_answered(intensity)):
+    while intensity >= settings.floor and (yield from _half_responded(intensity)):
         intensity -= 1
     return intensity + 1
 
 
-def _all_answered(intensity: int) -> Generator[int, bool, bool]:
-    for _ in range(ANSWERED_ALL):
+def _all_responded(intensity: int) -> Generator[int, bool, bool]:
+    for _ in range(ALL_RESPONSES):
         if not (yield intensity):
             return False
     return True
 
 
-def _half_answered(intensity: int) -> Generator[int, bool, bool]:
-    answered = missed = 0
-    while answered < ENOUGH and missed <= OF - ENOUGH:
+def _half_responded(intensity: int) -> Generator[int, bool, bool]:
+    responses = missed = 0
+    while responses < MIN_RESPONSES and missed <= TRIALS - MIN_RESPONSES:
         if (yield intensity):
-            answered += 1
+            responses += 1
         else:
             missed += 1
-    return answered == ENOUGH
+    return responses == MIN_RESPONSES

@@ -1,6 +1,7 @@
 """Poses of a coil on the scalp: tangent to it, moved along it, and over the hand area of the motor cortex.
 
-The places of a search on the scalp, and poses between them: what is left of the scalp in the journalled data.
+`ScalpPatch` holds the places of a search and interpolates poses between them. It replaces the scalp's mesh, which is
+not part of the journalled data.
 """
 
 from __future__ import annotations
@@ -19,15 +20,22 @@ from pcmrs.spatial import Floats, Transform
 from pcmrs.tms.settings import HotspotSettings
 
 NEIGHBOURS = 12
-"""Places that the scalp around a point is fitted to: a quadric has 6 coefficients."""
+"""Number of places to which the scalp around a point is fitted. A quadric has 6 coefficients."""
 
 
 class ScalpPatch:
-    """Places and headings that may be asked for, and the scalp between them.
+    """Places and headings of a search, and the scalp between them.
 
     Args:
-        settings: Of the search; which headings.
-        places: ``image_from_coil`` of the places, tangent to the scalp; the first is the centre.
+        settings: Settings of the search, which define the headings.
+        places: ``image_from_coil`` of the places, tangent to the scalp, (P,). The first is the centre.
+
+    Attributes:
+        settings: Settings of the search.
+        places: ``image_from_coil`` of the places, (P,).
+        positions: Positions of the places in the image, m, (P, 3).
+        headings: Angles against a place's own pose, rad, ascending, (H,).
+        poses: Every place with every heading, (P H,).
     """
 
     def __init__(self, settings: HotspotSettings, places: Sequence[PoseMessage]) -> None:
@@ -36,20 +44,21 @@ class ScalpPatch:
         self.positions: Floats = np.array([place.translation for place in self.places])
         turns = settings.turns
         self.headings: Floats = np.radians(settings.heading_step_deg * np.arange(-turns, turns + 1))
-        """Against the place's own pose, rad, in order."""
-
         self.poses = tuple(turned(place, float(angle)) for place in self.places for angle in self.headings)
-        """Every place with every heading."""
 
-    def located(self, pose: Transform) -> tuple[Floats, float]:
-        """Position of a pose, m, (3,), and its heading against the place that is nearest, rad."""
+    def locate(self, pose: Transform) -> tuple[Floats, float]:
+        """Return the position of a pose, m, (3,), and its heading against the nearest place, rad."""
         nearest = int(np.argmin(np.linalg.norm(self.positions - pose.translation, axis=1)))
         return pose.translation, heading(self.places[nearest], pose)
 
-    def pose(self, position: Floats, angle: float) -> Transform:
-        """The pose on the scalp at a position between the places, turned by `angle` (rad) from theirs.
+    def pose_at(self, position: Floats, angle: float) -> Transform:
+        """Return the pose on the scalp at a position between the places.
 
-        The scalp is the quadric through the nearest places: within 0.1 mm of a head for places 7 mm apart.
+        The scalp is the quadric through the nearest places. On a head it is accurate to 0.1 mm for places 7 mm apart.
+
+        Args:
+            position: Position in the image, m, (3,).
+            angle: Heading against the nearest place, rad.
         """
         distances = np.linalg.norm(self.positions - position, axis=1)
         nearest = np.argsort(distances, kind="stable")[:NEIGHBOURS]
@@ -68,89 +77,96 @@ class ScalpPatch:
 
 
 @lru_cache(maxsize=8)
-def chart_of(settings: HotspotSettings, places: tuple[PoseMessage, ...]) -> ScalpPatch:
-    """The chart of a search; it stays the same for all its pulses."""
+def scalp_patch(settings: HotspotSettings, places: tuple[PoseMessage, ...]) -> ScalpPatch:
+    """Return the patch of a search. It is cached, because it is the same for all pulses of the search.
+
+    Args:
+        settings: Settings of the search.
+        places: ``image_from_coil`` of the places, tangent to the scalp; the first is the centre.
+    """
     return ScalpPatch(settings, places)
 
 
 def as_transform(pose: PoseMessage) -> Transform:
-    """The pose to compute with. Raises `GeometryError` where it is none."""
+    """Return a pose message as a `Transform`. Raises `GeometryError` if the pose is invalid."""
     return Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
 
 
 def as_message(pose: Transform) -> PoseMessage:
-    """The pose as data."""
+    """Return a pose as a message."""
     x, y, z = pose.translation.tolist()
     w, i, j, k = pose.quat_wxyz.tolist()
     return PoseMessage(position=(x, y, z), quat_wxyz=(w, i, j, k))
 
 
 def _quadric(x: Floats, y: Floats) -> Floats:
-    """Terms of a quadric at points of the tangent plane, (K, 6)."""
+    """Return the terms of a quadric at points of the tangent plane, (K, 6)."""
     terms: Floats = np.column_stack((np.ones_like(x), x, y, x * x, x * y, y * y))
     return terms
 
 
-Closest = Callable[[Floats], tuple[Floats, Floats]]
-"""Tells of points (K, 3), m, the nearest points of the scalp, m, (K, 3), and its outward unit normals there, (K, 3).
-
-`pcmrs.registration.triangles.TriangleSurface.closest` is one.
-"""
+NearestPoints = Callable[[Floats], tuple[Floats, Floats]]
+"""Query that returns, for points (K, 3), m, the nearest points of the scalp, m, (K, 3), and its outward unit normals
+there, (K, 3), for example `pcmrs.registration.triangles.TriangleSurface.closest`."""
 
 STRIDE = 0.002
-"""Longest step of a walk along the scalp, m: a head is flat over it."""
+"""Longest step along the scalp, m. A head is practically flat over this length."""
 
 HAND_AREA = (0.055, 0.005)
-"""How far the hand area is to the side of the vertex and before it, along the scalp, m: Holmes et al., J. Neurophysiol.
-121 (2019) 336, from the finger's sensory area at 7 to 8 cm, which is 2 cm beside and 0.5 cm behind it."""
+"""Distances of the hand area to the side of the vertex and in front of it, along the scalp, m. They follow from Holmes
+et al., J. Neurophysiol. 121 (2019) 336: the finger's sensory area is at 7 to 8 cm, 2 cm beside and 0.5 cm behind it."""
 
 HANDLE = math.radians(45.0)
-"""Between the coil's handle, which points back and to the side, and the midsagittal plane: Mills et al.,
-Electroencephalogr. Clin. Neurophysiol. 85 (1992) 17."""
+"""Angle between the coil's handle, which points back and to the side, and the midsagittal plane, rad (Mills et al.,
+Electroencephalogr. Clin. Neurophysiol. 85 (1992) 17)."""
 
 
-def on_scalp(closest: Closest, pose: Transform) -> Transform:
-    """The pose moved to the nearest point of the scalp and tilted as little as may be, so that it is tangent there.
+def on_scalp(closest: NearestPoints, pose: Transform) -> Transform:
+    """Return a pose moved to the nearest point of the scalp and tilted by the least angle that makes it tangent there.
+
+    Args:
+        closest: Query for the nearest points of the scalp.
+        pose: Pose near the scalp.
 
     Raises:
-        GeometryError: Its +z points into the head.
+        GeometryError: The pose's +z axis points into the head.
     """
     (placed,) = along_scalp(closest, pose, np.zeros((1, 2)))
     return placed
 
 
-def along_scalp(closest: Closest, start: Transform, offsets: npt.ArrayLike) -> tuple[Transform, ...]:
-    """Poses reached from `start` by walking straight along the scalp, the handle never turned about the normal.
+def along_scalp(closest: NearestPoints, start: Transform, offsets: npt.ArrayLike) -> tuple[Transform, ...]:
+    """Return poses reached from a start by straight steps along the scalp, without a turn about the normal.
 
     Args:
-        closest: The scalp.
-        start: Any pose near the scalp whose +z points away from the head.
-        offsets: How far to go along x and y of the coil, m, (K, 2).
+        closest: Query for the nearest points of the scalp.
+        start: Pose near the scalp whose +z axis points away from the head.
+        offsets: Distances along x and y of the coil, m, (K, 2).
 
     Raises:
-        GeometryError: +z of the start points into the head, or an offset is not finite.
+        GeometryError: The start's +z axis points into the head, or an offset is not finite.
     """
     steps = np.asarray(offsets, dtype=float)
     if steps.ndim != 2 or steps.shape[1] != 2 or not np.isfinite(steps).all():
         raise GeometryError("Offsets along the scalp are pairs of finite numbers, (K, 2), m.", shape=steps.shape)
     count = math.ceil(np.linalg.norm(steps, axis=1).max(initial=0.0) / STRIDE)
     points, frames = np.tile(start.translation, (len(steps), 1)), np.tile(start.rotation, (len(steps), 1, 1))
-    points, frames = _settled(closest, points, frames)
+    points, frames = _projected(closest, points, frames)
     for _ in range(count):
         strides = np.einsum("kij,kj->ki", frames[:, :, :2], steps / count)
-        points, frames = _settled(closest, points + strides, frames)
+        points, frames = _projected(closest, points + strides, frames)
     return tuple(Transform(frame, point) for frame, point in zip(frames, points, strict=True))
 
 
-def hand_area(closest: Closest, vertex: npt.ArrayLike, side: Literal["right", "left"] = "right") -> Transform:
-    """``image_from_coil`` over the hand area of one hemisphere: where a search for the hot-spot begins.
+def hand_area(closest: NearestPoints, vertex: npt.ArrayLike, side: Literal["right", "left"] = "right") -> Transform:
+    """Return ``image_from_coil`` over the hand area of one hemisphere, where a search for the hot-spot begins.
 
     +y of the coil points away from its handle: forwards and to the middle.
 
     Args:
-        closest: The scalp in a RAS image.
-        vertex: Top of the head, m, (3,).
-        side: Of the brain; the hand is on the other.
+        closest: Query for the nearest points of the scalp in a RAS image.
+        vertex: Top of the head in the image, m, (3,).
+        side: Hemisphere of the brain. The hand is on the other side.
     """
     sign = 1.0 if side == "right" else -1.0
     aside, ahead = HAND_AREA
@@ -160,18 +176,28 @@ def hand_area(closest: Closest, vertex: npt.ArrayLike, side: Literal["right", "l
 
 
 def turned(pose: Transform, angle: float) -> Transform:
-    """The pose turned about its own +z by `angle`, rad."""
+    """Return a pose turned about its own +z axis.
+
+    Args:
+        pose: Pose to turn.
+        angle: Angle, rad.
+    """
     return pose @ Transform.from_rotvec((0.0, 0.0, 0.0), (0.0, 0.0, angle))
 
 
 def heading(reference: Transform, pose: Transform) -> float:
-    """Angle by which `pose` is turned about +z against `reference`, whatever its tilt, rad, in (-pi, pi]."""
+    """Return the angle by which a pose is turned about +z against a reference, whatever its tilt, rad, in (-pi, pi].
+
+    Args:
+        reference: Pose with heading 0.
+        pose: Pose in the frame of the reference's parent.
+    """
     relative = reference.rotation.T @ pose.rotation
     return math.atan2(relative[1, 0] - relative[0, 1], relative[0, 0] + relative[1, 1])
 
 
-def _settled(closest: Closest, points: Floats, frames: Floats) -> tuple[Floats, Floats]:
-    """Points moved onto the scalp, and their axes turned by the least rotation that takes +z to the normal.
+def _projected(closest: NearestPoints, points: Floats, frames: Floats) -> tuple[Floats, Floats]:
+    """Return points moved onto the scalp, and their axes turned by the least rotation that takes +z to the normal.
 
     That rotation is ``I + [v] + [v]^2 / (1 + c)`` with the cross product v and the dot product c of both.
     """
@@ -179,7 +205,7 @@ def _settled(closest: Closest, points: Floats, frames: Floats) -> tuple[Floats, 
     axes = frames[:, :, 2]
     cosines = np.sum(axes * normals, axis=1)
     if not cosines.min(initial=1.0) > 0.0:
-        raise GeometryError("+z of the coil points into the head; turn the pose over.", cosine=float(cosines.min()))
+        raise GeometryError("+z of the coil points into the head; flip the pose.", cosine=float(cosines.min()))
     x, y, z = np.cross(axes, normals).T
     zero = np.zeros_like(x)
     skew = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)

@@ -1,8 +1,6 @@
-"""What a motor evoked potential is told from.
+"""Data of the TMS methods: settings, pulses and results of MEP detection, hot-spot search and threshold hunt.
 
-What a hot-spot search is told, what it is given, and how it stands: the same for every method.
-
-What a threshold hunt is told, what it is given, and how it stands: the same for every method.
+They are the same for every method of a search or a hunt.
 """
 
 from __future__ import annotations
@@ -18,26 +16,27 @@ Count = Annotated[int, msgspec.Meta(ge=1)]
 HotspotMethod = Literal["adaptive", "grid"]
 
 
-MOST_POSES = 1000
-"""Places with headings: more would take an adaptive search too long from pulse to pulse."""
+MAX_POSES = 1000
+"""Greatest number of places times headings. With more, an adaptive search would take too long between pulses."""
 
 
 class HotspotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where and how a hot-spot is searched for.
+    """Region and method of a hot-spot search.
 
     Attributes:
         method: ``adaptive``, each pulse where it tells most; or ``grid``, every place in order, then every heading.
-        spacing_mm: Between neighbouring places, along the scalp.
-        rings: Of the hexagonal grid around the centre: 3 are 37 places, up to 21 mm away.
-        heading_reach_deg: How far the handle is turned from its direction at the centre, either way;
-        heading_step_deg: in such steps.
-        pulses_per_place: At every pose that is asked for.
-        response_uv: Least peak-to-peak amplitude of a response; without any there is no hot-spot.
-        prior_mm: ``adaptive``: how far from the centre a hot-spot is expected, standard deviation along each axis;
-        prior_deg: and how far its handle is turned. Wider than the 8 mm and 18 degrees of the simulated subjects.
-        min_pulses: ``adaptive`` does not end before.
-        max_pulses: ``adaptive`` ends then at the latest.
-        uncertainty_mm: ``adaptive`` ends when the place is known as well as this, rms.
+        spacing_mm: Distance between neighbouring places along the scalp, mm.
+        rings: Number of rings of the hexagonal grid around the centre: 3 rings are 37 places, up to 21 mm away.
+        heading_reach_deg: Greatest turn of the handle from its direction at the centre, either way, deg.
+        heading_step_deg: Step of these turns, deg.
+        pulses_per_place: Number of pulses at every requested pose.
+        response_uv: Least peak-to-peak amplitude of a response, uV. Without any response there is no hot-spot.
+        prior_mm: ``adaptive``: standard deviation of the hot-spot from the centre along each axis, mm.
+        prior_deg: ``adaptive``: standard deviation of its handle's turn, deg. Both are wider than the 8 mm and 18 deg
+            of the simulated subjects.
+        min_pulses: Number of pulses before which ``adaptive`` does not end.
+        max_pulses: Number of pulses at which ``adaptive`` ends at the latest.
+        uncertainty_mm: Rms uncertainty of the place at which ``adaptive`` ends, mm.
 
     Raises:
         ValueError: There are too many poses to search, or fewer pulses at most than at least.
@@ -58,13 +57,13 @@ class HotspotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def turns(self) -> int:
-        """Headings to either side of the one at the centre."""
+        """Number of headings to either side of the one at the centre."""
         return int(self.heading_reach_deg / self.heading_step_deg + 1e-9)
 
     def __post_init__(self) -> None:
         poses = (1 + 3 * self.rings * (self.rings + 1)) * (1 + 2 * self.turns)
-        if poses > MOST_POSES:
-            raise ValueError(f"there are {poses} places with headings, but {MOST_POSES} at most are searched in time")
+        if poses > MAX_POSES:
+            raise ValueError(f"there are {poses} places with headings, but {MAX_POSES} at most are searched in time")
         if self.min_pulses > self.max_pulses:
             raise ValueError(f"min_pulses is {self.min_pulses}, but max_pulses is only {self.max_pulses}")
 
@@ -73,8 +72,8 @@ class MapPulse(msgspec.Struct, frozen=True):
     """One pulse of a map.
 
     Attributes:
-        image_from_coil: Of the coil as it was measured.
-        amplitude: Peak-to-peak, V.
+        image_from_coil: Measured pose of the coil.
+        amplitude: Peak-to-peak amplitude, V.
     """
 
     image_from_coil: PoseMessage
@@ -82,12 +81,12 @@ class MapPulse(msgspec.Struct, frozen=True):
 
 
 class Hotspot(msgspec.Struct, frozen=True):
-    """Where the hot-spot is, as far as is known.
+    """Estimated hot-spot.
 
     Attributes:
-        image_from_coil: On the scalp, with the handle turned as is best.
-        uncertainty: Of its place, rms, m.
-        heading_uncertainty: Of the handle's angle about the normal, rms, rad; None where the method states none.
+        image_from_coil: Pose of the coil on the scalp with the best heading.
+        uncertainty: Rms uncertainty of its place, m.
+        heading_uncertainty: Rms uncertainty of the heading, rad; None if the method gives none.
     """
 
     image_from_coil: PoseMessage
@@ -96,25 +95,25 @@ class Hotspot(msgspec.Struct, frozen=True):
 
 
 Percent = Annotated[float, msgspec.Meta(gt=0.0, le=100.0)]
-"""Of the maximum stimulator output."""
+"""Intensity in percent of the maximum stimulator output."""
 ThresholdMethod = Literal["ml", "relative_frequency"]
 
 
 class ThresholdSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How a motor threshold is searched for; intensities in percent of the maximum stimulator output, whole ones.
+    """Settings of a hunt for a motor threshold. Intensities are whole percent of the maximum stimulator output.
 
     Attributes:
         method: ``ml``, maximum likelihood, or ``relative_frequency``, 5 of 10.
-        ceiling: No pulse is asked for or taken above it.
-        floor: A threshold that is not above it is not believed: something else than the muscle answers.
-        max_pulses: A hunt that has not ended by then is refused.
-        response_uv: Least peak-to-peak amplitude of a response: 50 at rest, Rossini et al. 2015.
-        noise_uv: Of an amplitude below it no more is believed than that it is below: more than the peak-to-peak noise
-            of the measurement.
-        prior_mean: ``ml``: where the threshold is expected, and the first pulse goes;
-        prior_sd: its standard deviation, wider than the spread of published groups: 52 ± 8 and 66 ± 9.
-        interval: ``ml`` ends when the interval of 95 % is narrower than this share of the threshold.
-        start: ``relative_frequency``: first intensity, Rossini et al. 2015.
+        ceiling: Greatest intensity of a pulse.
+        floor: Limit for implausible thresholds. At or below it, something else than the muscle responds.
+        max_pulses: Number of pulses after which a hunt that has not ended is refused.
+        response_uv: Least peak-to-peak amplitude of a response, uV: 50 at rest (Rossini et al. 2015).
+        noise_uv: Amplitude below which a value only counts as below, uV: more than the peak-to-peak noise of the
+            measurement.
+        prior_mean: ``ml``: expected threshold and intensity of the first pulse.
+        prior_sd: ``ml``: standard deviation of the threshold, wider than that of published groups: 52 ± 8 and 66 ± 9.
+        interval: ``ml``: share of the threshold below which the width of the interval of 95 % ends the hunt.
+        start: ``relative_frequency``: first intensity (Rossini et al. 2015).
 
     Raises:
         ValueError: Floor or start lie above the ceiling, or the noise is no less than a response.
@@ -142,8 +141,9 @@ class Pulse(msgspec.Struct, frozen=True):
     """One pulse of a hunt.
 
     Attributes:
-        intensity: Percent of the maximum stimulator output.
-        amplitude: Peak-to-peak, V; None where only the answer is known.
+        intensity: Intensity, percent of the maximum stimulator output.
+        responded: True if the muscle responded.
+        amplitude: Peak-to-peak amplitude, V; None if only the response is known.
     """
 
     intensity: float
@@ -155,9 +155,9 @@ class Estimate(msgspec.Struct, frozen=True):
     """A motor threshold, percent of the maximum stimulator output.
 
     Attributes:
-        threshold: Until the hunt has finished, what is best at the moment.
-        low: Lower end of the interval that holds it with a probability of 95 %; None where the method states none.
-        high: Its upper end.
+        threshold: Threshold; until the hunt has finished, the best present estimate.
+        low: Lower end of the interval that holds it with a probability of 95 %; None if the method gives none.
+        high: Upper end of that interval; None if the method gives none.
     """
 
     threshold: float
@@ -166,11 +166,13 @@ class Estimate(msgspec.Struct, frozen=True):
 
 
 class EstimatorState(msgspec.Struct, frozen=True):
-    """How a hunt stands after its pulses.
+    """State of a hunt after its pulses.
 
     Attributes:
-        intensity: Of the next pulse.
-        refusal: Why there is no threshold to be found; None while there may be one.
+        estimate: Estimated threshold.
+        intensity: Intensity of the next pulse, percent of the maximum stimulator output.
+        finished: True if the threshold is known well enough.
+        refusal: Code of the reason why no threshold can be found; None while one may be found.
     """
 
     estimate: Estimate
@@ -180,20 +182,21 @@ class EstimatorState(msgspec.Struct, frozen=True):
 
 
 class MepSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where a response is looked for, and when a measurement cannot be used; for a muscle of the hand at rest.
+    """Window of a response and limits of a valid measurement, for a muscle of the hand at rest.
 
     Attributes:
-        window_start: A response comes no earlier after the pulse, s;
-        window_end: and no later.
-        baseline_start: The muscle is judged at rest from here, s before the pulse: negative;
-        baseline_end: until here.
-        threshold_uv: Least peak-to-peak amplitude of a response: Rossini et al., Clin. Neurophysiol. 126 (2015) 1071.
-        preactivation_uv: A muscle with more root mean square activity than this before the pulse is not at rest: the
-            usual limit, which is not strict.
-        artefact_uv: If the mean of the signal is still this far from its baseline just before the window, where no
-            response can be yet, the stimulus reaches into the window.
-        artefact_time: How long before the window that mean is taken, s.
-        mains_hz: Frequency of the mains, whose hum is taken out; 0 for none.
+        window_start: Earliest time of a response after the pulse, s.
+        window_end: Latest time of a response after the pulse, s.
+        baseline_start: Start of the baseline, in which the muscle must be at rest, s since the pulse (negative).
+        baseline_end: End of the baseline, s since the pulse.
+        threshold_uv: Least peak-to-peak amplitude of a response, uV (Rossini et al., Clin. Neurophysiol. 126 (2015)
+            1071).
+        preactivation_uv: Greatest root mean square activity before the pulse of a muscle at rest, uV: the usual limit,
+            which is not strict.
+        artefact_uv: Greatest distance of the signal's mean from the baseline just before the window, uV. A larger one
+            is the stimulus artefact, because no response can have begun.
+        artefact_time: Duration before the window over which that mean is computed, s.
+        mains_hz: Frequency of the mains, whose hum is removed, Hz; 0 for none.
 
     Raises:
         ValueError: The baseline does not end before the pulse, or the window does not begin after it.

@@ -1,4 +1,4 @@
-"""The hunt for a motor threshold, pulse by pulse, whatever the method."""
+"""Hunt for a motor threshold pulse by pulse, with either method."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from pcmrs.tms import likelihood, rossini_rothwell
 from pcmrs.tms.settings import Estimate, EstimatorState, Pulse, ThresholdSettings
 
 METHODS: dict[str, Callable[[ThresholdSettings, tuple[Pulse, ...]], EstimatorState]] = {
-    "ml": likelihood.standing,
-    "relative_frequency": rossini_rothwell.standing,
+    "ml": likelihood.estimator_state,
+    "relative_frequency": rossini_rothwell.estimator_state,
 }
 
 
 class MotorThresholdEstimator(msgspec.Struct, frozen=True):
-    """What has been asked and answered; nothing else counts, so that it can be journalled and replayed.
+    """State of a hunt: its settings, and the pulses with their responses.
 
-    ``hunt = ThresholdHunt.begin(settings)``, then ``hunt = hunt.after(hunt.next_intensity(), responded)`` until
-    `finished`; `next_intensity` refuses when there is no threshold to be found.
+    It holds everything that the hunt depends on, so that it can be journalled and replayed. Start with ``hunt =
+    MotorThresholdEstimator.begin(settings)`` and continue with ``hunt = hunt.after(hunt.next_intensity(), responded)``
+    until `finished`. `next_intensity` refuses if no threshold can be found.
 
     Attributes:
-        pulses: That count; a pulse whose response cannot be judged is given again and is not among them.
+        settings: Settings of the hunt.
+        pulses: Pulses that count. A pulse whose response cannot be judged is repeated and is not among them.
     """
 
     settings: ThresholdSettings
@@ -33,80 +35,86 @@ class MotorThresholdEstimator(msgspec.Struct, frozen=True):
 
     @classmethod
     def begin(cls, settings: ThresholdSettings) -> Self:
-        """A hunt without pulses."""
+        """Return a hunt without pulses."""
         return cls(settings)
 
     def next_intensity(self) -> float:
-        """Of the next pulse, percent of the maximum stimulator output, a whole number and never above the ceiling.
+        """Return the intensity of the next pulse.
+
+        It is whole percent of the maximum stimulator output and never above the ceiling.
 
         Raises:
-            RefusalError: ``hunt_finished``; or there is no threshold to be found: ``above_ceiling``, ``below_floor`` or
+            RefusalError: ``hunt_finished``, or no threshold can be found: ``above_ceiling``, ``below_floor`` or
                 ``not_converged``.
         """
-        standing = self._standing
-        if standing.finished:
+        state = self._state
+        if state.finished:
             raise RefusalError(
                 "hunt_finished",
-                f"The threshold is known after {len(self.pulses)} pulses: {standing.estimate.threshold:g} %. Begin a "
+                f"The threshold is known after {len(self.pulses)} pulses: {state.estimate.threshold:g} %. Start a "
                 "new hunt to measure it again.",
                 pulses=len(self.pulses),
             )
-        self._refuse_hopeless()
-        return standing.intensity
+        self._refuse_if_no_threshold()
+        return state.intensity
 
     def after(self, intensity: float, responded: bool, amplitude: float | None = None) -> Self:
-        """The hunt with one pulse more.
+        """Return the hunt with one more pulse.
 
         Args:
-            intensity: That was given, percent of the maximum stimulator output.
-            responded: Whether its response was at least `ThresholdSettings.response_uv`.
-            amplitude: Peak-to-peak amplitude, V; with it, maximum likelihood needs fewer pulses.
+            intensity: Intensity of the pulse, percent of the maximum stimulator output.
+            responded: True if its response was at least `ThresholdSettings.response_uv`.
+            amplitude: Peak-to-peak amplitude, V. With it, maximum likelihood needs fewer pulses.
 
         Raises:
-            RefusalError: ``bad_intensity``: no intensity, above the ceiling, or not what this method asked for;
-                ``bad_amplitude``: no amplitude, or it contradicts `responded`; else as `next_intensity`.
+            RefusalError: ``bad_intensity``: the intensity is invalid, above the ceiling, or not the one that this
+                method requested; ``bad_amplitude``: the amplitude is invalid or contradicts `responded`; otherwise as
+                `next_intensity`.
         """
-        asked = self.next_intensity()
+        requested = self.next_intensity()
         ceiling = self.settings.ceiling
-        if not 0.0 < intensity <= ceiling:  # nan is neither
+        if not 0.0 < intensity <= ceiling:  # true for nan, too
             raise RefusalError(
                 "bad_intensity",
-                f"A pulse of {intensity:g} % cannot count: the ceiling is {ceiling:g} %. Give one of {asked:g} %.",
+                f"A pulse of {intensity:g} % cannot count: the ceiling is {ceiling:g} %. Give one of {requested:g} %.",
                 intensity=intensity,
                 ceiling=ceiling,
             )
-        if self.settings.method == "relative_frequency" and intensity != asked:
+        if self.settings.method == "relative_frequency" and intensity != requested:
             raise RefusalError(
                 "bad_intensity",
-                f"A pulse of {intensity:g} % cannot count for relative frequency, which asked for {asked:g} %.",
+                f"A pulse of {intensity:g} % cannot count for relative frequency, which asked for {requested:g} %.",
                 intensity=intensity,
-                asked=asked,
+                asked=requested,
             )
         self._refuse_contradiction(responded, amplitude)
         return type(self)(self.settings, (*self.pulses, Pulse(float(intensity), responded, amplitude)))
 
     @property
     def estimate(self) -> Estimate:
-        """The threshold; until the hunt has finished, what is best at the moment."""
-        return self._standing.estimate
+        """Threshold; until the hunt has finished, the best present estimate."""
+        return self._state.estimate
 
     @property
     def finished(self) -> bool:
-        """Whether the threshold is known well enough, within ceiling and floor."""
-        return self._standing.finished
+        """True if the threshold is known well enough and lies between floor and ceiling."""
+        return self._state.finished
 
     @property
     def refusal(self) -> str | None:
-        """Code of why there is no threshold to be found, as `next_intensity` raises it; None while there may be one."""
-        standing = self._standing
-        exhausted = not standing.finished and len(self.pulses) >= self.settings.max_pulses
-        return standing.refusal or ("not_converged" if exhausted else None)
+        """Code of the reason why no threshold can be found; None while one may be found.
+
+        `next_intensity` raises it.
+        """
+        state = self._state
+        exhausted = not state.finished and len(self.pulses) >= self.settings.max_pulses
+        return state.refusal or ("not_converged" if exhausted else None)
 
     @property
-    def _standing(self) -> EstimatorState:
+    def _state(self) -> EstimatorState:
         return METHODS[self.settings.method](self.settings, self.pulses)
 
-    def _refuse_hopeless(self) -> None:
+    def _refuse_if_no_threshold(self) -> None:
         code = self.refusal
         if code is None:
             return
@@ -114,7 +122,7 @@ class MotorThresholdEstimator(msgspec.Struct, frozen=True):
         why = {
             "above_ceiling": f"the muscle does not respond up to the ceiling of {settings.ceiling:g} %. Check "
             "electrodes, coil and hot-spot; the ceiling is set by the operator alone.",
-            "below_floor": f"responses go on below {settings.floor:g} %. Check for muscle activity and artefacts.",
+            "below_floor": f"responses continue below {settings.floor:g} %. Check for muscle activity and artefacts.",
             "not_converged": f"no more than {settings.max_pulses} may be given. Check that the muscle is at rest and "
             "the coil at its place, and begin again.",
         }[code]
@@ -125,7 +133,7 @@ class MotorThresholdEstimator(msgspec.Struct, frozen=True):
             return
         least_uv = self.settings.response_uv
         if not (math.isfinite(amplitude) and amplitude >= 0.0):
-            raise RefusalError("bad_amplitude", f"{amplitude} V is no amplitude.", amplitude=amplitude)
+            raise RefusalError("bad_amplitude", f"{amplitude} V is not an amplitude.", amplitude=amplitude)
         if responded != (amplitude * 1e6 >= least_uv):
             raise RefusalError(
                 "bad_amplitude",

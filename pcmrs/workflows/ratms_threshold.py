@@ -1,4 +1,4 @@
-"""Hot-spot and motor threshold: what the workflow adds to RATMS is in `pcmrs.workflows.tms`."""
+"""Hot-spot and motor threshold: the code that this workflow adds to RATMS is in `pcmrs.workflows.tms`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pcmrs.dispatcher import Registry
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.tms.arming import register_arming
-from pcmrs.workflows.tms.coil_alignment import register_aim
+from pcmrs.workflows.tms.coil_alignment import register_coil_alignment
 from pcmrs.workflows.tms.data import Data, register_device_checks, settle
 from pcmrs.workflows.tms.hotspot import register_hotspot
 from pcmrs.workflows.tms.intensity import register_intensity
@@ -17,11 +17,11 @@ __all__ = ["Data", "register", "settle"]
 
 
 def register(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that the blueprint uses beside those of all procedures."""
+    """Register the names that the blueprint uses in addition to those of all procedures."""
     register_device_checks(registry)
     register_intensity(registry)
     register_arming(registry)
-    register_aim(registry)
+    register_coil_alignment(registry)
     register_pulse(registry)
     register_response(registry)
     register_hotspot(registry)

@@ -1,11 +1,7 @@
-"""Planning the pose of the tool.
-
-How near to its planned pose a guided tool stays, and how fast it may come to the edge of that. Pure.
-"""
+"""Planning of the tool's pose."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import TypeVar
 
@@ -16,7 +12,6 @@ from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import PcmrsError, RefusalError, UnreachableError
 from pcmrs.kinematics.inverse import inverse
-from pcmrs.messages.teleop import Limit
 from pcmrs.spatial import Floats, Frame, Transform
 from pcmrs.workflows.accuracy import check_tre
 from pcmrs.workflows.arguments import check_metres
@@ -25,113 +20,42 @@ from pcmrs.workflows.collision_checks import check_postures, update_collision_sc
 from pcmrs.workflows.data import PlacementData, Planned, Point, as_message, as_transform
 from pcmrs.workflows.landmarks import check_same_head
 from pcmrs.workflows.paths import along_axis
-from pcmrs.workflows.reference import LATELY, check_reference
-from pcmrs.workflows.settings import TeleoperationSettings
+from pcmrs.workflows.reference import RECENT, check_reference
 from pcmrs.workflows.zones import BODY
-
-MARGINS: tuple[Limit, ...] = ("height", "range", "turn")
-"""What the margins of `PlanLimits.margins` are of, in order."""
-
-EDGE = (1e-4, 1e-4, 1e-3)
-"""A tool with less margin than this counts as at the limit, m, m and rad."""
-
-
-class PlanLimits:
-    """Bounds on pose and twist of a tool in the frame of its planned pose, whose +z points away from the body.
-
-    The tool point stays above the planned contact and near the planned place, the tool is turned little; towards each
-    of these bounds it is never faster than it can brake before it.
-
-    Args:
-        settings: Of teleoperation.
-    """
-
-    def __init__(self, settings: TeleoperationSettings) -> None:
-        self._settings = settings
-        self._turn = math.radians(settings.turn_deg)
-
-    def margins(self, plan_from_tool: Transform) -> Floats:
-        """What is left until each bound, m, m and rad, (3,), as in `MARGINS`; negative beyond it."""
-        place = plan_from_tool.translation
-        away, turned = np.linalg.norm(place), np.linalg.norm(plan_from_tool.rotvec)
-        return np.array((place[2], self._settings.range - away, self._turn - turned))
-
-    def met(self, plan_from_tool: Transform) -> Limit | None:
-        """The bound that the tool is at, if any."""
-        left = self.margins(plan_from_tool) - EDGE
-        return next((name for name, margin in zip(MARGINS, left, strict=True) if margin < 0.0), None)
-
-    def bounded(self, plan_from_tool: Transform, twist: Floats, period: float) -> Floats:
-        """The twist, (6,), in the tool's frame, without what would lead over a bound.
-
-        Args:
-            plan_from_tool: Where the tool is.
-            twist: m/s and rad/s.
-            period: For which it holds, s.
-        """
-        settings = self._settings
-        height, reach, turn = self.margins(plan_from_tool).tolist()
-        velocity = plan_from_tool.rotation @ twist[:3]
-        fastest = _brakes_within(reach, settings.linear_acceleration, period)
-        velocity = _slowed(velocity, _direction(plan_from_tool.translation), fastest)
-        fastest = _brakes_within(height, settings.linear_acceleration, period)
-        velocity = _slowed(velocity, np.array((0.0, 0.0, -1.0)), fastest)
-        fastest = _brakes_within(turn, settings.angular_acceleration, period)
-        spin = _slowed(twist[3:], _direction(plan_from_tool.rotvec), fastest)
-        return np.concatenate((plan_from_tool.rotation.T @ velocity, spin))
-
-    def allow(self, before: Transform, after: Transform) -> bool:
-        """Whether a tool may go from one pose to the next: within the bounds, or where it is beyond one, back."""
-        least = np.minimum(self.margins(before), 0.0)
-        return bool(np.all(self.margins(after) >= least - 1e-9))
-
-
-def _brakes_within(margin: float, acceleration: float, period: float) -> float:
-    """Greatest speed held for one `period` and braked from then within `margin`: v T + v² / 2a = margin."""
-    if margin <= 0.0:
-        return 0.0
-    return acceleration * (math.sqrt(period**2 + 2.0 * margin / acceleration) - period)
-
-
-def _slowed(velocity: Floats, direction: Floats, fastest: float) -> Floats:
-    """A velocity (3,) that is no faster than `fastest` along a unit vector, (3,)."""
-    excess = float(velocity @ direction) - fastest
-    return velocity - excess * direction if excess > 0.0 else velocity
-
-
-def _direction(vector: Floats) -> Floats:
-    """The unit vector along one, (3,); zero for none."""
-    length = float(np.linalg.norm(vector))
-    return vector / length if length > 0.0 else vector
-
 
 Run = AnyRun[Cell, PlacementData]
 P = TypeVar("P", bound=PlacementData)
 
-SAME_POSTURE = 0.05
-"""Postures that differ by less in every joint are one, rad."""
+POSTURE_TOLERANCE = 0.05
+"""Largest difference in any joint of postures that count as the same, rad."""
 SEED_TURNS = (0.0, 0.8, -0.8, 1.6, -1.6)
-"""So far joints 1 and 3 are turned against each other to look for postures from there, rad: the elbow swings."""
+"""Angles by which joints 1 and 3 are turned against each other for the seeds of a search, rad. This swings the
+elbow."""
 
 
 class ToolPose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Arguments of `plan`: ``image_from_coil``, m and unit quaternion; +z points away from the body."""
+    """Arguments of `plan`: ``image_from_coil``, whose +z axis points away from the body.
+
+    Attributes:
+        position: Position in the image, m.
+        quat_xyzw: Unit quaternion x y z w.
+    """
 
     position: Point
     quat_xyzw: tuple[float, float, float, float]
 
 
 def plan_reachable(run: Run) -> None:
-    """Refuses what is no pose, and once everything is known to decide it, what the arm cannot reach."""
+    """Refuse an invalid pose and, once everything needed is known, a pose that the arm cannot reach."""
     accept_pose(run, pose_of(run.payload))
 
 
 def pose_of(asked: ToolPose) -> Transform:
-    """``image_from_coil`` that was asked for.
+    """Return the requested ``image_from_coil``.
 
     Raises:
-        GeometryError: It is no pose.
-        RefusalError: It is too far away to be in m.
+        GeometryError: The pose is invalid.
+        RefusalError: The pose is too far away to be in m.
     """
     pose = Transform.from_quat_xyzw(asked.position, asked.quat_xyzw)
     check_metres(pose.translation)
@@ -139,8 +63,17 @@ def pose_of(asked: ToolPose) -> Transform:
 
 
 def accept_pose(run: AnyRun[Cell, P], pose: Transform) -> None:
-    """Prepares a pose as the plan; refuses where the arm cannot reach it, or the registration is too inaccurate."""
-    missing = _missing(run)
+    """Prepare a pose as the plan.
+
+    Args:
+        run: Present operation.
+        pose: Planned ``image_from_coil``.
+
+    Raises:
+        RefusalError: The registration is not accurate enough, or every posture found is in a zone.
+        UnreachableError: The arm cannot reach the pose.
+    """
+    missing = _missing_prerequisite(run)
     if missing:
         run.undecided.append(f"Whether the arm reaches it is not known before {missing}.")
     else:
@@ -151,10 +84,16 @@ def accept_pose(run: AnyRun[Cell, P], pose: Transform) -> None:
 
 
 def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Iterator[Floats]:
-    """Joints at the standoff of a planned pose, rad, (n,), that keep out of the zones there and at the target.
+    """Yield joint positions at the standoff of a planned pose, rad, (n,), that keep out of the zones.
 
-    The one nearest to the present posture comes first; then those with the elbow to either side. All of them keep the
-    forearm away from the body where that takes no long detour.
+    They keep out of the zones at the standoff and at the target.
+
+    The posture nearest to the present one comes first, then those with the elbow to either side. All of them keep the
+    forearm away from the body if that takes no long detour.
+
+    Args:
+        run: Present operation.
+        image_from_coil: Planned pose.
 
     Raises:
         UnreachableError: Standoff or target cannot be reached within the joint limits.
@@ -165,7 +104,7 @@ def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Itera
     update_collision_scene(cell, run.data)
     standoff = cell.flange_for(base_from_coil @ along_axis(placement.standoff))
     target = cell.flange_for(base_from_coil @ along_axis(placement.confirm_offset))
-    body = _ball_around_body(cell)
+    body = _body_sphere(cell)
     found: list[Floats] = []
     refused: list[PcmrsError] = []
     for seed in _seeds(cell):
@@ -175,17 +114,17 @@ def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Itera
         except (UnreachableError, RefusalError) as error:
             refused.append(error)
             continue
-        if all(np.abs(posture - other).max() > SAME_POSTURE for other in found):
+        if all(np.abs(posture - other).max() > POSTURE_TOLERANCE for other in found):
             found.append(posture)
             yield posture
     if not found:
         raise refused[0]
 
 
-def _ball_around_body(cell: Cell) -> Floats | None:
-    """Centre and radius of the body, (4,), m, robot base, as in the collision scene; None without a surface."""
+def _body_sphere(cell: Cell) -> Floats | None:
+    """Return a sphere around the body: centre and radius in the robot's base, m, (4,); None without a surface."""
     model = cell.zones.model
-    return model.ball(BODY) if model.of_zone(BODY).any() else None
+    return model.bounding_sphere(BODY) if model.pairs_of_zone(BODY).any() else None
 
 
 def _seeds(cell: Cell) -> Iterator[Floats]:
@@ -197,7 +136,7 @@ def _seeds(cell: Cell) -> Iterator[Floats]:
 
 
 def keep_plan(run: Run) -> None:
-    """Puts the plan in force."""
+    """Put the plan in force."""
     cell = run.cell
     planned = Planned(
         id=f"plan-{run.command.id}",
@@ -211,17 +150,20 @@ def keep_plan(run: Run) -> None:
 
 
 def previous_plan_fits(run: Run) -> None:
-    """Refuses a previous plan of another patient, calibration or place of the reference, and what `plan` refuses."""
+    """Refuse a previous plan of another patient, calibration or place of the reference.
+
+    Also refuse one that `plan` would refuse.
+    """
     previous = run.data.previous_plan
     if previous is None:
         raise RefusalError("no_previous_plan", "No tool pose was planned before: plan one.")
     check_same_head(run.cell, previous)
-    check_reference(run.cell, previous.reference, run.clock.monotonic() - LATELY)
+    check_reference(run.cell, previous.reference, run.clock.monotonic() - RECENT)
     accept_pose(run, as_transform(previous.image_from_coil))
 
 
-def _missing(run: AnyRun[Cell, P]) -> str:
-    """What there has to be before reach can be decided; empty where it can."""
+def _missing_prerequisite(run: AnyRun[Cell, P]) -> str:
+    """Return the condition that must hold before reach can be decided; empty if it can be decided."""
     poses = run.cell.poses
     if run.states.get("registration") != "111":
         return "a registration"
@@ -231,7 +173,7 @@ def _missing(run: AnyRun[Cell, P]) -> str:
 
 
 def register_plan_operations(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these checks and steps."""
+    """Register the names that blueprints use for these checks and steps."""
     registry.payload("tool_pose", ToolPose)
     registry.long_check(plan_reachable)
     registry.long_check(previous_plan_fits)

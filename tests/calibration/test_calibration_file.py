@@ -103,7 +103,7 @@ def test_versions_of_one_thing_grow_and_no_other_is_overwritten(tmp_path: Path) 
     write_calibration(file, a_tool(version=3))
     assert next_version(file, "tool", "MC-B70", "17") == 4
     for kind, name, serial in (("pointer", "MC-B70", "17"), ("tool", "MC-B65", "17"), ("tool", "MC-B70", "18")):
-        with pytest.raises(FileFormatError, match="another thing"):
+        with pytest.raises(FileFormatError, match="another tool or pointer"):
             next_version(file, kind, name, serial)  # type: ignore[arg-type]
 
 

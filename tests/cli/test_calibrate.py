@@ -89,7 +89,7 @@ def test_calibrating_again_makes_the_next_version(tmp_path: Path) -> None:
     assert (calibration.sha256, calibration.cell) == (said["sha256"], "")
     other = run(*words, "--name", "another")
     assert other.exit_code == 2
-    assert "another thing" in other.stderr
+    assert "another tool or pointer" in other.stderr
 
 
 def test_hand_eye_writes_a_tool(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from pcmrs.kinematics import srs
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.inverse import inverse
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.posture import cost, distances
+from pcmrs.kinematics.posture import cost, sphere_distances
 from pcmrs.kinematics.track import track
 from pcmrs.spatial import Transform, distance, rotation_angle
 
@@ -67,12 +67,12 @@ def test_a_posture_at_a_limit_is_left_for_a_better_one(arm: ArmModel) -> None:
 
 def test_the_elbow_keeps_away_from_where_it_is_told(arm: ArmModel) -> None:
     target = arm.forward(READY)
-    elbow, wrist = arm.origins(READY)[[3, 5]]
+    elbow, wrist = arm.joint_origins(READY)[[3, 5]]
     sphere = (*(0.7 * elbow + 0.3 * wrist), 0.05)
     found = inverse(arm, target, READY, keep_away=[sphere])
     assert_reaches(arm, found, target)
-    elbow, wrist = arm.origins(found)[[3, 5]]
-    assert distances(elbow[None], wrist[None], np.array([sphere]))[0, 0] > 0.03
+    elbow, wrist = arm.joint_origins(found)[[3, 5]]
+    assert sphere_distances(elbow[None], wrist[None], np.array([sphere]))[0, 0] > 0.03
     np.testing.assert_array_equal(
         inverse(arm, target, READY, keep_away=[(5.0, 5.0, 5.0, 0.1)]), inverse(arm, target, READY)
     )
@@ -83,9 +83,10 @@ def test_distances_of_links_are_those_of_their_points() -> None:
     start, end, spheres = rng.uniform(-1, 1, (20, 3)), rng.uniform(-1, 1, (20, 3)), rng.uniform(0, 1, (4, 4))
     points = start[:, None] + np.linspace(0.0, 1.0, 2001)[None, :, None] * (end - start)[:, None]
     expected = np.linalg.norm(points[:, :, None] - spheres[:, :3], axis=-1).min(axis=1) - spheres[:, 3]
-    np.testing.assert_allclose(distances(start, end, spheres), expected, atol=1e-5)
+    np.testing.assert_allclose(sphere_distances(start, end, spheres), expected, atol=1e-5)
     np.testing.assert_allclose(
-        distances(start, start, spheres), np.linalg.norm(start[:, None] - spheres[:, :3], axis=-1) - spheres[:, 3]
+        sphere_distances(start, start, spheres),
+        np.linalg.norm(start[:, None] - spheres[:, :3], axis=-1) - spheres[:, 3],
     )
 
 

@@ -69,7 +69,7 @@ def test_the_gap_is_what_leads_to_the_pose(name: str) -> None:
     arm = ArmModel(find_arm(name))
     for q, goal in zip(random_postures(arm, 20), random_postures(arm, 20)[::-1], strict=True):
         pose = arm.forward(goal)
-        gap, jacobian = arm.gap(pose, q)
+        gap, jacobian = arm.pose_error_and_jacobian(pose, q)
         reached = arm.forward(q)
         np.testing.assert_allclose(reached.translation + gap[:3], pose.translation, atol=1e-14)
         turn = Transform.from_rotvec((0, 0, 0), gap[3:]).rotation
@@ -85,7 +85,7 @@ def test_origins_are_those_of_the_chain(name: str) -> None:
         for joint, angle in zip(arm.facts.joints, q, strict=True):
             pose = pose @ joint.parent_from_joint @ Transform.from_rotvec((0, 0, 0), (0, 0, angle))
             origins.append(pose.translation)
-        np.testing.assert_allclose(arm.origins(q), origins, atol=1e-14)
+        np.testing.assert_allclose(arm.joint_origins(q), origins, atol=1e-14)
 
 
 @every_arm
@@ -107,7 +107,7 @@ def test_a_joint_out_of_its_limits_is_named(name: str) -> None:
 def test_malformed_joints_are_refused(name: str) -> None:
     arm = ArmModel(find_arm(name))
     for bad in (np.zeros(arm.joints - 1), np.full(arm.joints, np.nan)):
-        for method in (arm.forward, arm.jacobian, arm.check_limits, arm.origins):
+        for method in (arm.forward, arm.jacobian, arm.check_limits, arm.joint_origins):
             with pytest.raises(GeometryError, match=f"{arm.joints} finite numbers"):
                 method(bad)
 

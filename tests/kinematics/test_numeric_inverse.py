@@ -10,7 +10,7 @@ from pcmrs.kinematics import numeric
 from pcmrs.kinematics.inverse import inverse
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.posture import cost
-from pcmrs.kinematics.track import descend, track
+from pcmrs.kinematics.track import damped_least_squares, track
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.spatial import Transform, distance, rotation_angle
 
@@ -57,15 +57,15 @@ def test_the_first_comfortable_posture_ends_the_search_and_else_a_few_are_compar
     def count(*given: Any) -> Any:
         nonlocal descents
         descents += 1
-        return descend(*given)
+        return damped_least_squares(*given)
 
-    monkeypatch.setattr(numeric, "descend", count)
+    monkeypatch.setattr(numeric, "damped_least_squares", count)
     home = np.array(arm.facts.home)
     inverse(arm, arm.forward(home), home)
     assert descents == 1
     at_limit = home.copy()
     at_limit[-1] = arm.upper[-1] - 0.01
-    inverse(arm, arm.forward(at_limit), at_limit, keep_away=np.array([(*arm.origins(home)[-1], 10.0)]))
+    inverse(arm, arm.forward(at_limit), at_limit, keep_away=np.array([(*arm.joint_origins(home)[-1], 10.0)]))
     assert 1 + numeric._SOLUTIONS <= descents < numeric._RESTARTS
 
 
@@ -101,7 +101,7 @@ def test_a_joint_that_turns_twice_is_not_turned_for_nothing() -> None:
 
 def test_the_forearm_keeps_away_from_where_it_is_told(arm: ArmModel) -> None:
     home = np.array(arm.facts.home)
-    sphere = np.array([(*arm.origins(home)[-3], 0.05)])
+    sphere = np.array([(*arm.joint_origins(home)[-3], 0.05)])
     found = inverse(arm, arm.forward(home), home, keep_away=sphere)
     assert_reaches(arm, found, arm.forward(home))
     assert cost(arm, found, home, sphere) <= cost(arm, home, home, sphere)

@@ -127,7 +127,7 @@ def test_a_file_is_read_by_its_path(tmp_path: Path) -> None:
         ('<axis xyz="0 0 -1"/>', '<axis xyz="0 0 0"/>', "axis of the joint second"),
         ('xyz="0.3 0 0"', 'xyz="0.3 0"', "3 finite numbers"),
         ('<link name="tool0"/>', "", "ends lid"),
-        ("</robot>", "", "no XML"),
+        ("</robot>", "", "not XML"),
     ],
 )
 def test_what_is_missing_is_named(old: str, new: str, text: str) -> None:

@@ -14,7 +14,7 @@ from pcmrs.errors import GeometryError
 from pcmrs.kinematics.arms import IIWA14_R820, ArmFacts
 from pcmrs.kinematics.collision import box, hull
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.sampled_clearance import BOUND, look_at
+from pcmrs.kinematics.sampled_clearance import BOUND, sample_clearance
 from pcmrs.kinematics.zones import MOUNT_RADIUS, SIGHT_OF_BODY, SIGHT_OF_TOOL, ToolShape, Zone, ZoneModel
 from pcmrs.spatial import Floats, Transform
 
@@ -108,7 +108,7 @@ def test_the_tool_is_a_disc_that_rests_on_the_tool_point() -> None:
 def test_a_ball_holds_the_whole_body_where_it_is() -> None:
     model, base_from_body = zone_model(), Transform.from_rotvec((0.4, -0.2, 0.3), (0.3, 0.5, 0.0))
     model.place("body", base_from_body)
-    ball = model.ball("body")
+    ball = model.bounding_sphere("body")
     np.testing.assert_allclose(ball, (0.4, -0.2, 0.3, 0.1 * np.sqrt(3.0)), atol=1e-12)
     assert np.all(np.linalg.norm(base_from_body @ CORNERS - ball[:3], axis=1) <= ball[3] + 1e-12)
 
@@ -116,7 +116,7 @@ def test_a_ball_holds_the_whole_body_where_it_is() -> None:
 def test_each_pair_belongs_to_its_zone_only() -> None:
     model = zone_model()
     for zone in ("body", "table", SIGHT_OF_TOOL, SIGHT_OF_BODY, "link_7", "nothing"):
-        chosen = [pair for pair, chosen in zip(model.pairs, model.of_zone(zone), strict=True) if chosen]
+        chosen = [pair for pair, chosen in zip(model.pairs, model.pairs_of_zone(zone), strict=True) if chosen]
         assert chosen == [pair for pair in model.pairs if pair[1] == zone]
         assert bool(chosen) == (zone != "nothing")
 
@@ -133,7 +133,7 @@ def test_what_overlaps_has_a_negative_distance() -> None:
 def test_the_lines_of_sight_end_at_tool_and_reference(seed: int) -> None:
     rng, q, model = np.random.default_rng(seed), random_posture(seed), zone_model()
     tracker, body_ref = rng.uniform(-1.5, 1.5, (2, 3))
-    model.look_from(tracker, body_ref)
+    model.set_sight_lines(tracker, body_ref)
     ends = link_ends(q)
     tool = (ARM.forward(q) @ FLANGE_FROM_TOOL).translation
     sights = {SIGHT_OF_TOOL: (tracker, tool), SIGHT_OF_BODY: (tracker, body_ref)}
@@ -194,13 +194,13 @@ def test_no_distance_falls_between_two_looks_by_more_than_the_bound(seed: int) -
     rng = np.random.default_rng(seed)
     model.place("body", Transform(np.eye(3), rng.uniform((0.2, -0.4, 0.0), (0.7, 0.4, 0.6))))
     model.place("table", Transform(np.eye(3), np.array((0.0, 0.0, -0.2))))
-    model.look_from((1.3, -0.5, 0.6), (0.5, 0.0, 0.1))
-    least = look_at(model, FACTS, TOOL_REACH, way).distances.min(axis=0)
+    model.set_sight_lines((1.3, -0.5, 0.6), (0.5, 0.0, 0.1))
+    least = sample_clearance(model, FACTS, TOOL_REACH, way).distances.min(axis=0)
     finer = np.linspace(0.0, len(way) - 1.0, 10 * len(way) * 10)
     between = np.column_stack([np.interp(finer, np.arange(len(way)), joint) for joint in way.T])
     finest = np.array([model.distances(q) for q in between[::7]]).min(axis=0)
     # The line of sight to the tool moves as well, as far as the tool does at most.
-    bounds = np.where(model.of_zone(SIGHT_OF_TOOL), 2.0 * BOUND, BOUND)
+    bounds = np.where(model.pairs_of_zone(SIGHT_OF_TOOL), 2.0 * BOUND, BOUND)
     assert np.all(finest >= least - bounds)
 
 
@@ -210,7 +210,7 @@ def test_an_accepted_way_does_not_violate_when_looked_at_ten_times_finer(seed: i
     model, way = zone_model(), random_way(seed)
     rng = np.random.default_rng(seed)
     model.place("body", Transform(np.eye(3), rng.uniform((0.2, -0.4, 0.0), (0.7, 0.4, 0.6))))
-    passage = look_at(model, FACTS, TOOL_REACH, way)
+    passage = sample_clearance(model, FACTS, TOOL_REACH, way)
     violation = passage.first_violation(model, model.limits)
     parts = np.linspace(0.0, len(way) - 1.0, 10 * len(passage.postures))
     finer = np.column_stack([np.interp(parts, np.arange(len(way)), joint) for joint in way.T])
@@ -227,7 +227,7 @@ def test_limits_may_differ_from_look_to_look() -> None:
     model = zone_model()
     way = np.array(FACTS.home) + np.linspace(0.0, 1.0, 60)[:, None] * np.eye(7)[0]
     model.place("body", ARM.forward(way[-1]) @ FLANGE_FROM_TOOL)
-    passage = look_at(model, FACTS, TOOL_REACH, way)
+    passage = sample_clearance(model, FACTS, TOOL_REACH, way)
     pair = model.pairs.index(("tool", "body"))
     limits = np.full(passage.distances.shape, -np.inf)
     limits[: len(limits) // 3, pair] = 0.05
@@ -247,7 +247,10 @@ def test_a_retreat_may_begin_too_near_but_only_leads_out() -> None:
     out = np.array(FACTS.home) + turns[:, None] * np.eye(7)[0]
     model.place("body", ARM.forward(out[0]) @ Transform.from_rotvec((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     limits = np.where([zone == "body" for _, zone in model.pairs], model.limits, -np.inf)
-    leaving, coming = look_at(model, FACTS, TOOL_REACH, out), look_at(model, FACTS, TOOL_REACH, out[::-1])
+    leaving, coming = (
+        sample_clearance(model, FACTS, TOOL_REACH, out),
+        sample_clearance(model, FACTS, TOOL_REACH, out[::-1]),
+    )
     assert leaving.first_violation(model, limits) is not None
     assert leaving.first_approach(model, limits) is None
     back = coming.first_approach(model, limits)

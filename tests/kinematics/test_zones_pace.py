@@ -14,7 +14,7 @@ from pcmrs.errors import UnreachableError
 from pcmrs.kinematics.arms import IIWA14_R820
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.time_parameterization import Derivatives, paced
+from pcmrs.kinematics.time_parameterization import ProgressLimits, time_parameterize
 from pcmrs.kinematics.trajectory import joint_motion, straight_motion
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform, distance
@@ -74,7 +74,7 @@ def assert_keeps_everything(trajectory: JointTrajectory) -> None:
 @given(seeds)
 def test_joint_motion_is_slow_near_the_body_and_keeps_every_limit(seed: int) -> None:
     start, goal = np.random.default_rng(seed).uniform(0.5 * ARM.lower, 0.5 * ARM.upper, (2, 7))
-    trajectory = joint_motion(ARM, start, goal, LIMITS, flange_from_tool=TOOL, allowed=slower_near_the_ball)
+    trajectory = joint_motion(ARM, start, goal, LIMITS, flange_from_tool=TOOL, speed_limit_at=slower_near_the_ball)
     assert_keeps_everything(trajectory)
     positions = np.array(trajectory.positions)
     np.testing.assert_array_equal(positions[[0, -1]], (start, goal))
@@ -91,7 +91,7 @@ def test_a_straight_line_is_slow_near_the_body_and_keeps_every_limit(seed: int) 
     goal = Transform.from_rotvec(rng.uniform(-0.1, 0.1, 3), np.zeros(3)) @ begin
     goal = Transform(begin.rotation, begin.translation + goal.translation - begin.translation)
     trajectory = straight_motion(
-        ARM, READY, goal @ TOOL.inverse(), LIMITS, flange_from_tool=TOOL, allowed=slower_near_the_ball
+        ARM, READY, goal @ TOOL.inverse(), LIMITS, flange_from_tool=TOOL, speed_limit_at=slower_near_the_ball
     )
     assert_keeps_everything(trajectory)
     tools = [ARM.forward(q) @ TOOL for q in trajectory.positions]
@@ -103,12 +103,12 @@ def test_a_straight_line_is_slow_near_the_body_and_keeps_every_limit(seed: int) 
 def test_only_what_is_near_takes_longer() -> None:
     goal = READY + 0.8 * np.eye(7)[0]
     free = joint_motion(ARM, READY, goal, LIMITS, flange_from_tool=TOOL)
-    same = joint_motion(ARM, READY, goal, LIMITS, flange_from_tool=TOOL, allowed=lambda q: np.full(len(q), 1.0))
-    slow = joint_motion(ARM, READY, goal, LIMITS, flange_from_tool=TOOL, allowed=lambda q: np.full(len(q), 0.05))
+    same = joint_motion(ARM, READY, goal, LIMITS, flange_from_tool=TOOL, speed_limit_at=lambda q: np.full(len(q), 1.0))
+    slow = joint_motion(ARM, READY, goal, LIMITS, flange_from_tool=TOOL, speed_limit_at=lambda q: np.full(len(q), 0.05))
     assert same == free
     assert fastest(slow, lambda _: True) == pytest.approx(0.05, rel=0.01)
     half = joint_motion(
-        ARM, READY, goal, LIMITS, flange_from_tool=TOOL, allowed=lambda q: np.where(q[:, 0] > 0.5, 0.05, 1.0)
+        ARM, READY, goal, LIMITS, flange_from_tool=TOOL, speed_limit_at=lambda q: np.where(q[:, 0] > 0.5, 0.05, 1.0)
     )
     assert len(free.positions) < len(half.positions) < len(slow.positions)
     assert fastest(half, lambda q: q[0] < 0.4) == pytest.approx(0.2, rel=0.02)
@@ -123,8 +123,8 @@ def test_progress_keeps_its_bounds_through_any_sections(seed: int) -> None:
     places = np.unique(np.concatenate(((0.0, 1.0), rng.uniform(0.0, 1.0, rng.integers(1, 30)))))
     allowed = rng.choice((0.02, 0.1, 0.5), len(places))
     ways = np.diff(places) * rng.uniform(0.2, 1.0)
-    bounds = Derivatives(*rng.uniform((0.2, 0.3, 1.0), (3.0, 5.0, 60.0)).tolist())
-    progress = paced(places, ways, allowed, bounds)
+    bounds = ProgressLimits(*rng.uniform((0.2, 0.3, 1.0), (3.0, 5.0, 60.0)).tolist())
+    progress = time_parameterize(places, ways, allowed, bounds)
     period = progress.duration / 4000
     parts = progress.at(np.linspace(0.0, progress.duration, 4001))
     assert parts[0] == 0.0

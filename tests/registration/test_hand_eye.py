@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pcmrs.errors import DegenerateMotionError, GeometryError, RefusalError
-from pcmrs.registration.hand_eye import FEWEST, HandEyeCalibration, calibrate_hand_eye, closed_form
+from pcmrs.registration.hand_eye import MIN_POSES, HandEyeCalibration, calibrate_hand_eye, closed_form
 from pcmrs.spatial import Floats, Transform, distance, rotation_angle
 
 X = Transform.from_rotvec((0.01, 0.02, 0.15), (2.0, 1.0, 0.5))
@@ -60,7 +60,7 @@ def errors(found: HandEyeCalibration) -> Floats:
     return np.concatenate((turn, found.flange_from_coil.translation - X.translation))
 
 
-@given(triple, triple, triple, triple, st.integers(0, 2**16), st.integers(FEWEST, 20))
+@given(triple, triple, triple, triple, st.integers(0, 2**16), st.integers(MIN_POSES, 20))
 def test_exact_poses_give_both_transforms_back(
     x_at: Floats, x_turn: Floats, y_at: Floats, y_turn: Floats, seed: int, count: int
 ) -> None:
@@ -137,8 +137,8 @@ def test_where_nobody_can_say_which_poses_are_bad_there_is_no_calibration() -> N
 
 
 def test_too_few_poses_are_refused() -> None:
-    flange = postures(np.random.default_rng(6), FEWEST - 1)
-    with pytest.raises(DegenerateMotionError, match=f"at least {FEWEST}"):
+    flange = postures(np.random.default_rng(6), MIN_POSES - 1)
+    with pytest.raises(DegenerateMotionError, match=f"at least {MIN_POSES}"):
         calibrate_hand_eye(flange, seen(flange))
 
 

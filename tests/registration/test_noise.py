@@ -5,7 +5,7 @@ import pytest
 from landmark_layouts import HEAD, HEAD_SIGMA, touched
 
 from pcmrs.errors import GeometryError
-from pcmrs.registration import NoiseEstimate, register_points, spread_of
+from pcmrs.registration import NoiseEstimate, register_points, rms_spread
 
 
 def test_residuals_of_many_registrations_give_the_noise_per_axis() -> None:
@@ -30,10 +30,10 @@ def test_what_says_nothing_of_noise_is_refused(distances: list[float], count: in
 
 
 def test_spread_is_the_rms_distance_from_the_mean() -> None:
-    assert spread_of([(0, 0, 0), (0.002, 0, 0)]) == pytest.approx(0.001)
-    assert spread_of([(1.0, 2.0, 3.0)]) == 0.0
+    assert rms_spread([(0, 0, 0), (0.002, 0, 0)]) == pytest.approx(0.001)
+    assert rms_spread([(1.0, 2.0, 3.0)]) == 0.0
     samples = np.random.default_rng(2).normal(scale=0.001, size=(4000, 3))
-    assert spread_of(samples + 5.0) == pytest.approx(0.001 * math.sqrt(3), rel=0.03)
+    assert rms_spread(samples + 5.0) == pytest.approx(0.001 * math.sqrt(3), rel=0.03)
     for wrong in (np.zeros((0, 3)), np.zeros(3), np.zeros((4, 2))):
         with pytest.raises(GeometryError, match="shape"):
-            spread_of(wrong)
+            rms_spread(wrong)

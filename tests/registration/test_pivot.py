@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pcmrs.errors import DegenerateMotionError, RefusalError
-from pcmrs.registration.pivot import FEWEST, _Fit, _fit, calibrate_pivot
+from pcmrs.registration.pivot import MIN_POSES, _Fit, _fit, calibrate_pivot
 from pcmrs.registration.pose_sets import without_bad_poses
 from pcmrs.spatial import Floats, Transform
 
@@ -42,7 +42,7 @@ def shifted(poses: list[Transform], bad: list[int], by: float) -> list[Transform
     ]
 
 
-@given(tip=point, pivot=point, seed=st.integers(0, 2**16), count=st.integers(FEWEST, 30))
+@given(tip=point, pivot=point, seed=st.integers(0, 2**16), count=st.integers(MIN_POSES, 30))
 def test_exact_poses_give_the_tip_back(tip: Floats, pivot: Floats, seed: int, count: int) -> None:
     poses = poses_about(np.random.default_rng(seed), count, tip=np.array(tip), pivot=np.array(pivot))
     found = calibrate_pivot(poses)
@@ -102,8 +102,8 @@ def test_where_nobody_can_say_which_poses_are_bad_there_is_no_calibration() -> N
 
 
 def test_too_few_poses_are_refused() -> None:
-    with pytest.raises(DegenerateMotionError, match=f"at least {FEWEST}"):
-        calibrate_pivot(poses_about(np.random.default_rng(5), FEWEST - 1))
+    with pytest.raises(DegenerateMotionError, match=f"at least {MIN_POSES}"):
+        calibrate_pivot(poses_about(np.random.default_rng(5), MIN_POSES - 1))
 
 
 @given(st.tuples(coordinate, coordinate, coordinate).filter(lambda axis: np.linalg.norm(axis) > 0.1))

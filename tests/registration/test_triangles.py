@@ -57,7 +57,7 @@ def test_the_nearest_triangle_of_uneven_ones_is_found(seed: int) -> None:
     ]
     np.testing.assert_allclose(distances, all_of_them, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
-    assert (surface.reach(points) >= distances - 1e-12).all()
+    assert (surface.distance_bounds(points) >= distances - 1e-12).all()
 
 
 def test_a_lattice_of_points_is_nowhere_nearer() -> None:

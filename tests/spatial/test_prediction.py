@@ -13,7 +13,7 @@ from trials import examples
 from pcmrs.errors import RefusalError
 from pcmrs.spatial import Floats, Transform, distance, rotation_angle
 from pcmrs.spatial.constant_velocity import VelocityFilter
-from pcmrs.spatial.prediction import HORIZON, OUTLIERS, TRANSLATION, PosePredictor
+from pcmrs.spatial.prediction import HORIZON, MAX_OUTLIERS, TRANSLATION, PosePredictor
 
 RATE = 60.0
 LATENCY = 0.030
@@ -107,7 +107,7 @@ def test_the_error_is_as_large_as_the_covariance_says() -> None:
             position, rate = position + rate / RATE + disturbed[0], rate + disturbed[1]
             value = value + tracked.rate / RATE
             if frame > 60 and frame % 10 == 0:
-                ratios.append((value - position) ** 2 / tracked.predicted(1 / RATE, TRANSLATION.rest)[0, 0])
+                ratios.append((value - position) ** 2 / tracked.predicted_covariance(1 / RATE, TRANSLATION.rest)[0, 0])
             seen = position + rng.normal(scale=TRANSLATION.measurement, size=3)
             value = value + tracked.correct(1 / RATE, seen - value)
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
@@ -161,9 +161,9 @@ def test_one_outlier_is_passed_over(elsewhere: Transform) -> None:
 @pytest.mark.parametrize("elsewhere", [STEPPED, TURNED])
 def test_a_jump_latches_until_the_predictor_begins_anew(elsewhere: Transform) -> None:
     predictor = at_rest(60)
-    for frame in range(60, 60 + OUTLIERS - 1):
+    for frame in range(60, 60 + MAX_OUTLIERS - 1):
         assert not predictor.update(frame / RATE, elsewhere)
-    last = 60 + OUTLIERS - 1
+    last = 60 + MAX_OUTLIERS - 1
     for refused in (
         lambda: predictor.update(last / RATE, elsewhere),
         lambda: predictor.update((last + 1) / RATE, START),

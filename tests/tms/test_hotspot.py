@@ -17,7 +17,7 @@ from trials import examples
 from pcmrs.errors import GeometryError, RefusalError
 from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Transform
-from pcmrs.tms.adaptive import NOISE_DECADES, SPREAD_DECADES, condition
+from pcmrs.tms.adaptive import NOISE_DECADES, SPREAD_DECADES, posterior
 from pcmrs.tms.hotspot import HotspotSearch
 from pcmrs.tms.scalp import along_scalp, as_message, as_transform, heading, turned
 from pcmrs.tms.settings import HotspotMethod, HotspotSettings
@@ -103,7 +103,7 @@ def test_grid_mapping_goes_through_all_places_then_turns_the_handle_at_the_middl
         assert np.allclose(as_transform(pose).matrix, as_transform(place).matrix, atol=1e-12)
     turning = [as_transform(pose) for pose in asked[74::2]]
     assert np.ptp([pose.translation for pose in turning], axis=0).max() < 1e-9
-    middle = search.between(turning[0].translation)
+    middle = search.pose_at(turning[0].translation)
     assert np.degrees([heading(middle, pose) for pose in turning]) == pytest.approx(np.arange(-45.0, 46.0, 15.0))
 
 
@@ -162,7 +162,7 @@ def test_poses_between_the_places_lie_on_the_scalp() -> None:
     search = HotspotSearch.begin(HotspotSettings(), sphere, TOP)
     rng = np.random.default_rng(3)
     for x, y in rng.uniform(-0.015, 0.015, (50, 2)):
-        pose = search.between(np.array((x, y, 0.98 * RADIUS)), 0.4)
+        pose = search.pose_at(np.array((x, y, 0.98 * RADIUS)), 0.4)
         assert np.linalg.norm(pose.translation) == pytest.approx(RADIUS, abs=1e-5)
         assert pose.rotation[:, 2] @ pose.translation / RADIUS > math.cos(math.radians(0.2))
         (carried,) = along_scalp(sphere, TOP, RADIUS * np.arccos(pose.translation[2] / RADIUS) * _unit(x, y)[None])
@@ -182,7 +182,7 @@ def test_the_process_is_that_of_scikit_learn(seed: int) -> None:
     kernel = ConstantKernel(SPREAD_DECADES**2) * RBF(1.0)
     oracle = GaussianProcessRegressor(kernel, alpha=NOISE_DECADES**2, optimizer=None).fit(inputs, outputs)
     expected, spread = oracle.predict(candidates, return_cov=True)
-    mean, covariance = condition(candidates, inputs, outputs)
+    mean, covariance = posterior(candidates, inputs, outputs)
     assert np.allclose(mean, expected, atol=1e-9)
     assert np.allclose(covariance, spread, atol=1e-9)
 
@@ -200,7 +200,7 @@ def test_the_expected_map_is_highest_near_the_hotspot() -> None:
     subject = subject_at(0.007, 0.0, 0.0)
     search = run(begun("grid"), subject)
     places = [as_transform(place) for place in search.places]
-    best = places[int(np.argmax(search.expected(places)))]
+    best = places[int(np.argmax(search.expected_amplitudes(places)))]
     assert np.linalg.norm(best.translation - subject.image_from_hotspot.translation) < 0.007
 
 

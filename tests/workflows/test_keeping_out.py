@@ -118,7 +118,7 @@ async def test_another_posture_is_taken_where_the_first_is_in_a_zone() -> None:
     async with open_bench() as bench:
         await bench.to_standoff()
         first = bench.cell.posture()
-        elbow = bench.cell.arm.origins(first)[3]
+        elbow = bench.cell.arm.joint_origins(first)[3]
         seen = bench.cell.image_from_coil(bench.data).translation
     async with open_bench(lamp(elbow, 0.03)) as bench:
         await bench.to_standoff()
@@ -193,7 +193,7 @@ def test_no_point_of_a_tool_that_points_away_from_the_flange_moves_farther_than_
     own = msgspec.convert({"zones": {"tool": tool}}, ProcedureSettings)
     flange_from_tool = Transform(np.eye(3), np.array((0.0, 0.0, 0.15)))
     zones = CellZones(IIWA14_R820, flange_from_tool, own, read_surface(own))
-    postures = zones.look_at([np.zeros(7), 0.5 * np.eye(7)[1]]).postures
+    postures = zones.sample_clearance([np.zeros(7), 0.5 * np.eye(7)[1]]).postures
     arm, end = ArmModel(IIWA14_R820), np.array((0.01, 0.0, 0.4))
     ends = np.array([arm.forward(q) @ flange_from_tool @ end for q in postures])
     assert np.linalg.norm(np.diff(ends, axis=0), axis=1).max() < 2.0 * BOUND
@@ -221,7 +221,7 @@ async def move_body_beside_elbow(bench: WorkflowBench) -> Floats:
     assert cell.base_from_tracker is not None
     assert cell.base_from_body_ref is not None
     assert cell.body_ref_from_image is not None
-    elbow = cell.arm.origins(cell.posture())[3]
+    elbow = cell.arm.joint_origins(cell.posture())[3]
     middle = cell.base_from_body_ref @ cell.body_ref_from_image @ CENTRE
     beside = elbow + np.array((0.0, cell.arm.facts.link_radius + SEMI_AXES[0] + 0.012, 0.0))
     offset = cell.base_from_tracker.rotation.T @ (beside - middle)
@@ -343,7 +343,7 @@ def test_a_phantom_is_no_patient() -> None:
 @pytest.mark.parametrize("name", ["body", "tool", "sight_of_tool"])
 def test_boxes_have_names_of_their_own(name: str) -> None:
     box = {"name": name, "pose": {}, "size": [0.1, 0.1, 0.1]}
-    with pytest.raises(msgspec.ValidationError, match="names of their own"):
+    with pytest.raises(msgspec.ValidationError, match="a unique name"):
         msgspec.convert({"zones": {"boxes": [box]}}, ProcedureSettings)
 
 
@@ -352,7 +352,7 @@ async def test_where_every_posture_is_refused_the_one_nearest_to_the_present_say
     async with open_bench() as bench:
         await bench.register()
         postures = list(standoff_postures(bench.run("placement.approach"), pose_of(ToolPose(**POSES[6]))))
-        elbows = [bench.cell.arm.origins(posture)[3] for posture in postures]
+        elbows = [bench.cell.arm.joint_origins(posture)[3] for posture in postures]
     assert len(elbows) == 5
     boxes = [
         {"name": f"lamp_{number}", "pose": {"position": elbow.tolist()}, "size": [0.01] * 3}

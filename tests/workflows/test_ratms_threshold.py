@@ -18,7 +18,7 @@ from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.tms.threshold import MotorThresholdEstimator
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.data import as_transform
-from pcmrs.workflows.motion import as_result
+from pcmrs.workflows.motion import pose_result
 from pcmrs.workflows.tms.hotspot import place_known, plan_is_of_search, search_pose_reachable
 from pcmrs.workflows.tms.threshold import hunted_intensity_allowed, set_hunted_intensity
 from pcmrs.workflows.toolplan import ToolPose, pose_of
@@ -124,7 +124,7 @@ async def test_a_search_around_the_plan_needs_a_plan(registered: StimulationBenc
 async def test_nothing_is_taken_for_the_pose_of_a_search_that_was_not_begun(registered: StimulationBench) -> None:
     """A blueprint may let a pulse of a search be asked for at any time: the checks do not."""
     for check in (plan_is_of_search, search_pose_reachable, place_known):
-        with pytest.raises(RefusalError, match=r"ask for hotspot\.begin first") as refused:
+        with pytest.raises(RefusalError, match=r"send hotspot\.begin first") as refused:
             check(registered.bench.run("hotspot.pulse"))
         assert refused.value.refusal_code == "no_search"
     await registered.accept("hotspot.begin")
@@ -224,7 +224,7 @@ async def test_the_simulated_subject_has_the_threshold_that_is_found() -> None:
         subject = draw_subject("head", seed=1)
         assert subject is not None
         await bench.register()
-        await bench.accept("toolplan.plan", **as_result(subject.image_from_hotspot))
+        await bench.accept("toolplan.plan", **pose_result(subject.image_from_hotspot))
         await bench.accept("placement.approach")
         await bench.accept("placement.confirm")
         await bench.accept("stimulation.set_ceiling", percent=100.0, operator="Dr Hand")
@@ -309,7 +309,7 @@ async def test_no_intensity_is_set_for_a_hunt_that_was_not_begun(armed: Stimulat
     """A blueprint may let a pulse of a hunt be asked for at any time: check and step do not."""
     calls = len(armed.stimulator.calls)
     run = armed.bench.run("threshold.pulse")
-    with pytest.raises(RefusalError, match=r"ask for threshold\.begin first") as refused:
+    with pytest.raises(RefusalError, match=r"send threshold\.begin first") as refused:
         hunted_intensity_allowed(run)
     assert refused.value.refusal_code == "no_hunt"
     with pytest.raises(RefusalError):

@@ -9,7 +9,7 @@ from contextlib import suppress
 import numpy as np
 from rich.progress import BarColumn, Progress, TextColumn
 
-from pcmrs.calibration.gathering import Gathering
+from pcmrs.calibration.pose_collection import PoseCollection
 from pcmrs.calibration.poses import write_poses
 from pcmrs.cli.calibrate.options import Live
 from pcmrs.cli.options import Address
@@ -39,29 +39,29 @@ MOVED, MOVED_TURN = 0.002, math.radians(0.5)
 async def pivot_poses(address: Address, live: Live) -> list[Transform]:
     """``tracker_from_pointer`` while the operator pivots it. Raises `BusError`, `RefusalError`."""
     clock = SystemClock()
-    feed, gathering = PoseFeed(clock, MAX_AGE), Gathering(live.count, SPREAD, PIVOT_STEP)
+    feed, collection = PoseFeed(clock, MAX_AGE), PoseCollection(live.count, SPREAD, PIVOT_STEP)
 
     async def another() -> None:
         with suppress(RefusalError):  # hidden for a moment
             (frame,) = await feed.collect(["pointer"], 1, timeout=MAX_AGE)
-            if gathering.is_new(frame["pointer"]):
-                gathering.poses.append(frame["pointer"])
+            if collection.is_new(frame["pointer"]):
+                collection.poses.append(frame["pointer"])
 
     async with address.connect() as client:
         client.listen("state/pose/pointer", BodyPose, feed.update)
-        await _gather(gathering, live, clock, another, "Keep the tip in place and tilt the pointer to all sides")
-    return gathering.poses
+        await _collect(collection, live, clock, another, "Keep the tip in place and tilt the pointer to all sides")
+    return collection.poses
 
 
 async def hand_eye_poses(address: Address, live: Live, robot: str) -> tuple[list[Transform], list[Transform]]:
     """``base_from_flange`` and ``tracker_from_coil`` wherever the arm rests. Raises `BusError`, `RefusalError`."""
     clock = SystemClock()
     arm, feed = RestingArm(ArmModel(find_arm(robot)), clock), PoseFeed(clock, MAX_AGE)
-    gathering, seen = Gathering(live.count, SPREAD, POSTURE_STEP), list[dict[str, Transform]]()
+    collection, seen = PoseCollection(live.count, SPREAD, POSTURE_STEP), list[dict[str, Transform]]()
 
     async def another() -> None:
         flange, since = arm.flange(), arm.since
-        if flange is None or not gathering.is_new(flange):
+        if flange is None or not collection.is_new(flange):
             await clock.sleep(0.05)
             return
         try:
@@ -71,14 +71,14 @@ async def hand_eye_poses(address: Address, live: Live, robot: str) -> tuple[list
         if arm.since == since:
             means = {body: mean_transform([frame[body] for frame in frames]) for body in ("coil", "body_ref")}
             seen.append(means)
-            gathering.poses.append(flange)
+            collection.poses.append(flange)
             _check_still(seen[0]["body_ref"], means["body_ref"])
 
     async with address.connect() as client:
         client.listen("state/pose/*", BodyPose, feed.update)
         client.listen("state/joints", JointState, arm.update)
-        await _gather(gathering, live, clock, another, "Bring the arm to another posture, and let it rest")
-    return gathering.poses, [means["coil"] for means in seen]
+        await _collect(collection, live, clock, another, "Bring the arm to another posture, and let it rest")
+    return collection.poses, [means["coil"] for means in seen]
 
 
 class RestingArm:
@@ -132,8 +132,8 @@ def _check_still(first: Transform, now: Transform) -> None:
         raise RefusalError("reference_moved", text, moved=moved, turned=turned)
 
 
-async def _gather(
-    gathering: Gathering, live: Live, clock: Clock, another: Callable[[], Awaitable[None]], prompt: str
+async def _collect(
+    collection: PoseCollection, live: Live, clock: Clock, another: Callable[[], Awaitable[None]], prompt: str
 ) -> None:
     """Asks for one pose after the other until there are enough.
 
@@ -144,9 +144,9 @@ async def _gather(
         task = bar.add_task(prompt, total=1.0)
         try:
             async with clock.timeout(live.seconds):
-                while gathering.progress < 1.0:
+                while collection.progress < 1.0:
                     await another()
-                    bar.update(task, completed=gathering.progress, description=f"{prompt}: {gathering}")
+                    bar.update(task, completed=collection.progress, description=f"{prompt}: {collection}")
         except TimeoutError:
-            text = f"After {live.seconds:g} s there are {gathering}. {prompt}, and begin anew or give more --seconds."
-            raise RefusalError("not_enough_poses", text, poses=len(gathering.poses)) from None
+            text = f"After {live.seconds:g} s there are {collection}. {prompt}, and begin anew or give more --seconds."
+            raise RefusalError("not_enough_poses", text, poses=len(collection.poses)) from None

@@ -98,7 +98,7 @@ class Draft:
         if direction is None:
             point = surface.closest(target[None])[0][0]
         else:
-            point = surface.leaving(target, direction)
+            point = surface.exit_point(target, direction)
             if point is None:
                 text = "From the target in this direction there is no surface; turn the direction over."
                 raise GeometryError(text, direction=direction.tolist())

@@ -50,14 +50,26 @@ class ProcedureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     """The table ``procedure`` of the configuration.
 
     Attributes:
-        max_pose_age: A tracked pose older than this is stale, s of the machine.
+        patient: Name of the patient. A previous registration or plan of another patient is refused.
+        operator: Name of the responsible person, for the records. No decision depends on it.
+        max_pose_age: Age from which on a tracked pose is stale, s of the machine.
+        abandoned_after: Time without any command, while the tool is at the body or a stimulator is armed, after which
+            the session is held, s of the machine.
         home: Posture for `placement.home`, rad, base to flange; empty for the arm's own.
-        patient: Whose registration it is; a previous registration or plan of another patient is refused.
-        operator: Who is responsible, for the records; nothing is decided by it.
-        abandoned_after: When nobody has asked for anything for so long while the tool is at the body or a stimulator is
-            armed, the session is held, s of the machine.
-        tool: What the workflow places; the calibration file of another type of tool is refused.
-        limits: Further limits of the workflow's own checks, by name; its blueprint's defaults name them all.
+        calibration: Calibration files, or poses in their place.
+        tool: Type of the tool that the workflow places. The calibration file of another type of tool is refused.
+        tracking: Limits of valid tracked poses.
+        registration: Limits of digitization and registration.
+        motion: Speed limits of every motion.
+        placement: Approach, retreat, and measurement of the tool's pose.
+        alignment: Thresholds of alignment.
+        following: Following of a moving body.
+        contact: Pressing on the body.
+        stimulation: Conditions of a pulse, and use of its response.
+        teleoperation: Guiding by a teleoperator.
+        zones: Zones that the arm keeps out of.
+        body: Surface of the body.
+        limits: Further limits of the workflow's own checks, by name. The defaults of its blueprint name all of them.
 
     Raises:
         ValueError: `teleoperation.range` is not beyond `placement.standoff`, where guiding begins.
@@ -91,9 +103,12 @@ class ProcedureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
             )
 
     def in_cell_time(self, rate: float) -> ProcedureSettings:
-        """The same with the ages of poses in the time of a cell that is `rate` times as fast as the machine.
+        """Return these settings with the ages of poses converted to the time of a faster cell.
 
-        A pose is as long on the bus as ever, which is `rate` times as long for such a cell.
+        A pose takes the same time on the bus, which is `rate` times as long for such a cell.
+
+        Args:
+            rate: Speed of the cell's clock relative to that of the machine.
         """
         unseen = min(self.tracking.unseen * rate, LONGEST_UNSEEN)
         tracking = msgspec.structs.replace(self.tracking, unseen=unseen)

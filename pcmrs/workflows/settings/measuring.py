@@ -1,4 +1,4 @@
-"""Calibration, registration, and when a tracked pose is believed."""
+"""Settings of calibration and registration, and limits of valid tracked poses."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from pcmrs.workflows.settings.values import PoseSetting, Positive
 
 
 class CalibrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What has been calibrated before the procedure: in files of `pcmrs calibrate`, or given here.
+    """Calibrations made before the procedure, as files of `pcmrs calibrate` or as poses.
 
     Attributes:
-        tool_file: Calibration file of the tool; in its place count `flange_from_tool` and `tool_from_coil` where empty.
-        pointer_file: Calibration file of the pointer; in its place counts `pointer_from_tip` where empty.
-        tool_serial: Of the tool that is mounted; a file of another one is refused. Empty for any.
-        pointer_serial: The same of the pointer.
-        reference_serial: Of the marker body on the patient; what was made with another one is not taken back.
-        flange_from_tool: The mount on the flange.
-        tool_from_coil: The coil in its mount; +z of the coil points away from the body.
-        pointer_from_tip: The tip in the pointer's marker body.
+        tool_file: Calibration file of the tool. If empty, `flange_from_tool` and `tool_from_coil` are used.
+        pointer_file: Calibration file of the pointer. If empty, `pointer_from_tip` is used.
+        tool_serial: Serial number of the mounted tool. The file of another one is refused. Empty for any.
+        pointer_serial: Serial number of the pointer. The file of another one is refused. Empty for any.
+        reference_serial: Serial number of the marker body on the patient. Digitizations, registrations and plans made
+            with another one cannot be reused.
+        flange_from_tool: Pose of the tool's mount on the flange, m and quaternion.
+        tool_from_coil: Pose of the coil in its mount, m and quaternion. The coil's +z axis points away from the body.
+        pointer_from_tip: Pose of the tip in the pointer's marker body, m and quaternion.
     """
 
     tool_file: str = ""
@@ -34,29 +35,29 @@ class CalibrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
 
 
 class RegistrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """When a digitization and a registration are good enough; the defaults are those of a head with 6 landmarks.
+    """Limits of digitization and registration. The defaults are those of a head with 6 landmarks.
 
     Attributes:
-        residual_limit_mm: Largest mean distance of the landmarks that is accepted; 4.0 separates the
-            published controls from the published failures with 6 head landmarks (4 of the femur: 2.7).
-        sigma_mm: Noise of a landmark that is expected before any registration, standard deviation per axis: 1.86
-            reproduces the published controls of the head (femur: 1.03).
-        sigma_degrees: How many degrees of freedom that belief is worth: 24 is two registrations of 6 landmarks.
-        tre_limit_mm: Largest predicted rms error at the target. The example plans have up to 3.1 on the head and 1.2 at
-            the femur; 4.0 leaves room for targets between other landmarks, and refuses those beside them all. A hole is
-            drilled once, so the femur's is 3.0.
+        residual_limit_mm: Largest accepted mean distance of the landmarks, mm. 4.0 separates the published controls
+            from the published failures with 6 head landmarks (with 4 landmarks of the femur: 2.7).
+        sigma_mm: Expected noise of a landmark before any registration, standard deviation per axis, mm. 1.86 reproduces
+            the published controls of the head (femur: 1.03).
+        sigma_degrees: Degrees of freedom that this expectation is worth: 24 is two registrations of 6 landmarks.
+        tre_limit_mm: Largest predicted rms error at the target, mm. The example plans have up to 3.1 on the head and
+            1.2 at the femur. 4.0 leaves room for targets between other landmarks, and refuses those beside all
+            landmarks. A hole is drilled only once, so the limit of the femur is 3.0.
         false_alarm: Share of good sets in which a landmark may be suspected, and of good touches taken for a shift.
-        samples: Tracker frames averaged per touch.
-        spread_limit_mm: Largest rms deviation of the samples of one touch.
-        touch_timeout_s: Longest wait for the person to touch.
-        surface_sigma_mm: Noise of a point touched on the skin, along its normal, the mesh's own error included.
-        surface_trim: Part of these points that is believed.
-        retouch_sigma_mm: Noise of touching one landmark again, standard deviation per axis: what of `sigma_mm` is not
-            the fixed error of the plan (femur: 0.52).
-        reference_limit_mm: How far the reference may shift against the witness: far above what the tracker's jitter and
-            bias make of it, below what matters at a target.
-        reference_limit_deg: The same for its rotation.
-        reference_frames: So many frames in a row must show it.
+        samples: Number of tracker frames averaged per touch.
+        spread_limit_mm: Largest rms deviation of the samples of one touch, mm.
+        touch_timeout_s: Longest wait for a touch, s.
+        surface_sigma_mm: Noise of a point touched on the skin along its normal, including the mesh's error, mm.
+        surface_trim: Share of these points that is used.
+        retouch_sigma_mm: Noise of a second touch of one landmark, standard deviation per axis, mm: the part of
+            `sigma_mm` that is not the fixed error of the plan (femur: 0.52).
+        reference_limit_mm: Largest shift of the reference against the witness, mm: far above the effect of the
+            tracker's jitter and bias, and below what matters at a target.
+        reference_limit_deg: Largest rotation of the reference against the witness, deg.
+        reference_frames: Number of successive frames that must show the shift.
     """
 
     residual_limit_mm: Positive = 4.0
@@ -76,7 +77,13 @@ class RegistrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
 
 
 class VolumeSlice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A rectangle across the tracker's measuring volume: `distance` along its -z, width along x, height along y, m."""
+    """A rectangle across the tracker's measuring volume.
+
+    Attributes:
+        distance: Distance from the tracker along its -z axis, m.
+        width: Size along the tracker's x axis, m.
+        height: Size along the tracker's y axis, m.
+    """
 
     distance: Positive
     width: Positive
@@ -84,20 +91,21 @@ class VolumeSlice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 LONGEST_UNSEEN = 5.0
-"""A motion goes on for so long at most while the tracker does not show the body, s of the cell."""
+"""Longest time that a motion may continue while the tracker does not show the body, s of the cell."""
 
 
 class TrackingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """When a tracked pose is not believed, and where the tracker measures.
+    """Limits of valid tracked poses, and the tracker's measuring volume.
 
     Attributes:
-        error_mm: It fits worse than this to the geometry of its marker body.
-        speed: The body went faster since the frame before, m/s: more than hand, head or arm do.
-        turn: It turned faster, rad/s.
-        steady: After that it is believed again when so many frames have shown no jump.
-        unseen: A motion towards the body is held when the tracker has not shown the body for so long, s of the
-            machine; at most 5 s of the cell, however fast that is.
-        volume: Where the tracker measures, near to far, as its maker says; only shown. Empty where nobody has said.
+        error_mm: Largest misfit of a pose to the geometry of its marker body, mm.
+        speed: Largest speed of the body since the previous frame, m/s: faster than hand, head or arm.
+        turn: Largest angular speed of the body since the previous frame, rad/s.
+        steady: Number of frames without a jump after which poses are valid again.
+        unseen: Time without a view of the body after which a motion towards it is held, s of the machine; at most 5 s
+            of the cell, however fast the cell is.
+        volume: The tracker's measuring volume from near to far, as its maker states it, for display only. Empty if it
+            is not known.
     """
 
     error_mm: Positive = 1.0

@@ -1,4 +1,4 @@
-"""How the tool is moved, brought to its place, kept there and pressed on."""
+"""Settings of the tool's motion: approach, alignment, following and pressing."""
 
 from __future__ import annotations
 
@@ -9,17 +9,24 @@ import msgspec
 from pcmrs.workflows.settings.values import NotNegative, Positive
 
 PressForce = Annotated[float, msgspec.Meta(ge=1.0, le=5.0)]
-"""What a tool may be pressed on a body with, N."""
+"""Force with which a tool may be pressed on a body, N."""
 
 
 class MotionSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Speed limits of every motion; the arm's own limits hold as well.
 
     Attributes:
-        linear_velocity: Of the flange, m/s.
-        joint_speed_fraction: Fraction of the data sheet's joint velocities.
-        near_distance: From the surface of the body, m; what is nearer than this moves the tool slower.
-        near_velocity: Of flange and tool point there, m/s; the last way to the target is never faster.
+        linear_velocity: Greatest speed of flange and tool point, m/s.
+        linear_acceleration: Greatest acceleration of the tool point, m/s^2.
+        linear_jerk: Greatest jerk of the tool point, m/s^3.
+        angular_velocity: Greatest angular speed of the tool, rad/s.
+        angular_acceleration: Greatest angular acceleration of the tool, rad/s^2.
+        joint_speed_fraction: Fraction of the data sheet's joint speeds.
+        joint_acceleration: Greatest acceleration of every joint, rad/s^2.
+        joint_jerk: Greatest jerk of every joint, rad/s^3.
+        near_distance: Distance from the surface of the body within which motions are slower, m.
+        near_velocity: Greatest speed of flange and tool point there, m/s. The last part of the path to the target is
+            never faster.
     """
 
     linear_velocity: Positive = 0.20
@@ -35,27 +42,27 @@ class MotionSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PlacementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the tool is brought to the body and away from it.
+    """Approach of the tool to the body, retreat from it, and measurement of its pose.
 
     Attributes:
         standoff: Distance along the tool's +z axis at which an approach ends, m.
-        confirm_offset: Distance at which `confirm` ends, m; errors subtract it.
-        clearance: A tool farther than this from the middle of the body is clear of it, m.
+        confirm_offset: Distance along the tool's +z axis at which `confirm` ends, m. Errors are measured from there.
+        clearance: Distance from the middle of the body beyond which the tool is clear of it, m.
         settle_time: Rest before a measurement, s.
-        frames: Tracker frames averaged per measurement: the mean of 60 is uncertain by about 0.01 mm and 0.005° per
-            axis.
-        tolerance_mm: The tool counts as at the target when the tracker measures it nearer than this: less than what the
-            tracker itself is off by, and a few times the noise of one measurement.
-        tolerance_deg: The same for its rotation.
-        corrections: So often the command is corrected at most.
-        correction_limit_mm: Largest correction of the command that is believed.
-        correction_limit_deg: The same for its rotation.
-        standoff_tolerance_mm: How far from the plan's standoff a retreat may end to count as there.
-        nudge_limit_mm: Largest total nudge.
-        nudge_limit_deg: The same for its rotation.
+        frames: Number of tracker frames averaged per measurement. The mean of 60 is uncertain by about 0.01 mm and
+            0.005° per axis.
+        tolerance_mm: Measured distance within which the tool is at its target, mm: less than the tracker's own error,
+            and a few times the noise of one measurement.
+        tolerance_deg: Measured angle within which the tool is at its target, deg.
+        corrections: Greatest number of corrections of the command.
+        correction_limit_mm: Largest plausible correction of the command, mm.
+        correction_limit_deg: Largest plausible rotation of a correction, deg.
+        standoff_tolerance_mm: Distance from the plan's standoff within which a retreat counts as ended there, mm.
+        nudge_limit_mm: Largest sum of nudges, mm.
+        nudge_limit_deg: Largest sum of rotations by nudges, deg.
 
     Raises:
-        ValueError: `confirm_offset` is not below `standoff`: confirming would lead away from the body.
+        ValueError: `confirm_offset` is not below `standoff`, so that confirming would lead away from the body.
     """
 
     standoff: Positive = 0.070
@@ -78,18 +85,20 @@ class PlacementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
 
 class AlignmentSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """When the tool is near enough to its planned pose to treat: two thresholds each, so that it does not flicker.
+    """Thresholds of alignment, the state in which the tool is near enough to its planned pose to treat.
+
+    There are two thresholds each, so that alignment does not flicker.
 
     Attributes:
-        on_mm: At most so far from the planned pose, and
-        on_deg: turned at most so much against it
-        on_time: for so long, s, makes alignment 1.
-        off_mm: Farther away than this, or
-        off_deg: turned more than this, or not seen,
-        off_time: for so long, s, makes it 0.
+        on_mm: Largest distance from the planned pose at which alignment is gained, mm.
+        on_deg: Largest angle to the planned pose at which alignment is gained, deg.
+        on_time: Time within both thresholds after which alignment is gained, s.
+        off_mm: Distance from the planned pose above which alignment is lost, mm.
+        off_deg: Angle to the planned pose above which alignment is lost, deg.
+        off_time: Time beyond one of these thresholds, or without a view of the tool, after which alignment is lost, s.
 
     Raises:
-        ValueError: It would be lost more easily than gained.
+        ValueError: The thresholds of loss are below those of gain.
     """
 
     on_mm: Positive = 1.0
@@ -105,24 +114,25 @@ class AlignmentSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
 
 class FollowingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the tool follows the body.
+    """Following of a body that moves.
 
     Attributes:
-        period: Between two set points, s.
-        lead: From a set point until the arm is there, s: so far ahead the body's pose is predicted, beyond the
-            tracker's latency.
-        farthest_lead: The body is predicted so far ahead at most, m: what breathes or drifts goes less meanwhile, and
-            where a body that jerks will stop nobody knows.
-        compensated: Whether it is predicted at all; otherwise the tool goes where the body was.
-        smoothing_time: Time constant in which the tool goes to its place on the body, while it moves with it, s: it
-            keeps the tracker's noise from shaking the arm.
-        longest_gap: A pose older than this is not extrapolated, s: the tracker's latency and 0.1 s of occlusion.
-        linear_velocity: Of the tool at most, m/s; behind a quicker body it lags, and alignment is lost.
-        angular_velocity: The same for its rotation, rad/s.
-        linear_acceleration: Of the tool at most, m/s^2: it can brake within what it catches up in.
-        angular_acceleration: The same for its rotation, rad/s^2.
-        correction_time: Time constant in which a constant error of the arm is corrected by the tracker, s.
-        range: The body may go so far from where it was when following began, m.
+        period: Time between two set points, s.
+        lead: Time from a set point until the arm reaches it, s. The body's pose is predicted by this and the tracker's
+            latency.
+        farthest_lead: Largest predicted motion of the body, m. Breathing and drift move it less meanwhile, and the end
+            of a jerk cannot be predicted.
+        compensated: True if the pose is predicted; otherwise the tool goes where the body was.
+        smoothing_time: Time constant with which the tool goes to its place on the body while it moves with the body,
+            s. It keeps the tracker's noise from shaking the arm.
+        longest_gap: Age up to which a pose is extrapolated, s: the tracker's latency and 0.1 s of occlusion.
+        linear_velocity: Greatest speed of the tool, m/s. It lags behind a faster body, and alignment is lost.
+        angular_velocity: Greatest angular speed of the tool, rad/s.
+        linear_acceleration: Greatest acceleration of the tool, m/s^2. It can brake within the distance that it catches
+            up.
+        angular_acceleration: Greatest angular acceleration of the tool, rad/s^2.
+        correction_time: Time constant with which the tracker corrects a constant error of the arm, s.
+        range: Largest distance of the body from its place at the start, m.
     """
 
     period: Annotated[float, msgspec.Meta(gt=0.0, le=0.016)] = 0.010
@@ -140,14 +150,14 @@ class FollowingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
 
 class ContactSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the tool is pressed on the body.
+    """Pressing of the tool on the body.
 
     Attributes:
-        force: Where the operator asks for none, N.
-        travel: Farthest way towards the body from where the tool is, m: planned on the skin, it is off by as much as
-            the registration is, some mm; no deeper than `zones.depth_limit` in any case.
+        force: Force if the operator gives none, N.
+        travel: Longest travel towards the body, m. It must cover the error of the registration, which is some mm. The
+            tool never goes deeper than `zones.depth_limit`.
         speed: Greatest speed, m/s.
-        timeout: Longest time, s.
+        timeout: Longest duration, s.
     """
 
     force: PressForce = 2.0

@@ -1,4 +1,4 @@
-"""When a pulse may be given, and what is made of the response."""
+"""Settings of stimulation: conditions of a pulse, and use of its response."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from pcmrs.workflows.settings.values import Positive
 
 
 class StimulationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """When a pulse may be given, and how its response is measured and used.
+    """Conditions of a pulse, and measurement and use of its response.
 
     Attributes:
-        tolerance_mm: The coil may be so far from its planned pose in the newest frame.
-        tolerance_deg: The same for its rotation.
-        pose_age: That frame is so old at most, s.
-        body_speed: The planned pose on the body moves so fast at most, m/s: at 0.010 the head goes 0.6 mm in 60 ms, of
-            which the tracker cannot know yet.
-        speed_time: By the frames of so long, s.
+        tolerance_mm: Largest distance of the coil from its planned pose in the newest frame, mm.
+        tolerance_deg: Largest angle of the coil to its planned pose in the newest frame, deg.
+        pose_age: Greatest age of that frame, s.
+        body_speed: Greatest speed of the planned pose on the body, m/s. At 0.010 the head moves by 0.6 mm in the 60 ms
+            of the tracker's latency.
+        speed_time: Duration of the frames by which this speed is measured, s.
         ready_time: Longest wait for a stimulator that charges, s.
-        dialled: An operator turns the stimulator's dial: the intensity that a hunt needs next is then to be set by
-            `stimulation.set_intensity`, and no pulse of another one is given.
-        epoch_before: Of the signal before a pulse, s.
-        epoch_after: The same after it.
-        intervals: How soon after another, and how many.
-        mep: What counts as a response.
-        threshold: How a threshold is hunted.
-        hotspot: How a hot-spot is searched for.
+        dialled: True if an operator turns the stimulator's dial. The operator then reports the intensity that a hunt
+            needs next by `stimulation.set_intensity`, and no pulse of another intensity is given.
+        epoch_before: Duration of the recorded signal before a pulse, s.
+        epoch_after: Duration of the recorded signal after a pulse, s.
+        intervals: Limits of the interval and number of pulses.
+        mep: Detection of a response.
+        threshold: Hunt for a motor threshold.
+        hotspot: Search for a hot-spot.
 
     Raises:
-        ValueError: An epoch would not hold what is looked at in it.
+        ValueError: An epoch would not cover the baseline and the window of a response.
     """
 
     tolerance_mm: Positive = 1.5

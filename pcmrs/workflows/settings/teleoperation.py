@@ -1,4 +1,4 @@
-"""How a teleoperator guides the tool, and when that is slowed and ended."""
+"""Settings of teleoperation: speeds and bounds of a guided tool, and limits of the delay."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from pcmrs.workflows.settings.values import Positive
 
 
 class TeleoperationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What set points of a teleoperator may do; times are of the cell.
+    """Limits of a tool that a teleoperator guides. Times are those of the cell.
 
     Attributes:
-        period: Between two set points of the joints, s.
-        deadman: Without a fresh set point of the teleoperator for so long the robot is held and latched, s.
-        linear_velocity: Of the tool at most, m/s.
-        angular_velocity: The same for its rotation, rad/s.
-        linear_acceleration: Of the tool at most, m/s^2.
-        angular_acceleration: The same for its rotation, rad/s^2.
-        range: The tool point may be so far from its planned place, m; more than `placement.standoff`.
-        turn_deg: The tool may be turned so much against its planned pose.
-        slow_delay: Round trip and jitter together from which on the tool is slower, s.
-        longest_delay: The same at which it stands, until the teleoperator has let go once, s.
+        period: Time between two set points of the joints, s.
+        deadman: Time without a fresh set point of the teleoperator after which the robot is held and latched, s.
+        linear_velocity: Greatest speed of the tool, m/s.
+        angular_velocity: Greatest angular speed of the tool, rad/s.
+        linear_acceleration: Greatest acceleration of the tool, m/s^2.
+        angular_acceleration: Greatest angular acceleration of the tool, rad/s^2.
+        range: Largest distance of the tool point from its planned place, m; more than `placement.standoff`.
+        turn_deg: Largest angle of the tool to its planned pose, deg.
+        slow_delay: Sum of round trip and jitter above which the tool is slowed, s.
+        longest_delay: Sum of round trip and jitter at which the tool stops until the teleoperator has released the
+            controls once, s.
 
     Raises:
         ValueError: `longest_delay` is not beyond `slow_delay`.

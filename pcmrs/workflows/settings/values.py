@@ -1,4 +1,4 @@
-"""Kinds of numbers, and a pose, as they are configured."""
+"""Types of numbers and poses in the configuration."""
 
 from __future__ import annotations
 
@@ -15,10 +15,14 @@ Triple = tuple[float, float, float]
 
 
 class PoseSetting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``a_from_b`` as configured: translation in m and unit quaternion.
+    """A configured pose ``a_from_b``.
+
+    Attributes:
+        position: Translation, m.
+        quat_wxyz: Unit quaternion w x y z.
 
     Raises:
-        ValueError: It is no pose.
+        ValueError: It is not a valid pose.
     """
 
     position: Triple = (0.0, 0.0, 0.0)
@@ -28,8 +32,8 @@ class PoseSetting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         try:
             self.transform()
         except GeometryError as error:
-            raise ValueError(error.text) from None  # to which msgspec adds the key
+            raise ValueError(error.text) from None  # msgspec adds the key to this text
 
     def transform(self) -> Transform:
-        """The same as a `Transform`."""
+        """Return this pose as a `Transform`."""
         return Transform.from_quat_wxyz(self.position, self.quat_wxyz)

@@ -1,4 +1,4 @@
-"""What the arm keeps out of: the cell, the body, and itself."""
+"""Settings of the zones that the arm keeps out of: the cell, the body, and itself."""
 
 from __future__ import annotations
 
@@ -13,7 +13,13 @@ RESERVED = frozenset({"body", "base", "mount", "tool", "sight_of_tool", "sight_o
 
 
 class ToolSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The tool's shape: a cylinder about its z axis, from the tool point along +z, away from the body; m."""
+    """Shape of the tool: a cylinder about its z axis, from the tool point along +z, away from the body.
+
+    Attributes:
+        kind: Kind of the shape.
+        radius: Radius of the cylinder, m.
+        half_length: Half of the length of the cylinder, m.
+    """
 
     kind: Literal["cylinder"] = "cylinder"
     radius: Positive = 0.05
@@ -21,12 +27,12 @@ class ToolSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class BoxSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Something fixed that the arm keeps out of.
+    """A fixed box that the arm keeps out of.
 
     Attributes:
-        name: As refusals have it.
-        pose: Of its middle, in the robot's base.
-        size: Edges along its axes, m.
+        name: Name of the box, which refusals show.
+        pose: Pose of its middle in the robot's base.
+        size: Lengths of its edges along its own axes, m.
     """
 
     name: str
@@ -35,27 +41,29 @@ class BoxSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 TABLE = BoxSettings("table", PoseSetting((0.4, 0.0, -0.145)), (1.4, 1.4, 0.05))
-"""The bench of the simulated cell; a real one has its own."""
+"""Bench of the simulated cell. A real cell configures its own."""
 
 
 class ZoneSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What arm and tool keep out of, and the cone through which alone the tool comes to the body.
+    """Zones that arm and tool keep out of, and the cone through which the tool must approach the body.
 
     Attributes:
-        tool: What the flange carries.
-        boxes: What stands fixed in the cell.
-        body_margin: Distance of every link from the convex hull of the body's surface, m; the tool may touch it within
-            `cone_height` of the target, which has to be more than this.
-        box_margin: Distance of links and tool from every box, m.
-        link_margin: Distance of links that are no neighbours from each other, m.
-        sight_radius: How far links stay from what the tracker sees the tool and the body's reference along, m.
+        tool: Shape of the tool on the flange.
+        boxes: Fixed obstacles in the cell.
+        body_margin: Least distance of every link from the convex hull of the body's surface, m. Within `cone_height`
+            of the target, which must be more than this margin, the tool may touch the body.
+        box_margin: Least distance of links and tool from every box, m.
+        link_margin: Least distance from each other of links that are not neighbours, m.
+        sight_radius: Least distance of links from the tracker's lines of sight to the tool and to the body's reference,
+            m.
         cone_height: Distance from the target within which the tool point stays in the cone, m; below the standoff.
-        cone_half_angle_deg: Between the cone and the tool's axis at the target.
-        depth_limit: How far beyond the target the tool point may be, m.
-        drift_limit: A motion is held where a link is nearer to a zone than planned and allowed by so much, m.
+        cone_half_angle_deg: Angle between the cone and the tool's axis at the target, deg.
+        depth_limit: Largest distance of the tool point beyond the target, m.
+        drift_limit: Largest distance by which a link may be nearer to a zone than both planned and allowed, m. Beyond
+            it the motion is held.
 
     Raises:
-        ValueError: Two boxes have one name, or one that means something else.
+        ValueError: Two boxes have the same name, or a box has a reserved name.
     """
 
     tool: ToolSettings = ToolSettings()
@@ -73,18 +81,18 @@ class ZoneSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         names = [box.name for box in self.boxes]
         taken = sorted({name for name in names if names.count(name) > 1 or name in RESERVED})
         if taken:
-            raise ValueError(f"boxes need names of their own, which {', '.join(taken)} is not")
+            raise ValueError(f"every box needs a unique name that is not reserved; rename {', '.join(taken)}")
 
 
 class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The surface of the body, which the arm keeps away from.
+    """Surface of the body, from which the arm keeps away.
 
     Attributes:
-        surface: File of a triangle mesh in image coordinates; none when empty. A name alone is looked for in `folders`
-            and among the shipped examples.
-        unit: Of its numbers.
-        space: Of its axes.
-        folders: Where to look, in order.
+        surface: File of a triangle mesh in image coordinates; empty for no surface. A name without a path is searched
+            for in `folders` and among the shipped examples.
+        unit: Unit of the coordinates.
+        space: Orientation of the axes.
+        folders: Folders to search, in order.
     """
 
     surface: str = ""

@@ -1,1 +1,1 @@
-"""Stimulation: an armed stimulator, pulses that are given only at their place, and what they evoke."""
+"""Stimulation: an armed stimulator, pulses at their planned pose only, and the evoked responses."""

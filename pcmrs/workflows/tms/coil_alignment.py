@@ -1,4 +1,4 @@
-"""Whether the coil is at its place on a head that keeps still, by the tracker's newest frames."""
+"""Check of the coil's pose on a head that keeps still, by the tracker's newest frames."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ import numpy as np
 from pcmrs.dispatcher import Registry
 from pcmrs.errors import RefusalError
 from pcmrs.spatial import Transform
-from pcmrs.workflows.alignment import BODIES, Exposure, desired_in_body_ref, measured_from_desired
+from pcmrs.workflows.alignment import BODIES, TrackerFrame, desired_in_body_ref, measured_from_desired
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.correction import size_of
 from pcmrs.workflows.data import PlacementData, as_transform
 from pcmrs.workflows.settings import StimulationSettings
 from pcmrs.workflows.tms.data import Data, Run
 
-FEWEST_FRAMES = 4
-"""Fewer do not tell a speed from noise."""
+MIN_FRAMES = 4
+"""Least number of frames that distinguish a speed from noise."""
 
 
 @dataclass(frozen=True)
 class CoilAlignment:
-    """Where the coil is.
+    """Measured pose of the coil and its errors.
 
     Attributes:
-        image_from_coil: In the newest frame.
-        error_mm: Against the planned pose, nudges included.
-        error_deg: The same for its rotation.
-        body_speed: Of the body at the planned pose, m/s.
+        image_from_coil: Pose of the coil in the newest frame.
+        error_mm: Distance from the planned pose, including nudges, mm.
+        error_deg: Angle to the planned pose, including nudges, deg.
+        body_speed: Speed of the body at the planned pose, m/s.
     """
 
     image_from_coil: Transform
@@ -38,15 +38,21 @@ class CoilAlignment:
 
 
 def coil_on_target(run: Run) -> None:
-    """Refuses a pulse beside its place, at a head that moves, or where nobody sees that."""
-    check_aim(run.cell, run.data)
+    """Refuse a pulse if the coil is not at its place, the head moves, or the tracker does not see them."""
+    check_coil_alignment(run.cell, run.data)
 
 
-def check_aim(cell: Cell, data: Data) -> CoilAlignment:
-    """Where the coil is now: alignment alone may have been lost a tenth of a second ago, which it tolerates.
+def check_coil_alignment(cell: Cell, data: Data) -> CoilAlignment:
+    """Return the present alignment of the coil, or refuse.
+
+    The state of alignment is not sufficient, because it tolerates a loss of a tenth of a second.
+
+    Args:
+        cell: Cell with tracker and settings.
+        data: Data of the procedure, with registration and plan.
 
     Raises:
-        RefusalError: ``no_plan``, ``pose_stale``, ``coil_off_target``, ``head_moves``.
+        RefusalError: ``no_plan``, ``pose_stale``, ``coil_off_target`` or ``head_moves``.
     """
     settings = cell.settings.stimulation
     desired = desired_in_body_ref(cell, data)
@@ -57,7 +63,7 @@ def check_aim(cell: Cell, data: Data) -> CoilAlignment:
     if not (error_mm <= settings.tolerance_mm and error_deg <= settings.tolerance_deg):
         text = (
             f"The coil is {error_mm:.2f} mm and {error_deg:.2f}° from its planned pose; for a pulse the limits are "
-            f"{settings.tolerance_mm:g} mm and {settings.tolerance_deg:g}°. Wait until it is there, or place it anew."
+            f"{settings.tolerance_mm:g} mm and {settings.tolerance_deg:g}°. Wait until it is there, or place it again."
         )
         raise RefusalError("coil_off_target", text, error_mm=error_mm, error_deg=error_deg)
     speed = _speed(frames, desired)
@@ -72,26 +78,26 @@ def check_aim(cell: Cell, data: Data) -> CoilAlignment:
     return CoilAlignment(image_from_body_ref @ body_ref.inverse() @ coil, error_mm, error_deg, speed)
 
 
-def _fresh_frames(cell: Cell, settings: StimulationSettings) -> list[Exposure]:
-    """Those of the last moment, oldest first. Raises `RefusalError` where they are old, or too few to tell a speed."""
+def _fresh_frames(cell: Cell, settings: StimulationSettings) -> list[TrackerFrame]:
+    """Return the newest frames, oldest first. Raises `RefusalError` if they are old or too few for a speed."""
     frames = cell.poses.frames_after(0, BODIES)
     if not frames:
         raise RefusalError("pose_stale", "Coil and body have not been seen together: clear the line of sight.")
     newest = frames[-1]["coil"].captured
     age = cell.clock.monotonic() - newest
     recent = [frame for frame in frames if frame["coil"].captured > newest - settings.speed_time]
-    if age > settings.pose_age or len(recent) < FEWEST_FRAMES:
+    if age > settings.pose_age or len(recent) < MIN_FRAMES:
         text = (
             f"Coil and body were last seen together {age:.3f} s ago, and in {len(recent)} frames just before; a pulse "
-            f"needs {settings.pose_age:g} s at most and {FEWEST_FRAMES} frames. Clear the line of sight, or see why "
+            f"needs {settings.pose_age:g} s at most and {MIN_FRAMES} frames. Clear the line of sight, or see why "
             "the tracker is slow."
         )
         raise RefusalError("pose_stale", text, age=age, limit=settings.pose_age, frames=len(recent))
     return recent
 
 
-def _speed(frames: list[Exposure], body_ref_from_desired: Transform) -> float:
-    """Of the planned pose on the body, m/s: the slope of a straight line through its places."""
+def _speed(frames: list[TrackerFrame], body_ref_from_desired: Transform) -> float:
+    """Return the speed of the planned pose on the body, m/s: the slope of a straight line through its positions."""
     seen = [frame["body_ref"] for frame in frames]
     times = np.array([each.exposed for each in seen])
     places = np.array([each.tracker_from_body @ body_ref_from_desired.translation for each in seen])
@@ -99,6 +105,6 @@ def _speed(frames: list[Exposure], body_ref_from_desired: Transform) -> float:
     return float(np.linalg.norm(slope))
 
 
-def register_aim(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the name that blueprints use for this check."""
+def register_coil_alignment(registry: Registry[Cell, PlacementData]) -> None:
+    """Register the name that blueprints use for this check."""
     registry.check(coil_on_target)

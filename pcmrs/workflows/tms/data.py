@@ -1,6 +1,6 @@
-"""What a procedure with stimulation gathers.
+"""Data of a procedure with stimulation, and its optional devices.
 
-The devices that a procedure with stimulation needs beside robot and tracker; a cell need not have them.
+A cell need not have a stimulator or an electromyograph.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pcmrs.workflows.data import settle as settle_placement
 
 
 def stimulator_of(cell: Cell) -> Stimulator:
-    """The cell's stimulator. Raises `RefusalError` where there is none."""
+    """Return the cell's stimulator. Raises `RefusalError` if there is none."""
     if cell.stimulator is None:
         text = "There is no stimulator: set stimulator.driver, such as sim or trigger, and restart the daemon."
         raise RefusalError("no_stimulator", text)
@@ -34,7 +34,7 @@ def stimulator_of(cell: Cell) -> Stimulator:
 
 
 def emg_of(cell: Cell) -> Emg:
-    """The cell's electromyograph. Raises `RefusalError` where there is none."""
+    """Return the cell's electromyograph. Raises `RefusalError` if there is none."""
     if cell.emg is None:
         text = "There is no electromyograph: set emg.driver, such as sim or lsl, and restart the daemon."
         raise RefusalError("no_emg", text)
@@ -42,40 +42,45 @@ def emg_of(cell: Cell) -> Emg:
 
 
 def stimulator_there(run: Run) -> None:
-    """Refuses without a stimulator."""
+    """Refuse without a stimulator."""
     stimulator_of(run.cell)
 
 
 def emg_there(run: Run) -> None:
-    """Refuses without an electromyograph: nothing could be learned from the pulse."""
+    """Refuse without an electromyograph, because nothing could be learned from the pulse."""
     emg_of(run.cell)
 
 
 def register_device_checks(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these checks."""
+    """Register the names that blueprints use for these checks."""
     for check in (stimulator_there, emg_there):
         registry.check(check)
 
 
 class Ceiling(msgspec.Struct, frozen=True):
-    """The highest intensity that may be used, percent of the maximum stimulator output, and who has said so."""
+    """Greatest permitted intensity.
+
+    Attributes:
+        percent: Intensity, percent of the maximum stimulator output.
+        operator: Name of the person who has set it.
+    """
 
     percent: float
     operator: str
 
 
 class Response(msgspec.Struct, frozen=True, kw_only=True):
-    """One pulse that was given, and what it evoked.
+    """One pulse that was given, and its response.
 
     Attributes:
         pulse: Number of the pulse.
-        intensity: Percent of the maximum stimulator output.
+        intensity: Intensity, percent of the maximum stimulator output.
         coil: ``image_from_coil`` in the newest frame of the tracker before the pulse.
-        error_mm: Of the coil against its planned pose then.
-        error_deg: The same for its rotation.
-        mep: What was measured; None where there is no measurement.
-        problem: Code of why it says nothing about the muscle; empty where it does.
-        problem_text: The same for people.
+        error_mm: Distance of the coil from its planned pose at that time, mm.
+        error_deg: Angle of the coil to its planned pose at that time, deg.
+        mep: Measured response; None without a measurement.
+        problem: Code of the reason why the measurement is not valid; empty if it is valid.
+        problem_text: Text of that reason.
     """
 
     pulse: int
@@ -89,24 +94,24 @@ class Response(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Data(PlacementData, frozen=True, kw_only=True):
-    """What a procedure with stimulation gathers.
+    """Data of a procedure with stimulation.
 
-    The cell's time means nothing after a restart; `last_pulse` is then unknown, and the interval counts from arming.
-    So it does where the stimulator has counted pulses that this procedure has not: their outcome was unknown.
+    The cell's time has no meaning after a restart: `last_pulse` is then unknown, and the interval counts from arming.
+    It also does if the stimulator has counted pulses that this procedure has not, because their outcome was unknown.
 
     Attributes:
-        ceiling: None until the operator has set it; then nothing above it is ever asked of the stimulator.
-        intensity: Of the next pulse, percent of the maximum stimulator output; None until it has been set.
-        pulse: Number of the last pulse, by this procedure or by the stimulator, whichever is greater.
-        given: Pulses since the daemon began.
-        last_pulse: When it was given, s of the cell's clock; None before this daemon has armed the stimulator.
-        response: To the last pulse whose outcome is known; all of them are in the journal.
-        epoch: The signal that it was judged by; None where there is none.
-        search: Of the hot-spot, under way or concluded.
-        search_intensity: That all its pulses are given at, percent.
+        ceiling: Greatest permitted intensity; None until the operator has set it.
+        intensity: Intensity of the next pulse, percent of the maximum stimulator output; None until it has been set.
+        pulse: Number of the last pulse, counted by this procedure or by the stimulator, whichever is greater.
+        given: Number of pulses since the daemon started.
+        last_pulse: Time of the last pulse, s of the cell's clock; None before this daemon has armed the stimulator.
+        response: Response to the last pulse with a known outcome. The journal holds all of them.
+        epoch: Signal of that response; None if there is none.
+        search: Search for the hot-spot, active or concluded.
+        search_intensity: Intensity of all pulses of the search, percent of the maximum stimulator output.
         hotspot: ``image_from_coil`` at the hot-spot; None until it is found.
-        hunt: For the threshold, under way or concluded.
-        threshold: None until it is found.
+        hunt: Hunt for the threshold, active or concluded.
+        threshold: Motor threshold; None until it is found.
     """
 
     ceiling: Ceiling | None = None
@@ -140,7 +145,13 @@ Run = AnyRun[Cell, Data]
 
 
 def settle(data: Data, states: Mapping[str, str], effects: Sequence[Effect]) -> PlacementData:
-    """Drops what the joint state no longer stands for. Pure."""
+    """Remove the data that the joint state no longer supports. Pure.
+
+    Args:
+        data: Data of the procedure.
+        states: New state of every branch.
+        effects: Effects of the commit.
+    """
     changes: dict[str, object] = {}
     if states["hotspot"] == "none":
         changes |= {"search": None, "search_intensity": None, "hotspot": None}

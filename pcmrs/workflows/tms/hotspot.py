@@ -1,4 +1,4 @@
-"""Searching for the hot-spot: the pose that is next, and what the pulse there has taught."""
+"""Search for the hot-spot: the next pose, and the use of the response there."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from pcmrs.workflows.toolplan import ToolPose, accept_pose, pose_of
 
 
 class AskedSearch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Arguments of `hotspot.begin`; what is left out is as configured.
+    """Arguments of `hotspot.begin`. Omitted ones are as configured.
 
     Attributes:
         centre: ``image_from_coil`` in the middle of the region; None for the plan in force.
-        method: How places are chosen.
-        rings: Of the region around the centre.
-        max_pulses: Budget of an adaptive search.
+        method: Method by which places are chosen.
+        rings: Number of rings of the region around the centre.
+        max_pulses: Greatest number of pulses of an adaptive search.
     """
 
     centre: ToolPose | None = None
@@ -36,7 +36,7 @@ class AskedSearch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def search_possible(run: Run) -> None:
-    """Prepares a search on the body's surface; refuses where there is none, or not around that centre."""
+    """Prepare a search on the body's surface, or refuse if there is no surface or the centre does not fit it."""
     asked, settings = run.payload, run.cell.settings.stimulation.hotspot
     given = {"method": asked.method, "rings": asked.rings, "max_pulses": asked.max_pulses}
     chosen = {key: value for key, value in given.items() if value is not None}
@@ -57,7 +57,7 @@ def _scalp(run: Run) -> TriangleSurface:
 
 
 def begin_search(run: Run) -> None:
-    """Puts the search in force."""
+    """Put the search in force."""
     search: HotspotSearch = run.prepared
     run.keep(search=search, search_intensity=run.data.intensity, hotspot=None)
     run.result |= {
@@ -68,12 +68,12 @@ def begin_search(run: Run) -> None:
 
 
 def search_pose_reachable(run: Run) -> None:
-    """Prepares the pose that is next, or the hot-spot, as the plan; refuses what the arm cannot reach."""
+    """Prepare the next pose, or the hot-spot, as the plan; refuse a pose that the arm cannot reach."""
     accept_pose(run, _pose_of(run))
 
 
 def plan_is_of_search(run: Run) -> None:
-    """Refuses a pulse while the plan in force is another pose than the one that is next, or a neighbour of that."""
+    """Refuse a pulse if the plan in force is neither the next pose of the search nor a neighbour of it."""
     settings, proposed, plan = search_of(run).settings, _pose_of(run), planned(run.data)
     shift_mm, turn_deg = size_of(proposed.inverse() @ plan)
     if shift_mm > settings.spacing_mm or turn_deg > settings.heading_step_deg:
@@ -86,11 +86,11 @@ def plan_is_of_search(run: Run) -> None:
 
 
 def intensity_is_of_search(run: Run) -> None:
-    """Refuses a pulse of another intensity than the search was begun with: their responses cannot be compared."""
-    percent, begun = known_intensity(run.data), run.data.search_intensity
-    if percent != begun:
-        text = f"The search was begun at {begun:g} %, and {percent:g} % is set. Set {begun:g} %, or begin anew."
-        raise RefusalError("intensity_changed", text, intensity=percent, search_intensity=begun)
+    """Refuse a pulse of another intensity than that of the search, because such responses cannot be compared."""
+    percent, required = known_intensity(run.data), run.data.search_intensity
+    if percent != required:
+        text = f"The search was started at {required:g} %, and {percent:g} % is set. Set {required:g} %, or restart it."
+        raise RefusalError("intensity_changed", text, intensity=percent, search_intensity=required)
 
 
 def _pose_of(run: Run) -> Transform:
@@ -98,7 +98,7 @@ def _pose_of(run: Run) -> Transform:
 
 
 def learn_place(run: Run) -> None:
-    """Takes in the response; a pulse that says nothing is given again at the same place."""
+    """Add the response to the search. A pulse without a valid response is repeated at the same place."""
     response: Response = run.prepared
     search = search_of(run)
     if response.mep is not None and not response.problem:
@@ -113,26 +113,26 @@ def learn_place(run: Run) -> None:
 
 
 def place_known(run: Run) -> None:
-    """Refuses to conclude a search that has not shown anything yet."""
+    """Refuse to conclude a search without any result."""
     _ = search_of(run).estimate
 
 
 def keep_hotspot(run: Run) -> None:
-    """Puts the hot-spot on record: the best that is known of it."""
+    """Put the best present estimate of the hot-spot on record."""
     found = search_of(run).estimate
     run.keep(hotspot=found.image_from_coil)
     run.result["hotspot"] = msgspec.to_builtins(found)
 
 
 def search_of(run: Run) -> HotspotSearch:
-    """The search under way. Raises `RefusalError` where there is none."""
+    """Return the active search. Raises `RefusalError` if there is none."""
     if run.data.search is None:
-        raise RefusalError("no_search", "No hot-spot is searched for: ask for hotspot.begin first.")
+        raise RefusalError("no_search", "There is no search for a hot-spot: send hotspot.begin first.")
     return run.data.search
 
 
 def register_hotspot(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these checks and steps."""
+    """Register the names that blueprints use for these checks and steps."""
     registry.payload("hotspot_search", AskedSearch)
     registry.long_check(search_pose_reachable)
     for check in (search_possible, plan_is_of_search, intensity_is_of_search, place_known):

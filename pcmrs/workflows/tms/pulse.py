@@ -1,6 +1,6 @@
-"""Giving one pulse: at its place, armed, within the ceiling, not too soon, and never twice.
+"""One pulse: at its place, armed, below the ceiling, not too soon, never twice; and its response.
 
-What a pulse evoked: measured, judged, and put on record. It was given, so nothing here fails it.
+The response is measured, evaluated and put on record. The pulse was given, so no failure of the measurement fails it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pcmrs.tms.intervals import check_count, check_interval
 from pcmrs.tms.mep import Mep, judge_mep
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message
-from pcmrs.workflows.tms.coil_alignment import check_aim
+from pcmrs.workflows.tms.coil_alignment import check_coil_alignment
 from pcmrs.workflows.tms.data import Data, Response, Run, emg_of, stimulator_of
 from pcmrs.workflows.tms.intensity import check_intensity, check_reported, known_intensity
 
@@ -27,11 +27,11 @@ PROBLEMS = {
     "artefact": "The stimulus artefact reaches into the response.",
     "preactivated": "The muscle was active before the pulse.",
 }
-"""Flags of a measurement that says nothing about the muscle, the worst first."""
+"""Texts by the flag of an invalid measurement, the worst first."""
 
 
 async def read_response(run: Run) -> None:
-    """Reads the signal around the pulse, and judges what is in it; what goes wrong is told, not raised."""
+    """Read and evaluate the signal around the pulse. Failures are reported in the response, not raised."""
     fired: Response = run.prepared
     settings = run.cell.settings.stimulation
     run.keep(epoch=None)
@@ -50,57 +50,57 @@ def _judged(fired: Response, mep: Mep) -> Response:
 
 
 def keep_response(run: Run) -> None:
-    """Puts the response on record, and in the result."""
+    """Put the response on record and in the result."""
     response: Response = run.prepared
     run.keep(response=response)
     run.result |= {**msgspec.to_builtins(response), "counted": not response.problem}
 
 
 def register_response(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these steps."""
+    """Register the names that blueprints use for these steps."""
     registry.world_step(read_response)
     registry.step(keep_response)
 
 
-LOOK_EVERY = 0.02
-"""How often a stimulator that charges is asked whether it is ready, s."""
+POLL_INTERVAL = 0.02
+"""Time between two queries of a stimulator that charges, s."""
 
 
 def pulse_allowed_now(run: Run) -> None:
-    """Refuses a pulse too soon after another, or after too many: the published limits of single pulses."""
+    """Refuse a pulse too soon after the last one, or after too many: the published limits of single pulses."""
     limits, data = run.cell.settings.stimulation.intervals, run.data
     check_interval(run.clock.monotonic(), data.last_pulse, limits)
     check_count(data.given, limits)
 
 
 async def fire_pulse(run: Run) -> None:
-    """Fires once, as soon as the stimulator is ready; all that matters is looked at again right before.
+    """Fire once as soon as the stimulator is ready; all conditions are checked again immediately before.
 
-    The number of the pulse is one that was never used: a command that is delivered twice fires once. When
-    nobody knows whether it fired, the stimulator is disarmed, and arming it anew makes the interval begin anew.
+    The number of the pulse was never used before, so a command that is delivered twice fires once. If it is unknown
+    whether the stimulator fired, it is disarmed, and the interval restarts when it is armed again.
 
     Raises:
-        RefusalError: The stimulator is not ready, or reports what does not fit; coil or head are not at their place.
+        RefusalError: The stimulator is not ready, or its report does not fit; coil or head are not at their place.
         DeviceError: The stimulator refuses.
-        UnknownOutcomeError: It does not answer.
+        UnknownOutcomeError: The stimulator does not answer.
     """
     stimulator, intensity = stimulator_of(run.cell), known_intensity(run.data)
     check_intensity(run.data, intensity)
     _check_state(run.data, await _ready(run, stimulator))
-    aim, number = check_aim(run.cell, run.data), run.data.pulse + 1
+    alignment, number = check_coil_alignment(run.cell, run.data), run.data.pulse + 1
     fired = await _fire(stimulator, number)
     run.keep(pulse=number, given=run.data.given + 1, last_pulse=run.clock.monotonic())
     run.prepared = Response(
         pulse=number,
         intensity=intensity if fired.intensity is None else fired.intensity,
-        coil=as_message(aim.image_from_coil),
-        error_mm=aim.error_mm,
-        error_deg=aim.error_deg,
+        coil=as_message(alignment.image_from_coil),
+        error_mm=alignment.error_mm,
+        error_deg=alignment.error_deg,
     )
 
 
 async def _ready(run: Run, stimulator: Stimulator) -> StimulatorState:
-    """The state of a stimulator that is armed and charged. Raises `RefusalError` where it does not become so."""
+    """Return the state of an armed and charged stimulator. Raises `RefusalError` if it does not get ready in time."""
     limit = run.cell.settings.stimulation.ready_time
     until = run.clock.monotonic() + limit
     while True:
@@ -109,12 +109,12 @@ async def _ready(run: Run, stimulator: Stimulator) -> StimulatorState:
             return state
         if not state.armed or run.clock.monotonic() >= until:
             break
-        await run.clock.sleep(LOOK_EVERY)
+        await run.clock.sleep(POLL_INTERVAL)
     warm = "" if state.coil_temperature is None else f", its coil at {state.coil_temperature:.0f} °C"
     text = (
         f"The stimulator is {'armed' if state.armed else 'not armed'}{warm}, and not ready to fire within {limit:g} s."
     )
-    text += " Let it charge and cool; arm it where it is not armed."
+    text += " Let it charge and cool; arm it if it is not armed."
     raise RefusalError("stimulator_not_ready", text, armed=state.armed, coil_temperature=state.coil_temperature)
 
 
@@ -123,7 +123,7 @@ def _check_state(data: Data, state: StimulatorState) -> None:
     if state.pulse > data.pulse:
         text = (
             f"The stimulator has fired pulse {state.pulse}; this procedure knows of {data.pulse}. Somebody else fires "
-            "it, or the outcome of a pulse was unknown: disarm it and arm it anew."
+            "it, or the outcome of a pulse was unknown: disarm it and arm it again."
         )
         raise RefusalError("pulse_unaccounted", text, pulse=state.pulse, known=data.pulse)
 
@@ -138,6 +138,6 @@ async def _fire(stimulator: Stimulator, number: int) -> FiredPulse:
 
 
 def register_pulse(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for this check and step."""
+    """Register the names that blueprints use for this check and step."""
     registry.check(pulse_allowed_now)
     registry.world_step(fire_pulse, affects_patient=True)

@@ -1,4 +1,4 @@
-"""Hunting the motor threshold at the planned pose."""
+"""Hunt for the motor threshold at the planned pose."""
 
 from __future__ import annotations
 
@@ -15,49 +15,53 @@ from pcmrs.workflows.tms.intensity import check_intensity, set_intensity
 
 
 class AskedHunt(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Arguments of `threshold.begin`: the method, where it is not to be the configured one."""
+    """Arguments of `threshold.begin`.
+
+    Attributes:
+        method: Method of the hunt; None for the configured one.
+    """
 
     method: ThresholdMethod | None = None
 
 
 def hunt_possible(run: Run) -> None:
-    """Prepares a hunt below the ceiling; refuses where there is none, or no room below it."""
+    """Prepare a hunt below the ceiling, or refuse if there is no ceiling or no room below it."""
     settings, ceiling = run.cell.settings.stimulation.threshold, run.data.ceiling
     if ceiling is None:
-        text = "No ceiling of the intensity has been set: an operator does that, by stimulation.set_ceiling."
+        text = "No ceiling of the intensity has been set: an operator must send stimulation.set_ceiling."
         raise RefusalError("no_ceiling", text)
     within = {"ceiling": min(settings.ceiling, ceiling.percent), "method": run.payload.method or settings.method}
     try:
         changed = msgspec.convert(msgspec.to_builtins(settings) | within, ThresholdSettings)
     except msgspec.ValidationError as error:
-        text = f"Below the ceiling of {ceiling.percent:g} % no threshold can be hunted: {error}. Have it set anew."
+        text = f"No threshold can be hunted below the ceiling of {ceiling.percent:g} %: {error}. Have it changed."
         raise RefusalError("ceiling_too_low", text, ceiling=ceiling.percent) from None
     run.prepared = MotorThresholdEstimator.begin(changed)
 
 
 def begin_hunt(run: Run) -> None:
-    """Puts the hunt in force."""
+    """Put the hunt in force."""
     hunt: MotorThresholdEstimator = run.prepared
     run.keep(hunt=hunt, threshold=None)
     run.result |= {"method": hunt.settings.method, "next": hunt.next_intensity()}
 
 
 def hunted_intensity_allowed(run: Run) -> None:
-    """Refuses an intensity above a ceiling that was lowered since, and one that the operator has not dialled yet."""
+    """Refuse an intensity above a ceiling that was lowered since, or one that the operator has not dialled yet."""
     percent = hunt_of(run).next_intensity()
     check_intensity(run.data, percent)
     if run.cell.settings.stimulation.dialled and run.data.intensity != percent:
-        text = f"The hunt needs {percent:g} %: turn the dial to that, and say so by stimulation.set_intensity."
+        text = f"The hunt needs {percent:g} %: turn the dial to it, and report it by stimulation.set_intensity."
         raise RefusalError("not_dialled", text, percent=percent, intensity=run.data.intensity)
 
 
 async def set_hunted_intensity(run: Run) -> None:
-    """Sets the intensity that the hunt needs next."""
+    """Set the intensity that the hunt needs next."""
     await set_intensity(run, hunt_of(run).next_intensity())
 
 
 def learn_threshold(run: Run) -> None:
-    """Takes in the response: hunting, found, or not to be found; a pulse that says nothing is given again."""
+    """Add the response to the hunt, and decide its outcome. A pulse without a valid response is repeated."""
     response: Response = run.prepared
     hunt = hunt_of(run)
     if response.mep is not None and not response.problem:
@@ -69,8 +73,8 @@ def learn_threshold(run: Run) -> None:
     run.outcome = _outcome(hunt)
     if run.outcome == "found":
         run.keep(threshold=hunt.estimate)
-    told = {"next": hunt.next_intensity()} if run.outcome == "hunting" else {}
-    run.result |= {"estimate": msgspec.to_builtins(hunt.estimate), "pulses": len(hunt.pulses), **told}
+    extra = {"next": hunt.next_intensity()} if run.outcome == "hunting" else {}
+    run.result |= {"estimate": msgspec.to_builtins(hunt.estimate), "pulses": len(hunt.pulses), **extra}
     if run.outcome == "none":
         run.result["refusal"] = hunt.refusal
 
@@ -82,14 +86,14 @@ def _outcome(hunt: MotorThresholdEstimator) -> str:
 
 
 def hunt_of(run: Run) -> MotorThresholdEstimator:
-    """The hunt under way. Raises `RefusalError` where there is none."""
+    """Return the active hunt. Raises `RefusalError` if there is none."""
     if run.data.hunt is None:
-        raise RefusalError("no_hunt", "No threshold is hunted: ask for threshold.begin first.")
+        raise RefusalError("no_hunt", "There is no hunt for a threshold: send threshold.begin first.")
     return run.data.hunt
 
 
 def register_threshold(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these checks and steps."""
+    """Register the names that blueprints use for these checks and steps."""
     registry.payload("threshold_hunt", AskedHunt)
     for check in (hunt_possible, hunted_intensity_allowed):
         registry.check(check)

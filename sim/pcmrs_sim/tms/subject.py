@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pcmrs.spatial import Transform
-from pcmrs.tms.scalp import Closest, along_scalp, heading, turned
+from pcmrs.tms.scalp import NearestPoints, along_scalp, heading, turned
 from pcmrs_sim.tms import recruitment
 from pcmrs_sim.tms.recruitment import Recruitment
 
@@ -78,7 +78,7 @@ class Subject:
         return self.recruitment.sample(self.effective(image_from_coil, intensity), rng)
 
 
-def draw(closest: Closest, centre: Transform, rng: np.random.Generator) -> Subject:
+def draw(closest: NearestPoints, centre: Transform, rng: np.random.Generator) -> Subject:
     """A random subject of the published population.
 
     Args:
