@@ -138,9 +138,9 @@ class Bus:
         Returns:
             A coroutine function without parameters that ends the subscription. Closing the bus ends it, too.
         """
-        return self.hear(key, lambda payload: unpack(payload, kind), handler, refuse)
+        return self.subscribe_encoded(key, lambda payload: unpack(payload, kind), handler, refuse)
 
-    def hear(
+    def subscribe_encoded(
         self,
         key: str,
         decode: Callable[[bytes], T],

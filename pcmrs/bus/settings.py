@@ -215,7 +215,7 @@ def open_session(settings: BusSettings) -> zenoh.Session:
 def _failure_text(settings: BusSettings) -> str:
     if settings.mode == "router":
         listening = " and ".join(filter(None, (settings.endpoint, *settings.listen)))
-        return f"Cannot listen on {listening}: another daemon uses it, or the address is not of this machine."
+        return f"Cannot listen on {listening}: another daemon is there, or the address is not one of this machine."
     if settings.credentials is None:
         return f"No daemon answers at {settings.endpoint}: start pcmrs-serve, or give its endpoint."
     return (
