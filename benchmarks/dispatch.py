@@ -31,7 +31,7 @@ import uvloop
 import zenoh
 
 from pcmrs.bus import Bus, BusSettings, CommandEdge
-from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.commands import Envelope
 from pcmrs.cli.log import log_to_stderr
 from pcmrs.clock import SystemClock
 from pcmrs.devices.poses import PoseFeed

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 
 from pcmrs.bus.codec import pack
-from pcmrs.bus.seal import Seal, Taken, new_key
+from pcmrs.bus.seal import ReplayWindow, Seal, new_key
 from pcmrs.messages import BodyPose, JointState
 
 JOINTS = pack(
@@ -38,7 +38,7 @@ def per_call(call: Callable[[int], object], count: int) -> float:
 def measure(name: str, payload: bytes, count: int) -> dict[str, float]:
     """Processor time for one message on a key, us, and the share of a processor at `RATE`, %."""
     key = new_key()
-    sender, receiver, taken, absolute = Seal(key), Seal(key), Taken(), f"pcmrs/lab/cell1/{name}"
+    sender, receiver, taken, absolute = Seal(key), Seal(key), ReplayWindow(), f"pcmrs/lab/cell1/{name}"
     marks = [sender.put("put", absolute, payload) for _ in range(count)]
     found = {
         "bare HMAC": per_call(lambda _: hmac.digest(key, payload, "sha256"), count),

@@ -40,7 +40,7 @@ import zenoh
 
 from pcmrs.bus import Bus, BusSettings, Credentials
 from pcmrs.bus.codec import pack, unpack
-from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.commands import Envelope
 from pcmrs.bus.settings import open_session
 from pcmrs.client import Client
 from pcmrs.errors import BusError, PcmrsError

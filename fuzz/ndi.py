@@ -56,7 +56,7 @@ def take_frames(data: bytes) -> None:
         assert isinstance(read, Frame)
         take(reader, read)
         if begins:
-            reader.begin_anew()
+            reader.restart()
 
 
 def ask_tracker(data: bytes) -> None:

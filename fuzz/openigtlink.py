@@ -15,7 +15,7 @@ from fuzz.running import instrumented, pieces, run
 with instrumented("pcmrs.devices.plus", "pcmrs.gateway.openigtlink", "pyigtl"):
     from pyigtl.messages import CRC64
 
-    from pcmrs.devices.plus.frames import Frames, MessageReader
+    from pcmrs.devices.plus.frames import FrameAssembler, MessageReader
     from pcmrs.devices.plus.messages import readings
     from pcmrs.errors import PayloadError, RefusalError
     from pcmrs.gateway.openigtlink import plans
@@ -38,7 +38,7 @@ async def one(data: bytes) -> None:
     for piece in pieces(rest) if raw else [framed(rest)]:
         stream.feed_data(piece)
     stream.feed_eof()
-    reader, frames = MessageReader(stream, KINDS), Frames(NAMES, 0.02)
+    reader, frames = MessageReader(stream, KINDS), FrameAssembler(NAMES, 0.02)
     with suppress(asyncio.IncompleteReadError, ConnectionAbortedError):
         while True:
             with suppress(PayloadError):
@@ -47,7 +47,7 @@ async def one(data: bytes) -> None:
                     use(message, frames)
 
 
-def use(message: Any, frames: Frames) -> None:
+def use(message: Any, frames: FrameAssembler) -> None:
     if message.message_type in ("TRANSFORM", "TDATA"):
         frames.take(readings(message), message.timestamp, 1.0, 1.7e9, whole=message.message_type == "TDATA")
     with suppress(RefusalError):

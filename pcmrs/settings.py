@@ -17,7 +17,7 @@ from pcmrs.bus.settings import SECURED
 from pcmrs.clock import SystemClock
 from pcmrs.config import as_config, overlaid, read_file, set_values
 from pcmrs.console.settings import ConsoleSettings
-from pcmrs.devices.dwelling import DwellSettings
+from pcmrs.devices.dwell import DwellSettings
 from pcmrs.devices.opening import DRIVERS
 from pcmrs.errors import ConfigurationError, PayloadError
 from pcmrs.gateway.settings import GatewayConfig
@@ -133,7 +133,7 @@ class AccessSettings(Table, frozen=True, forbid_unknown_fields=True):
 
     @property
     def is_open(self) -> bool:
-        """Whether others than this machine may reach the cell: then somebody has to hold it."""
+        """True if others than this machine may reach the cell: then somebody has to hold it."""
         return bool(self.identity)
 
     def credentials(self) -> Credentials | None:
@@ -248,7 +248,7 @@ class Inherited(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Settings:
-    """Reads and checks the whole configuration: what the workflow changes in the defaults, the file, single values.
+    """Read and check the whole configuration: what the workflow changes in the defaults, the file, single values.
 
     Args:
         file: TOML file; the path of a workflow, an arm or a calibration in it is relative to its folder.
@@ -284,7 +284,7 @@ def _values(file: Path | None, overrides: Sequence[str]) -> dict[str, Any]:
 
 
 def _resolve_paths(values: dict[str, Any], folder: Path) -> None:
-    """Makes the paths of a workflow, an arm, of calibrations and of secrets absolute; an absolute one stays."""
+    """Make the paths of a workflow, an arm, of calibrations and of secrets absolute; an absolute one stays."""
     procedure = values.get("procedure")
     calibration = procedure.get("calibration") if isinstance(procedure, dict) else None
     access = values.get("access")

@@ -1,9 +1,10 @@
-"""Who may use which key: Zenoh's access control, made from the one table of keys; what is not in it is denied.
+"""Access control: who may use which key.
 
-Zenoh looks at every message that passes a router: from a peer (ingress) and to it (egress). Somebody who subscribes
-to more than is theirs gets nothing, for a rule has to include the whole key expression.
+Zenoh's rules are made from the one table of keys. Everything that is not in the table is denied. Zenoh checks each
+message that passes a router: from a peer (ingress) and to it (egress). A rule has to include a key expression as a
+whole, so a subscription to more than the permitted keys receives nothing.
 
-The table of roles and keys for people, from the one that the access control is made of.
+`roles_as_markdown` shows the same table to readers of the documentation.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pcmrs.messages.identity import EVERY_CELL, LOCAL, PEOPLE, ROLES, Identity, 
 
 
 def roles_as_markdown() -> str:
-    """One row for each key, one column for each role but the router's: what it does there."""
+    """Return the table of keys and roles: one row for each key, one column for each role but the router's."""
     columns = [role for role in ROLES if role != "router"]
     head = ["| key | " + " | ".join(columns) + " |", "| --- " * (len(columns) + 1) + "|"]
     rows = [f"| `{row.key}` | " + " | ".join(_cell(row, role) for role in columns) + " |" for row in KEYS]
@@ -27,10 +28,10 @@ def roles_as_markdown() -> str:
 
 
 def _cell(row: KeyInfo, role: Role) -> str:
-    return ", ".join(_doings(row, role))
+    return ", ".join(_actions(row, role))
 
 
-def _doings(row: KeyInfo, role: Role) -> Iterator[str]:
+def _actions(row: KeyInfo, role: Role) -> Iterator[str]:
     is_stream, is_token = row.use == "subscribe", row.key.startswith("alive/")
     if role in row.owners:
         yield "is there" if is_token else "sends" if is_stream else "answers" if "query" in row.use else "hears"
@@ -39,7 +40,7 @@ def _doings(row: KeyInfo, role: Role) -> Iterator[str]:
 
 
 ROLES_ON_SITE: Final[tuple[Role, ...]] = ("operator", "device", "daemon")
-"""What runs on the cell's own machine, without certificates: consoles, device nodes, the daemon's own helpers."""
+"""Roles of processes on the cell's own machine, without certificates: consoles, device nodes, helpers of the daemon."""
 
 _NAMES: Final = re.compile(r"<[a-z]+>")
 _ASKING: Final = ("query",)
@@ -50,8 +51,14 @@ _SEEING: Final = ("declare_liveliness_subscriber", "liveliness_query")
 _LIVING: Final = ("liveliness_token",)
 
 
-class _Way(NamedTuple):
-    """Messages from a member and to it, about one key expression."""
+class _Permission(NamedTuple):
+    """Messages that one member may send and receive on one key expression.
+
+    Attributes:
+        ingress: Kinds of message from the member to the router.
+        egress: Kinds of message from the router to the member.
+        key: Key expression; relative to the cell until `_in_cells` makes it absolute.
+    """
 
     ingress: tuple[str, ...]
     egress: tuple[str, ...]
@@ -59,15 +66,16 @@ class _Way(NamedTuple):
 
 
 def access_control(members: Iterable[Identity], *, router: str = "", on_site: bool = False) -> dict[str, Any]:
-    """The value of Zenoh's ``access_control``: what each member's role may do under the member's own name.
+    """Return the value of Zenoh's ``access_control``: each member has the rights of its role under its own name.
 
-    A router may do what the people may whom it carries, each under their own name: those of the register who are marked
-    with it (`Identity.via`), in the cells that both have.
+    A router has the rights of the people that it carries, each under their own name. These are the members whose
+    register entry names the router (`Identity.via`), in the cells that both have.
 
     Args:
-        members: Everybody whose certificate counts; others are connected to nothing.
-        router: Name of the router whose access this is: it serves only the people marked with it. Empty for a daemon.
-        on_site: Whether those who come over loopback without a certificate are `LOCAL`: operator and devices there.
+        members: Register: everyone whose certificate is accepted. Others connect, but may use no key.
+        router: Name of the router that gets this configuration: it serves only the people whose entry names it. Empty
+            for a daemon.
+        on_site: True if peers over loopback without a certificate are `LOCAL`: operator, devices and daemon helpers.
     """
     access = _Access()
     valid = [each for each in members if each.revoked is None]
@@ -77,9 +85,9 @@ def access_control(members: Iterable[Identity], *, router: str = "", on_site: bo
             carried = [each for each in valid if each.role in PEOPLE and member.name in each.via]
             access.add(subject, member.name, (way for each in carried for way in _carried(each, member)))
         elif not router or router in member.via or member.role not in PEOPLE:
-            access.add(subject, member.name, _in_cells(member.cells, _ways(member.name, member.role)))
+            access.add(subject, member.name, _in_cells(member.cells, _permissions(member.name, member.role)))
     if on_site:
-        ways = (way for role in ROLES_ON_SITE for way in _ways(LOCAL, role))
+        ways = (way for role in ROLES_ON_SITE for way in _permissions(LOCAL, role))
         access.add({"interfaces": ["lo"], "link_protocols": ["tcp"]}, LOCAL, _in_cells(EVERY_CELL, ways))
     return {
         "enabled": True,
@@ -96,22 +104,22 @@ class _Access:
     subjects: list[dict[str, Any]] = field(default_factory=list)
     policies: list[dict[str, Any]] = field(default_factory=list)
 
-    def add(self, subject: dict[str, Any], name: str, ways: Iterable[_Way]) -> None:
-        own = list(_rules(name, ways))
-        if own:  # who has no rules is denied everything
+    def add(self, subject: dict[str, Any], name: str, permissions: Iterable[_Permission]) -> None:
+        own = list(_rules(name, permissions))
+        if own:  # a subject without rules is denied everything
             self.rules += own
             self.subjects.append({"id": name, **subject})
             self.policies.append({"subjects": [name], "rules": [rule["id"] for rule in own]})
 
 
-def _rules(name: str, ways: Iterable[_Way]) -> Iterator[dict[str, Any]]:
-    """One rule for each direction and set of messages, over all keys to which it applies."""
+def _rules(name: str, permissions: Iterable[_Permission]) -> Iterator[dict[str, Any]]:
+    """Yield one rule for each direction and set of messages, over all keys to which it applies."""
     keys: dict[tuple[str, tuple[str, ...]], list[str]] = {}
-    for way in ways:
-        for flow, messages in (("ingress", way.ingress), ("egress", way.egress)):
+    for each in permissions:
+        for flow, messages in (("ingress", each.ingress), ("egress", each.egress)):
             if not messages:
                 continue
-            keys.setdefault((flow, messages), []).append(way.key)
+            keys.setdefault((flow, messages), []).append(each.key)
     for number, ((flow, messages), expressions) in enumerate(keys.items()):
         yield {
             "id": f"{name}-{number}",
@@ -122,19 +130,19 @@ def _rules(name: str, ways: Iterable[_Way]) -> Iterator[dict[str, Any]]:
         }
 
 
-def _in_cells(cells: Iterable[str], ways: Iterable[_Way]) -> Iterator[_Way]:
-    """The ways with absolute keys, in each of the cells."""
-    relative = list(ways)
-    return (way._replace(key=f"pcmrs/{cell}/{way.key}") for cell in cells for way in relative)
+def _in_cells(cells: Iterable[str], permissions: Iterable[_Permission]) -> Iterator[_Permission]:
+    """Return the permissions with absolute keys, in each of the cells."""
+    relative = list(permissions)
+    return (each._replace(key=f"pcmrs/{cell}/{each.key}") for cell in cells for each in relative)
 
 
-def _carried(member: Identity, router: Identity) -> Iterator[_Way]:
-    """What a router does for one of those whom it carries."""
-    return _in_cells(shared_cells(member.cells, router.cells), _ways(member.name, member.role))
+def _carried(member: Identity, router: Identity) -> Iterator[_Permission]:
+    """Return what a router may do for one of the people that it carries."""
+    return _in_cells(shared_cells(member.cells, router.cells), _permissions(member.name, member.role))
 
 
-def _ways(name: str, role: Role) -> Iterator[_Way]:
-    """What a role does under a name."""
+def _permissions(name: str, role: Role) -> Iterator[_Permission]:
+    """Yield what a role may do under a name."""
     for row in KEYS:
         if role in row.users:
             yield from _as_user(row, _expression(row.key, name))
@@ -142,40 +150,41 @@ def _ways(name: str, role: Role) -> Iterator[_Way]:
             yield from _as_owner(row, _expression(row.key, "*"))
 
 
-def _as_user(row: KeyInfo, key: str) -> Iterator[_Way]:
+def _as_user(row: KeyInfo, key: str) -> Iterator[_Permission]:
     if row.key.startswith("alive/"):
-        yield _Way(_SEEING, (*_LIVING, "reply"), key)
+        yield _Permission(_SEEING, (*_LIVING, "reply"), key)
     elif row.use == "subscribe":
-        yield _Way(_HEARING, _SENDING, key)
-        if class_of(key).kept:  # what a late or lossy subscriber asks the publisher's cache for
-            yield _Way((*_HEARING, *_ASKING, *_SEEING), (*_SENDING, *_ANSWERING, *_LIVING), f"{key}/@adv/**")
-            yield _Way((), ("reply",), key)  # what the cache has goes by the key of the data
+        yield _Permission(_HEARING, _SENDING, key)
+        if class_of(key).kept:  # a late subscriber, or one that lost a message, queries the publisher's cache
+            yield _Permission((*_HEARING, *_ASKING, *_SEEING), (*_SENDING, *_ANSWERING, *_LIVING), f"{key}/@adv/**")
+            yield _Permission((), ("reply",), key)  # replies of the cache carry the key of the data
     else:
-        # Who answers or hears declares that for all users at once; a sender who is not told of it sends nothing more.
+        # The receiver declares its interest for all users at once. A sender that never sees this declaration sends
+        # nothing.
         declared = _expression(row.key, "*")
         if "query" in row.use:
-            yield _Way(_ASKING, ("reply",), key)
-            yield _Way((), ("declare_queryable",), declared)
+            yield _Permission(_ASKING, ("reply",), key)
+            yield _Permission((), ("declare_queryable",), declared)
         if "put" in row.use:
-            yield _Way(_SENDING, (), key)
-            yield _Way((), _HEARING, declared)
+            yield _Permission(_SENDING, (), key)
+            yield _Permission((), _HEARING, declared)
 
 
-def _as_owner(row: KeyInfo, key: str) -> Iterator[_Way]:
+def _as_owner(row: KeyInfo, key: str) -> Iterator[_Permission]:
     if row.key.startswith("alive/"):
-        yield _Way(_LIVING, _SEEING, key)
+        yield _Permission(_LIVING, _SEEING, key)
     elif row.use == "subscribe":
-        yield _Way(_SENDING, _HEARING, key)
+        yield _Permission(_SENDING, _HEARING, key)
         if class_of(key).kept:
-            yield _Way((*_SENDING, *_ANSWERING, *_LIVING), (*_HEARING, *_ASKING, *_SEEING), f"{key}/@adv/**")
-            yield _Way(("reply",), (), key)
+            yield _Permission((*_SENDING, *_ANSWERING, *_LIVING), (*_HEARING, *_ASKING, *_SEEING), f"{key}/@adv/**")
+            yield _Permission(("reply",), (), key)
     else:
         if "query" in row.use:
-            yield _Way(_ANSWERING, _ASKING, key)
+            yield _Permission(_ANSWERING, _ASKING, key)
         if "put" in row.use:
-            yield _Way(_HEARING, _SENDING, key)
+            yield _Permission(_HEARING, _SENDING, key)
 
 
 def _expression(key: str, name: str) -> str:
-    """The key expression of a row: its ``<user>`` is `name`, all other names are any chunk."""
+    """Return the key expression of a row: its ``<user>`` becomes `name`, all other names match any chunk."""
     return _NAMES.sub("*", key.replace("<user>", name))

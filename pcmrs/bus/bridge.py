@@ -1,9 +1,9 @@
-"""From Zenoh's threads into the event loop, without one wake-up per message.
+"""Hand-over of calls from Zenoh's threads to the event loop, without one wake-up per message.
 
-Calls wait in three places: two ordered, bounded queues for what must not be lost in silence (events; commands and
-requests: a full queue rejects), and the newest calls of each key for streams. One drain at a time is scheduled in the
-loop; it takes events first, streams last, and gives the loop a turn between slices, so that Stop and timers are never
-behind a backlog. Events have a queue of their own, since one of danger must not be turned away because of commands.
+Calls wait in three places. Two ordered, bounded queues hold what must not be lost silently: events, and commands and
+requests; a full queue rejects. For streams, the newest calls of each key are stored. One drain at a time is scheduled
+in the loop. It takes events first and streams last, and yields to the loop between slices, so that Stop and timers
+never wait behind a backlog. Events have their own queue, because commands must not displace a danger event.
 """
 
 from __future__ import annotations
@@ -19,24 +19,25 @@ from typing import Final
 Call = Callable[[], object]
 
 ARRIVED: Final[ContextVar[float]] = ContextVar("arrived")
-"""When the message that is handled here arrived in this process, s of the machine's monotonic clock."""
+"""Arrival time in this process of the message that is handled in this context, s of the machine's monotonic clock."""
 
 CAPACITY: Final = 256
 """Ordered calls that may wait for the loop, in each of the two queues."""
 
 _SLICE: Final = 8
+"""Calls that one drain runs before the loop gets a turn."""
 
 
 class Bridge:
     """Runs calls from any thread in one event loop.
 
     Args:
-        loop: Where the calls run.
-        capacity: Ordered calls that may wait, urgent ones and others.
+        loop: Event loop that runs the calls.
+        capacity: Ordered calls that may wait, in the urgent queue and in the other one.
 
     Attributes:
-        refused: Ordered calls that found the queue full.
-        replaced: Calls of streams that were dropped for newer ones of the same key.
+        refused: Number of ordered calls that found their queue full.
+        replaced: Number of stream calls that were dropped for newer ones of the same key.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, capacity: int = CAPACITY) -> None:
@@ -52,12 +53,20 @@ class Bridge:
 
     @property
     def waiting(self) -> int:
-        """Calls that wait for the loop."""
+        """Number of calls that wait for the loop."""
         with self._lock:
             return len(self._urgent) + len(self._ordered) + sum(map(len, self._newest.values()))
 
     def post(self, call: Call, *, urgent: bool = False) -> bool:
-        """Queues a call; returns False, and forgets it, when its queue is full or closed."""
+        """Queue a call.
+
+        Args:
+            call: Call without arguments.
+            urgent: True for an event: it runs before commands and requests.
+
+        Returns:
+            False if the queue is full or closed; the call is dropped then.
+        """
         queue = self._urgent if urgent else self._ordered
         with self._lock:
             if self._closed or len(queue) >= self._capacity:
@@ -68,7 +77,13 @@ class Bridge:
             return True
 
     def post_newest(self, key: Hashable, call: Call, most: int = 1) -> None:
-        """Queues a call; of those of the same key that have not run yet, `most` are kept, the newest."""
+        """Queue a call of a stream; the oldest waiting ones of the same key are dropped.
+
+        Args:
+            key: Stream that the call belongs to.
+            call: Call without arguments.
+            most: Number of calls of this key that may wait.
+        """
         with self._lock:
             if not self._closed:
                 waiting = self._newest.setdefault(key, deque(maxlen=most))
@@ -77,7 +92,7 @@ class Bridge:
                 self._schedule()
 
     def close(self) -> None:
-        """Forgets what waits and takes nothing more."""
+        """Drop the waiting calls and accept no more."""
         with self._lock:
             self._closed = True
             self._urgent.clear()
@@ -108,7 +123,7 @@ class Bridge:
                     ARRIVED.set(arrived)
                     return call
             if self._newest:
-                # A dict keeps the order in which keys came, and one with more goes to its end: every key gets its turn.
+                # Round robin: a dict keeps its order of insertion, and a key with more calls goes to the end.
                 key = next(iter(self._newest))
                 waiting = self._newest.pop(key)
                 call = waiting.popleft()

@@ -1,9 +1,9 @@
-"""Messages as bytes and back: MessagePack, or JSON text where people type it.
+"""Encoding and decoding of messages: MessagePack, or JSON text that people type.
 
-A payload whose first non-space byte is ``{`` is JSON text, an empty one is a message without fields, all
-others are MessagePack. The declared encoding is not looked at: command-line tools do not declare any.
+A payload whose first non-space byte is ``{`` is JSON text, an empty one is a message without fields, and all others
+are MessagePack. The declared encoding is ignored, because command-line tools do not declare any.
 
-Errors that cross the bus: as a `Reason` on the way out, raised again where the request was made.
+An error crosses the bus as a `Reason` and is raised again where the request was made.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MAX_BYTES: Final = 16 * 1024 * 1024
 """Largest payload of a message whose type does not set its own `max_bytes`."""
 
 MAX_DEPTH: Final = 32
-"""Lists and maps that may lie around a value, far fewer than whoever handles it by recursion can take."""
+"""Greatest nesting of lists and maps; far below Python's recursion limit, which handlers of a message rely on."""
 
 _INTEGER_LIMIT: Final = 2**63
 
@@ -34,25 +34,25 @@ class Empty(Message, frozen=True, kw_only=True):
 
 
 def is_text(payload: bytes) -> bool:
-    """Whether the sender of `payload` writes JSON by hand, and wants to read JSON."""
+    """Return True if `payload` is JSON text or empty: its sender gets the reply as JSON text, too."""
     stripped = payload.lstrip()
     return not stripped or stripped.startswith(b"{")
 
 
 def pack(message: Any) -> bytes:
-    """The message as MessagePack.
+    """Encode a message as MessagePack.
 
     Raises:
-        PayloadError: It holds a value that MessagePack or JSON has no type for.
+        PayloadError: The message holds a value that MessagePack or JSON has no type for.
     """
     return _encode(message, msgpack.packb)
 
 
 def pack_text(message: Any) -> bytes:
-    """The message as JSON text.
+    """Encode a message as JSON text.
 
     Raises:
-        PayloadError: It holds a value that MessagePack or JSON has no type for.
+        PayloadError: The message holds a value that MessagePack or JSON has no type for.
     """
     return _encode(message, msgspec.json.encode)
 
@@ -67,11 +67,15 @@ def _encode(message: Any, encode: Callable[[Any], bytes]) -> bytes:
 
 
 def unpack(payload: bytes, kind: type[T]) -> T:
-    """The message of type `kind` that the bytes hold.
+    """Decode a message from MessagePack or JSON text.
+
+    Args:
+        payload: Bytes as they were received.
+        kind: Type of the message. Its `max_bytes`, or else `MAX_BYTES`, limits the length.
 
     Raises:
-        PayloadError: Too long, nested too deeply, neither MessagePack nor JSON, not of `kind`, or with a
-            number that is not finite or has more than 64 bits.
+        PayloadError: The payload is too long, nested too deeply, neither MessagePack nor JSON, not of `kind`, or holds
+            a number that is not finite or has more than 64 bits.
     """
     limit = getattr(kind, "max_bytes", MAX_BYTES)
     if len(payload) > limit:
@@ -82,10 +86,14 @@ def unpack(payload: bytes, kind: type[T]) -> T:
 
 
 def convert(value: Any, kind: type[T]) -> T:
-    """The message of type `kind` that decoded fields hold.
+    """Convert decoded fields to a message.
+
+    Args:
+        value: Fields as plain data.
+        kind: Type of the message.
 
     Raises:
-        PayloadError: They do not fit the type.
+        PayloadError: The fields do not fit the type.
     """
     try:
         return msgspec.convert(value, kind)
@@ -94,7 +102,7 @@ def convert(value: Any, kind: type[T]) -> T:
 
 
 def convert_event(fields: dict[str, Any]) -> Verdict | DeviceEvent:
-    """What was told on ``state/event``, from its decoded fields. Raises `PayloadError`."""
+    """Convert the decoded fields of a message on ``state/event``. Raises `PayloadError`."""
     return convert(fields, Verdict) if "decision" in fields else convert(fields, DeviceEvent)
 
 
@@ -110,20 +118,22 @@ def _decode(payload: bytes) -> Any:
 
 
 def _require_plain(value: Any) -> None:
-    """Walks level by level without recursion, since the depth is the sender's choice."""
+    """Check all values level by level, not by recursion: the sender chooses the depth."""
     level = [value]
     for _ in range(MAX_DEPTH + 1):
         level = [part for item in level for part in _parts(item)]
         if not level:
             return
-    raise PayloadError(f"A value lies more than {MAX_DEPTH} lists and maps deep; send flatter data.", limit=MAX_DEPTH)
+    raise PayloadError(
+        f"A value is nested in more than {MAX_DEPTH} lists and maps; send flatter data.", limit=MAX_DEPTH
+    )
 
 
 def _parts(item: Any) -> Iterable[Any]:
-    """What a list or map holds, nothing for other values. Raises `PayloadError` if it is no plain data."""
+    """Return the items of a list or map, nothing for other values. Raises `PayloadError` if it is no plain data."""
     if isinstance(item, dict):
         if not all(isinstance(key, str) for key in item):
-            raise PayloadError("A map has a key that is no text; use text for keys.")
+            raise PayloadError("A map has a key that is not text; use text for keys.")
         return item.values()
     if isinstance(item, list):
         return item
@@ -134,27 +144,27 @@ def _parts(item: Any) -> Iterable[Any]:
         if not -_INTEGER_LIMIT <= item < _INTEGER_LIMIT:
             raise PayloadError("An integer has more than 64 bits; send it as text.")
     elif not isinstance(item, str | bytes | None):
-        raise PayloadError(f"{type(item).__name__} is no type of this bus; use numbers, text, lists and maps.")
+        raise PayloadError(f"{type(item).__name__} cannot be sent on this bus; use numbers, text, lists and maps.")
     return ()
 
 
 def reason_from(error: PcmrsError) -> Reason:
-    """The error as data, under the code that a program may match on."""
+    """Return an error as data, with the code that a program may match on."""
     code = error.refusal_code if isinstance(error, RefusalError) else error.code
     return Reason(code=code, text=error.text, fields=error.fields)
 
 
 def busy(limit: int) -> RefusalError:
-    """Refusal of a message for which a queue with so many places has none."""
+    """Return the refusal of a message that found a queue of `limit` places full."""
     return RefusalError("busy", f"More than {limit} messages wait; send it again later.", limit=limit)
 
 
 def error_from(payload: bytes) -> PcmrsError:
-    """The error that an error reply stands for.
+    """Return the error that an error reply stands for.
 
     Returns:
-        `DeviceError` with the sent code in its field ``reason``; `UnknownOutcomeError` when the other side
-        does not know either, or when the reply is the bus's own, as at a timeout.
+        `DeviceError` with the sent code in its field ``reason``; `UnknownOutcomeError` if the outcome is unknown to the
+        other side, too, or if the bus itself made the reply, as at a timeout.
     """
     try:
         reason = unpack(payload, Reason)

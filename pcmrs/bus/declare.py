@@ -1,4 +1,4 @@
-"""Publishers and subscribers with the quality of service of their class of data."""
+"""Declaration of publishers and subscribers with the quality of service of their class of data."""
 
 from __future__ import annotations
 
@@ -13,11 +13,17 @@ from pcmrs.bus.qos import DataClass
 _ENCODING: Final = "application/msgpack"
 
 _HEARTBEAT: Final = 0.2
-"""Seconds after which a subscriber learns that it missed the last message."""
+"""Time after which a subscriber detects that it missed the last message, s."""
 
 
 def declare_publisher(session: zenoh.Session, key: str, data: DataClass) -> zenoh.Publisher | ext.AdvancedPublisher:
-    """A publisher on an absolute key whose ``put`` never waits for the link."""
+    """Declare a publisher whose ``put`` never waits for the link.
+
+    Args:
+        session: Session that publishes.
+        key: Absolute key.
+        data: Class of the data on this key.
+    """
     settings: dict[str, Any] = {
         "encoding": _ENCODING,
         "congestion_control": CongestionControl.DROP,
@@ -39,13 +45,14 @@ def declare_publisher(session: zenoh.Session, key: str, data: DataClass) -> zeno
 def declare_subscriber(
     session: zenoh.Session, key: str, data: DataClass, receive: Callable[[zenoh.Sample], None]
 ) -> Any:
-    """A subscriber to what other sessions publish on an absolute key expression.
+    """Declare a subscriber to what other sessions publish.
 
     Args:
-        session: That hears.
+        session: Session that subscribes.
         key: Absolute key expression.
-        data: Its class; of kept data, lost messages are recovered and late subscribers get the history.
-        receive: Called in a thread of Zenoh's.
+        data: Class of the data on this key. Where publishers keep messages, lost ones are recovered and late
+            subscribers get the history.
+        receive: Called in one of Zenoh's threads with each sample.
     """
     if not data.kept:
         return session.declare_subscriber(key, receive, allowed_origin=Locality.REMOTE)

@@ -1,8 +1,8 @@
-"""The process that sends the daemon's heartbeats: so small that nothing in it can keep a beat from going out.
+"""The heart: the process that sends the daemon's heartbeats, so small that nothing in it can delay one.
 
-The daemon's loop gives its signs of life on standard input. Each is sent as a beat, and none is invented: a daemon that
-hangs is silent. The end of the input is the end of the daemon. Beside that it watches the threads of the daemon and of
-the nodes that have the real-time policy, and takes it from one that runs away.
+The daemon's loop writes signs of life to the standard input of this process. Each one is sent as a heartbeat, and none
+is made up: a daemon that hangs is silent. The input ends with the daemon. The heart also watches the real-time threads
+of the daemon and of the device nodes, and takes the real-time policy away from one that runs away.
 
     python -m pcmrs.bus.heart < settings and signs of life
 """
@@ -33,22 +33,22 @@ from pcmrs.messages import Beat, DeviceEvent
 from pcmrs.threads import Priority, RealTime, Runaway, Runaways
 
 SIGN = struct.Struct("<Qd")
-"""A sign of life: its number, and when the loop gave it, s of the machine's monotonic clock."""
+"""A sign of life: its number, and the time at which the loop wrote it, s of the machine's monotonic clock."""
 
-
-LOOK = 0.1
-"""Between two looks at the threads, s."""
+WATCH_PERIOD = 0.1
+"""Time between two checks of the threads, s."""
 EVENTS = "daemon/event"
+"""Key of the events of the daemon's own processes."""
 
 
 class HeartSettings(msgspec.Struct, frozen=True, kw_only=True):
     """First line of standard input, in JSON.
 
     Attributes:
-        bus: Where the beats go.
-        key: Under which relative key.
-        session: Of the daemon.
-        device_key: With which daemon and nodes seal what they send.
+        bus: Bus on which the heartbeats are sent.
+        key: Relative key of the heartbeats.
+        session: Session id of the daemon.
+        device_key: Key with which daemon and nodes seal their messages.
     """
 
     bus: BusSettings
@@ -58,15 +58,16 @@ class HeartSettings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 Sign = tuple[int, float]
+"""A sign of life as `SIGN` unpacks it."""
 
 
 class Heart:
-    """Sends beats, and watches between them.
+    """Sends heartbeats, and watches the real-time threads between them.
 
     Args:
-        session: Of Zenoh.
-        settings: What is sent, and where.
-        daemon: Id of the daemon's process.
+        session: Zenoh session.
+        settings: Contents and key of the heartbeats.
+        daemon: Process id of the daemon.
     """
 
     def __init__(self, session: zenoh.Session, settings: HeartSettings, daemon: int) -> None:
@@ -77,11 +78,11 @@ class Heart:
         self._events = self._publisher(EVENTS)
         self._clock = SystemClock()
         self._realtime = RealTime(Priority.HEART)
-        self._runaways = Runaways(lambda: family(daemon))
-        self._looked = -LOOK
+        self._runaways = Runaways(lambda: watched_processes(daemon))
+        self._looked = -WATCH_PERIOD
 
     def run(self, signs: Iterator[Sign | None]) -> None:
-        """Sends a beat for each sign of life until there are no more."""
+        """Send a heartbeat for each sign of life until `signs` ends."""
         for sign in signs:
             if sign is not None:
                 number, alive = sign
@@ -91,7 +92,7 @@ class Heart:
 
     def _watch(self) -> None:
         now = self._clock.monotonic()
-        if now - self._looked < LOOK:
+        if now - self._looked < WATCH_PERIOD:
             return
         self._looked = now
         with suppress(PermissionError):
@@ -107,8 +108,8 @@ class Heart:
         return declare_publisher(self._session, f"{self._prefix}/{key}", class_of(key))
 
 
-def family(daemon: int) -> list[int]:
-    """Ids of a daemon's process and of its children; not of this one, which would otherwise be watched by itself."""
+def watched_processes(daemon: int) -> list[int]:
+    """Return the process ids of the daemon and its children, without the heart, which would watch itself."""
     found = [daemon]
     for task in Path(f"/proc/{daemon}/task").glob("*/children"):
         with suppress(OSError):  # the thread has ended
@@ -119,17 +120,17 @@ def family(daemon: int) -> list[int]:
 def _demoted(runaway: Runaway) -> DeviceEvent:
     text = (
         f"Thread {runaway.name} ({runaway.thread}) of process {runaway.process} ran for {runaway.ran:.1f} s without a "
-        "rest and has lost the real-time policy until it rests again. The cell works on, but a busy machine may now "
-        "delay heartbeats. The log says what the loop was doing."
+        "pause and has lost the real-time policy until it pauses again. The cell still works, but a busy machine may "
+        "now delay heartbeats. The log shows what the loop was doing."
     )
     return DeviceEvent(device="daemon", code="thread_demoted", text=text, fields=runaway._asdict())
 
 
-def signs_of(descriptor: int) -> Iterator[Sign | None]:
-    """Signs of life from a file; of those that have come meanwhile, the newest, and None when none comes for `LOOK`."""
+def read_signs(descriptor: int) -> Iterator[Sign | None]:
+    """Yield the newest sign of life that can be read from a file, and None if none arrives for `WATCH_PERIOD`."""
     received = b""
     while True:
-        if not select.select([descriptor], [], [], LOOK)[0]:
+        if not select.select([descriptor], [], [], WATCH_PERIOD)[0]:
             yield None
             continue
         read = os.read(descriptor, 256 * SIGN.size)
@@ -141,8 +142,8 @@ def signs_of(descriptor: int) -> Iterator[Sign | None]:
             received = received[whole:]
 
 
-def first_line(descriptor: int) -> bytes:
-    """Up to the first line break; nothing behind it is read."""
+def read_line(descriptor: int) -> bytes:
+    """Read up to the first line break and not beyond it."""
     line = b""
     while (read := os.read(descriptor, 1)) not in (b"", b"\n"):
         line += read
@@ -150,15 +151,15 @@ def first_line(descriptor: int) -> bytes:
 
 
 def main() -> None:
-    """Runs until standard input ends. Exit status 1: the router does not answer."""
+    """Run until standard input ends; exit with status 1 if the router does not answer."""
     descriptor = sys.stdin.fileno()
-    settings = msgspec.json.decode(first_line(descriptor), type=HeartSettings)
+    settings = msgspec.json.decode(read_line(descriptor), type=HeartSettings)
     try:
         session = open_session(settings.bus)
     except PcmrsError as error:
         sys.exit(f"The daemon's heart: {error.text}")
     try:
-        Heart(session, settings, os.getppid()).run(signs_of(descriptor))
+        Heart(session, settings, os.getppid()).run(read_signs(descriptor))
     finally:
         session.close()  # type: ignore[no-untyped-call]
 

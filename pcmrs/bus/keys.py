@@ -1,7 +1,7 @@
-"""The keys of a cell: how they are built and taken apart, and what is found on each.
+"""The keys of a cell: the table of all keys, and functions that build and split them.
 
-A key is `pcmrs/<site>/<cell>/` and a relative key such as ``state/fsm``. Everything but the session
-itself works with relative keys.
+A key is ``pcmrs/<site>/<cell>/`` and a relative key such as ``state/fsm``. Everything but the session itself works
+with relative keys.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ Use = Literal["query", "put", "put or query", "subscribe"]
 
 
 class KeyInfo(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """One row of the key table, as seen by somebody outside the daemon.
+    """One row of the key table, as a client outside the daemon sees it.
 
     Attributes:
-        key: Relative key; ``<name>`` stands for one chunk, ``<user>`` for the name of who uses it.
-        use: What a client does with it.
-        payload: What is sent and, after an arrow, what comes back.
-        text: What it is for.
-        users: Roles that may do so.
+        key: Relative key; ``<name>`` stands for one chunk, ``<user>`` for the name of the user.
+        use: Use of the key by a client.
+        payload: Type that is sent and, after an arrow, type of the reply.
+        text: Purpose of the key.
+        users: Roles that may use the key.
         owners: Roles that serve or publish it.
     """
 
@@ -49,8 +49,8 @@ EVERYBODY: Final[tuple[Role, ...]] = ("operator", "planner", "viewer", "device",
 READERS: Final[tuple[Role, ...]] = ("operator", "planner", "viewer", "teleoperator", "daemon")
 DAEMON: Final[tuple[Role, ...]] = ("daemon",)
 DEVICE: Final[tuple[Role, ...]] = ("device",)
-TOLD_ON_SITE: Final[tuple[Role, ...]] = ("device", "daemon")
-"""Sent by devices; those on the daemon's machine are behind it, so that to a router it is the daemon who sends."""
+SENT_ON_SITE: Final[tuple[Role, ...]] = ("device", "daemon")
+"""Owners of what devices publish. To a router, the daemon publishes for the devices on its own machine."""
 
 
 def _row(
@@ -67,7 +67,7 @@ KEYS = [
         "Asks for an operation. A query is answered with the verdict; that of a put appears on state/event.",
         COMMANDING,
     ),
-    # The robot's node hears it by itself, whatever has become of the daemon.
+    # The robot's node subscribes to it as well, so that Stop works without the daemon.
     _row(
         "stop/<user>",
         "put or query",
@@ -78,18 +78,18 @@ KEYS = [
     ),
     _row("state/fsm", "subscribe", "Snapshot", "State of all branches after each commit; the last is kept.", READERS),
     _row("state/event", "subscribe", "Verdict | DeviceEvent", "Decisions and device events as they happen.", READERS),
-    _row("state/joints", "subscribe", "JointState", "Measured joints of the arm.", READERS, TOLD_ON_SITE),
+    _row("state/joints", "subscribe", "JointState", "Measured joints of the arm.", READERS, SENT_ON_SITE),
     _row(
         "state/pose/<body>",
         "subscribe",
         "BodyPose",
         "Pose of a tracked body in the tracker frame.",
         READERS,
-        TOLD_ON_SITE,
+        SENT_ON_SITE,
     ),
     _row("state/flags", "subscribe", "Flags", "The flags that mirror the states, for displays.", READERS),
     _row("state/target", "subscribe", "Target", "Planned tool pose in the image, and the registration.", READERS),
-    _row("state/data", "subscribe", "ProcedureDataView", "What svc/data answers, whenever that has changed.", READERS),
+    _row("state/data", "subscribe", "Gathered", "What svc/data answers, whenever that has changed.", READERS),
     _row("state/epoch", "subscribe", "Epoch", "What a muscle answered to each pulse, as it was measured.", READERS),
     _row("state/health", "subscribe", "Health", "What svc/health answers, every few seconds, for recordings.", READERS),
     _row("teleop/<user>", "put", "TeleopSetpoint", "Set points of who has engaged the clutch.", HOLDING),
@@ -114,7 +114,7 @@ KEYS = [
     ),
     _row("svc/keys", "query", "nothing -> KeyTable", "This table.", READERS),
     _row("dev/<device>/cmd", "query", "DeviceRequest -> DeviceReply", "Calls a method of a device.", DAEMON, DEVICE),
-    _row("dev/<device>/state", "subscribe", "DeviceHealth", "Whether a device is well.", READERS, TOLD_ON_SITE),
+    _row("dev/<device>/state", "subscribe", "DeviceHealth", "Whether a device is well.", READERS, SENT_ON_SITE),
     _row("dev/<device>/beat", "subscribe", "NodeBeat", "Heartbeats of a device's node.", DAEMON, DEVICE),
     _row("daemon/beat", "subscribe", "Beat", "Signs of life of the daemon's loop.", DEVICE),
     _row("daemon/event", "subscribe", "DeviceEvent", "What the daemon's own processes report.", DAEMON),
@@ -130,7 +130,7 @@ KEYS = [
         "subscribe",
         "CDR: geometry_msgs/msg/PoseStamped",
         "Poses that sensors of ROS 2 measure, for the driver ros2.",
-        TOLD_ON_SITE,
+        SENT_ON_SITE,
         DEVICE,
     ),
     _row(
@@ -145,7 +145,7 @@ KEYS = [
 
 
 def check_chunk(text: str) -> str:
-    """Returns `text` if it may stand between two slashes of a key.
+    """Return `text` if it is a valid chunk of a key: the part between two slashes.
 
     Raises:
         PayloadError: It is empty, has upper case, or characters other than ``a-z 0-9 . _ -``.
@@ -159,7 +159,11 @@ def check_chunk(text: str) -> str:
 
 
 def cell_prefix(site: str, cell: str) -> str:
-    """The part that all keys of a cell share, without a slash at its end.
+    """Return the prefix of all keys of a cell, without a slash at its end.
+
+    Args:
+        site: Name of the site.
+        cell: Name of the cell.
 
     Raises:
         PayloadError: A name cannot be a part of a key.
@@ -168,7 +172,12 @@ def cell_prefix(site: str, cell: str) -> str:
 
 
 def command_key(user: str, branch: str, operation: str) -> str:
-    """The relative key on which `user` asks for an operation.
+    """Return the relative key of a command.
+
+    Args:
+        user: Name of the user who sends it.
+        branch: Branch of the workflow.
+        operation: Operation of that branch.
 
     Raises:
         PayloadError: A name cannot be a part of a key.
@@ -177,20 +186,23 @@ def command_key(user: str, branch: str, operation: str) -> str:
 
 
 def is_signed(key: str) -> bool:
-    """Whether messages on a relative key are signed: what acts on the cell, but for Stop, which everybody may send."""
+    """Return True for a relative key whose messages are signed: all that act on the cell, except Stop.
+
+    Everyone may send a Stop.
+    """
     return key.startswith(("cmd/", "teleop/"))
 
 
 def named_in(key: str) -> str:
-    """The name in a relative key, its second chunk: the user of ``stop/eve``, the device of ``dev/robot/cmd``."""
+    """Return the second chunk of a relative key: the user of ``stop/eve``, the device of ``dev/robot/cmd``."""
     return key.split("/")[1]
 
 
 def split_command_key(key: str) -> tuple[str, str, str]:
-    """User, branch and operation of a relative key that matches ``cmd/*/*/*``.
+    """Return user, branch and operation of a relative key that matches ``cmd/*/*/*``.
 
     Raises:
-        PayloadError: A part is no name, such as a wildcard.
+        PayloadError: A part is not a name, such as a wildcard.
     """
     user, branch, operation = map(check_chunk, key.split("/")[1:])
     return user, branch, operation

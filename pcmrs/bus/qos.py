@@ -1,4 +1,4 @@
-"""Quality of service: one table from keys to classes of data, for publishers and subscribers alike."""
+"""Quality of service: one table from keys to classes of data, for publishers and subscribers."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from zenoh import KeyExpr, Priority
 
 @dataclass(frozen=True)
 class DataClass:
-    """How one kind of data travels. A publisher never blocks: when its queue is full, data is dropped.
+    """Transport of one kind of data. A publisher never blocks: if its queue is full, data is dropped.
 
     Attributes:
-        priority: Of the queue in which it waits for the link.
-        newest: So many unread messages of one key wait, the newest; 0 where none is dropped for a newer one.
-        kept: Messages that the publisher keeps, so that lost ones are recovered; 0 for none.
-        history: Kept messages that a late subscriber is given.
-        express: Sent at once instead of in a batch.
-        urgent: Heard before what else waits, and not turned away because of it.
+        priority: Priority of the queue in which it waits for the link.
+        newest: Number of unread messages of one key that wait for the receiver; older ones are dropped. 0: a newer
+            message never replaces an older one.
+        kept: Number of messages that the publisher keeps, so that lost ones are recovered; 0 for none.
+        history: Number of kept messages that a late subscriber receives.
+        express: True to send at once instead of in a batch.
+        urgent: True to handle it before other waiting messages, in its own queue.
     """
 
     priority: Priority
@@ -30,20 +31,20 @@ class DataClass:
 
 
 COMMANDS: Final = DataClass(Priority.REAL_TIME, newest=0, express=True)
-# A sender that blocks holds the queue of its priority: holds must have another one than what they end.
+# A sender that blocks also blocks the queue of its priority, so requests and the holds that end them need two queues.
 REQUESTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest=0, express=True)
 SNAPSHOTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest=1, kept=1, history=1)
 EVENTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest=0, kept=256, urgent=True)
-# So many signals lie over each other on a display.
+# A display overlays this many signals.
 EPOCHS: Final = DataClass(Priority.DATA, newest=5, kept=5, history=5)
 REPORTS: Final = DataClass(Priority.DATA_LOW, newest=1, kept=1, history=1)
 BEATS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest=1, express=True)
 SETPOINTS: Final = DataClass(Priority.REAL_TIME, newest=1, express=True)
-# A guard that sees every second pose of a body sees nothing of a reflection that moves the others.
+# The jump guard needs every pose: it misses a reflection if it sees only every second pose.
 POSES: Final = DataClass(Priority.INTERACTIVE_LOW, newest=16)
 JOINTS: Final = DataClass(Priority.DATA_HIGH, newest=1)
 VIDEO: Final = DataClass(Priority.BACKGROUND, newest=1)
-# Copies for ROS 2, behind everything that the cell itself needs.
+# Copies for ROS 2 have a lower priority than everything that the cell itself needs.
 COPIES: Final = DataClass(Priority.DATA_LOW, newest=16)
 COPIED_SNAPSHOTS: Final = DataClass(Priority.DATA_LOW, newest=1, kept=1, history=1)
 OTHER: Final = DataClass(Priority.DATA, newest=0)
@@ -82,6 +83,6 @@ _TABLE: Final = [
 
 
 def class_of(key: str) -> DataClass:
-    """The class of all data on a relative key or key expression."""
-    asked = KeyExpr(key)
-    return next(data_class for expression, data_class in _TABLE if expression.includes(asked))
+    """Return the class of the data on a relative key or key expression."""
+    requested = KeyExpr(key)
+    return next(data_class for expression, data_class in _TABLE if expression.includes(requested))

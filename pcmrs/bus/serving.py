@@ -1,4 +1,4 @@
-"""Answering requests: each in a task of its own, within the life of its query."""
+"""The serving side of a query: each request is answered in its own task, within the lifetime of its query."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ import zenoh
 from pcmrs.bus.bridge import CAPACITY, Call
 from pcmrs.bus.codec import busy, is_text, pack, pack_text, reason_from, unpack
 from pcmrs.bus.keys import named_in
-from pcmrs.bus.seal import Kind, Seal, Taken
-from pcmrs.bus.turns import WAITING, Turns
+from pcmrs.bus.round_robin import WAITING, RoundRobin
+from pcmrs.bus.seal import Kind, ReplayWindow, Seal
 from pcmrs.errors import AccessError, PayloadError, PcmrsError, SealError
 
 if TYPE_CHECKING:
-    from pcmrs.bus.signature import Signatures
+    from pcmrs.bus.signature import SignatureVerifier
 
 T = TypeVar("T")
 
 Refuse = Callable[[str, PcmrsError], msgspec.Struct]
-"""Makes the reply to a request that never reaches its handler, from its relative key and the error."""
+"""Returns the reply to a request that never reaches its handler, from its relative key and the error."""
 
 ANSWERS: Final = 256
-"""Requests that a process answers at the same time; one more is refused."""
+"""Number of requests that a process answers at the same time; one more is refused."""
 
 _log = logging.getLogger(__name__)
 
@@ -39,17 +39,17 @@ class Service(Generic[T]):
     """One served key expression.
 
     Attributes:
-        key: The relative key expression served.
-        prefix: What stands before relative keys.
+        key: Relative key expression that is served.
+        prefix: Prefix of relative keys.
         kind: Type of the requests.
-        handler: Makes the reply from relative key and request.
-        refuse: Makes the reply to a malformed, excess or unsigned request; None for an error reply.
-        post: Runs a call in the event loop, or returns False when too many wait.
-        turns: Starts requests that only read, in turn; None for those that are started as they come.
-        tasks: Where running answers are kept.
-        pool: Sends replies, since a link whose queue is full blocks its sender.
-        seal: Of requests and replies on this key; None where they are not sealed.
-        signatures: Checks requests on this key; None where they are not signed.
+        handler: Returns the reply from relative key and request.
+        refuse: Returns the reply to a malformed, excess or unsigned request; None for an error reply.
+        post: Runs a call in the event loop, or returns False if too many wait.
+        turns: Starts requests that only read, in turn; None to start each request as it arrives.
+        tasks: Set of the running answers.
+        pool: Threads that send replies, because a link with a full queue blocks its sender.
+        seal: Seal of requests and replies on this key; None where they are not sealed.
+        verifier: Verifier of requests on this key; None where they are not signed.
     """
 
     key: str
@@ -58,18 +58,18 @@ class Service(Generic[T]):
     handler: Callable[[str, T], Awaitable[msgspec.Struct]]
     refuse: Refuse | None
     post: Callable[[Call], bool]
-    turns: Turns | None
+    turns: RoundRobin | None
     tasks: set[asyncio.Task[None]]
     pool: Executor
     seal: Seal | None = None
-    signatures: Signatures | None = None
-    _taken: Taken = field(default_factory=Taken)
+    verifier: SignatureVerifier | None = None
+    _taken: ReplayWindow = field(default_factory=ReplayWindow)
 
     def receive(self, query: zenoh.Query) -> None:
-        """Takes a query in Zenoh's thread: on its way into the loop, or refused at once."""
+        """Take a query in Zenoh's thread: hand it over to the loop, or refuse it at once."""
         key = self._relative(query)
         if "*" in key:
-            self._send(query, key, PayloadError(f"{key} holds a wildcard; ask on one key.", key=key))
+            self._send(query, key, PayloadError(f"{key} holds a wildcard; send the request on one key.", key=key))
         elif (unsealed := self._unsealed(query)) is not None:
             self._send(query, key, unsealed)
         elif self.turns is not None:
@@ -79,7 +79,7 @@ class Service(Generic[T]):
             self._send(query, key, self._refusal(key, busy(CAPACITY)))
 
     def _unsealed(self, query: zenoh.Query) -> SealError | None:
-        """Why a query that must be sealed is not answered: device nodes serve their daemon and nobody else."""
+        """Return why a query that must be sealed is not answered: device nodes serve only their daemon."""
         if self.seal is None:
             return None
         try:
@@ -89,14 +89,17 @@ class Service(Generic[T]):
         return None
 
     def _objection(self, query: zenoh.Query, key: str) -> AccessError | None:
-        """Why a query that must be signed is not answered. In Zenoh's thread: forged ones keep no loop busy."""
-        if self.signatures is None:
+        """Return why a query that must be signed is not answered.
+
+        Runs in Zenoh's thread, so that forged queries do not load the event loop.
+        """
+        if self.verifier is None:
             return None
         absolute, payload = str(query.key_expr), payload_of(query)
-        return self.signatures.objection(attached_to(query), "query", named_in(key), absolute, payload)
+        return self.verifier.objection(attached_to(query), "query", named_in(key), absolute, payload)
 
     def _relative(self, query: zenoh.Query) -> str:
-        """A query with wildcards, such as ``svc/*``, means the served key when that has none."""
+        """Return the relative key of a query; one with wildcards, such as ``svc/*``, means the served key."""
         return str(query.key_expr).removeprefix(f"{self.prefix}/") if "*" in self.key else self.key
 
     def _start(self, query: zenoh.Query, key: str, objection: AccessError | None) -> None:
@@ -116,7 +119,7 @@ class Service(Generic[T]):
         try:
             reply = await self._reply(payload_of(query), key)
         except asyncio.CancelledError:
-            # Dropped without a reply: the asker learns that the outcome is unknown.
+            # Dropped without a reply: to the sender of the request the outcome is unknown.
             with query:
                 raise
         await asyncio.get_running_loop().run_in_executor(self.pool, self._send, query, key, reply)
@@ -160,10 +163,10 @@ class Service(Generic[T]):
 
 
 def payload_of(received: zenoh.Query | zenoh.Sample) -> bytes:
-    """The bytes of a query or sample; none at all is an empty payload."""
+    """Return the payload of a query or sample; empty if there is none."""
     return received.payload.to_bytes() if received.payload is not None else b""
 
 
 def attached_to(received: zenoh.Query | zenoh.Sample) -> bytes:
-    """The seal or signature of a query or sample; empty when it has none."""
+    """Return the seal or signature of a query or sample; empty if there is none."""
     return received.attachment.to_bytes() if received.attachment is not None else b""

@@ -1,4 +1,4 @@
-"""Where a process meets its cell, and the Zenoh session that follows from it."""
+"""Settings of one process on the bus, and the Zenoh session that they describe."""
 
 from __future__ import annotations
 
@@ -17,30 +17,32 @@ from pcmrs.messages.identity import LOCAL, ON_SITE, Identity, Role
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 SECURED: Final = "tls/"
-"""Begins every endpoint that is not this machine's own."""
-NEAR: Final = 1000
-"""A link on one machine that carries nothing for so long is closed, ms."""
-FAR: Final = 4000
-"""The same where links go over a network: TCP stalls for more than a second when a fifth of the packets is lost."""
+"""Prefix of every endpoint on another machine."""
+LOCAL_LEASE_MS: Final = 1000
+"""Time after which an idle link on one machine is closed, ms."""
+NETWORK_LEASE_MS: Final = 4000
+"""Time after which an idle link over a network is closed, ms: with 20 % packet loss, TCP stalls for more than 1 s."""
 _LARGEST: Final = MAX_BYTES + 64 * 1024
-"""Bytes of the largest message that is taken from a link, its envelope with it."""
+"""Largest message that a link accepts, with its envelope, bytes."""
 STOPS: Final[dict[str, float]] = {"put": 1000.0, "query": 4000.0}
-"""Messages on ``stop/*`` that a router takes from one link, by kind, 1/s. Zenoh drops the others before Python sees
-them, so that a flood cannot keep the daemon busy. Nothing can be released within the millisecond in which another press
-is dropped: the hold of the first one takes longer. A query that is dropped ends at once, without a reply; one that
-follows the answer to another is not dropped."""
+"""Greatest rate of messages on ``stop/*`` that a router accepts from one link, by kind, 1/s.
+
+Zenoh drops the others before Python sees them, so that a flood cannot keep the daemon busy. This loses no Stop: nothing
+can be released within the millisecond in which another press is dropped, because the hold of the first press takes
+longer. A dropped query ends at once, without a reply. A query that follows the answer to another is not dropped.
+"""
 
 
 class Credentials(msgspec.Struct, frozen=True, kw_only=True):
-    """Who a process is, and the files that prove it.
+    """Identity of a process, and the files that prove it. All files are PEM.
 
     Attributes:
-        name: Its certificate's common name: the user in its keys.
-        cells: In which it has a role, as ``<site>/<cell>``.
-        certificate: Path in PEM, as of the others.
-        key: Of the certificate.
-        authority: Certificate of the authority that the others must have theirs from.
-        ends: Wall time until which the certificate counts, s.
+        name: Common name of its certificate: the user in its keys.
+        cells: Cells in which it has a role, as ``<site>/<cell>``.
+        certificate: Path of its certificate.
+        key: Path of the private key of the certificate.
+        authority: Path of the certificate of the authority, which must have issued the peers' certificates.
+        ends: Wall time at which the certificate expires, s.
     """
 
     name: str
@@ -55,15 +57,15 @@ class BusSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """The bus as one process uses it.
 
     Attributes:
-        mode: The daemon is a ``router`` that listens; every other process is a ``client`` of one.
-        endpoint: Where the router listens: of this machine without certificates, of others with them (``tls/...``).
-            Empty for a router that has no such place on this machine.
-        site: First name of the cell.
-        cell: Second name of the cell.
-        credentials: Needed for whatever leaves this machine.
+        mode: ``router`` for the daemon, which listens; ``client`` for every other process.
+        endpoint: Endpoint of the router: on this machine without certificates, or on another with them (``tls/...``).
+            Empty for a router that does not listen on loopback.
+        site: First part of the cell's name.
+        cell: Second part of the cell's name.
+        credentials: Identity; needed for all links to other machines.
         listen: Further endpoints of a router, all with certificates.
-        routers: Routers that a router dials, all with certificates.
-        members: Who may take part in what a router with credentials carries.
+        routers: Endpoints of routers that a router dials, all with certificates.
+        members: Register: everyone who may take part through a router with credentials.
     """
 
     mode: Literal["router", "client"] = "client"
@@ -77,25 +79,30 @@ class BusSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     @property
     def user(self) -> str:
-        """The user in the keys of this process."""
+        """User in the keys of this process."""
         on_site = self.endpoint and not self.endpoint.startswith(SECURED)
         return LOCAL if self.credentials is None or on_site else self.credentials.name
 
     def role_of(self, user: str) -> Role:
-        """The register's. Without one everybody is on site.
+        """Return the role of a user by the register; without a register everyone is on site.
 
         Raises:
-            AccessError: The register has nobody of that name who may take part in this cell now.
+            AccessError: The register has no user of that name who may take part in this cell now.
         """
         if not self.members or user == ON_SITE.user:
             return ON_SITE.role
         return self.member(user, SystemClock().wall()).role
 
     def member(self, user: str, now: float) -> Identity:
-        """Somebody in the register who may take part in this cell at the wall time `now`, s.
+        """Return the register's entry of a user who may take part in this cell.
+
+        Args:
+            user: Name of the user.
+            now: Wall time, s.
 
         Raises:
-            AccessError: Nobody of that name may.
+            AccessError: The user may not take part; field ``why`` is ``unknown``, ``revoked``, ``expired`` or
+                ``foreign``.
         """
         cell, found = f"{self.site}/{self.cell}", next((each for each in self.members if each.name == user), None)
         if found is None:
@@ -103,18 +110,18 @@ class BusSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         if found.revoked is not None:
             raise AccessError(f"{user!r} is revoked: have a new identity issued.", user=user, why="revoked")
         if not found.valid(now):
-            text = f"The certificate of {user!r} does not count now: have a new one issued, or set the clock."
+            text = f"The certificate of {user!r} is not valid now: have a new one issued, or set the clock."
             raise AccessError(text, user=user, why="expired")
         if not found.in_cell(cell):
             text = f"{user!r} may take part in {' '.join(found.cells)}, not in {cell}."
             raise AccessError(text, user=user, why="foreign")
         return found
 
-    def values(self) -> dict[str, Any]:
-        """Zenoh's configuration: nothing is found by multicast or gossip, nobody gets in whom `members` does not have.
+    def zenoh_config(self) -> dict[str, Any]:
+        """Return Zenoh's configuration: no discovery by multicast or gossip, and no peer that is not in `members`.
 
         Raises:
-            ConfigurationError: An endpoint that is not this machine's own is to be used without certificates.
+            ConfigurationError: An endpoint on another machine is to be used without certificates.
         """
         return {
             "mode": self.mode,
@@ -128,7 +135,7 @@ class BusSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             "adminspace/permissions": {"read": True, "write": False},
             "transport/link/protocols": ["tcp"] if self.credentials is None else ["tcp", "tls"],
             "transport/link/rx/max_message_size": _LARGEST,
-            "transport/link/tx/lease": NEAR if self.credentials is None else FAR,
+            "transport/link/tx/lease": LOCAL_LEASE_MS if self.credentials is None else NETWORK_LEASE_MS,
             "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
             "transport/shared_memory/enabled": False,
             "downsampling": [] if self.mode == "client" else [_limited(*each) for each in STOPS.items()],
@@ -144,12 +151,12 @@ class BusSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             "enable_mtls": True,
             "verify_name_on_connect": True,
             "close_link_on_expiration": True,
-            **{f"{way}_{what}": file for way in ("listen", "connect") for what, file in pair.items()},
+            **{f"{side}_{what}": file for side in ("listen", "connect") for what, file in pair.items()},
         }
         if self.mode == "client":
             return {"transport/link/tls": tls}
-        between = "" if self.endpoint else own.name
-        access = access_control(self.members, router=between, on_site=bool(self.endpoint))
+        router = "" if self.endpoint else own.name
+        access = access_control(self.members, router=router, on_site=bool(self.endpoint))
         return {"transport/link/tls": tls, "access_control": access}
 
     def _listened(self) -> list[str]:
@@ -166,52 +173,52 @@ class BusSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     def _secured(self, endpoint: str) -> str:
         if not endpoint.startswith(SECURED):
-            text = f"{endpoint} is no endpoint for other machines: it has to begin with {SECURED}, for certificates."
+            text = f"{endpoint} is not an endpoint for other machines: it must begin with {SECURED}, for certificates."
             raise ConfigurationError(text, endpoint=endpoint)
         if self.credentials is None:
-            text = f"{endpoint} asks for a certificate: give the folder that `pcmrs pki issue` has made, --identity."
+            text = f"{endpoint} requires a certificate: give the folder that `pcmrs pki issue` has made, --identity."
             raise ConfigurationError(text, endpoint=endpoint)
         return endpoint
 
 
 def _limited(message: str, most: float) -> dict[str, Any]:
-    """Zenoh's limit of Stops from one link by messages of a kind; each link has its own."""
+    """Return Zenoh's rate limit of Stops by messages of one kind; it applies to each link by itself."""
     rules = [{"key_expr": "pcmrs/*/*/stop/*", "freq": most}]
     return {"id": f"stop-{message}", "flows": ["ingress"], "messages": [message], "rules": rules}
 
 
 def _on_site(endpoint: str) -> str:
-    """Returns an endpoint that is open to this machine only."""
+    """Return an endpoint that only this machine can reach. Raises `ConfigurationError` for any other."""
     host = endpoint.removeprefix("tcp/").rpartition(":")[0].strip("[]")
     if host != "localhost" and not is_loopback(host):
-        text = f"{endpoint} could be reached from other machines without certificates: use 127.0.0.1, or {SECURED}..."
+        text = f"{endpoint} can be reached from other machines without certificates: use 127.0.0.1, or {SECURED}..."
         raise ConfigurationError(text, endpoint=endpoint)
     return endpoint
 
 
 def open_session(settings: BusSettings) -> zenoh.Session:
-    """Opens the session; blocks for as long as that takes.
+    """Open the session; blocks until it is open.
 
     Raises:
-        BusError: An endpoint is taken (``router``), or nobody answers or lets us in (``client``).
-        ConfigurationError: An endpoint that is not this machine's own is to be used without certificates.
+        BusError: An endpoint is in use (``router``), or no router answers or accepts the client (``client``).
+        ConfigurationError: An endpoint on another machine is to be used without certificates.
     """
     config = zenoh.Config()
-    for key, value in settings.values().items():
+    for key, value in settings.zenoh_config().items():
         config.insert_json5(key, json.dumps(value))
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise BusError(_why(settings), endpoint=settings.endpoint) from error
+        raise BusError(_failure_text(settings), endpoint=settings.endpoint) from error
 
 
-def _why(settings: BusSettings) -> str:
+def _failure_text(settings: BusSettings) -> str:
     if settings.mode == "router":
         listening = " and ".join(filter(None, (settings.endpoint, *settings.listen)))
-        return f"Cannot listen on {listening}: another daemon is there, or the address is not ours."
+        return f"Cannot listen on {listening}: another daemon is there, or the address is not one of this machine."
     if settings.credentials is None:
         return f"No daemon answers at {settings.endpoint}: start pcmrs-serve, or give its endpoint."
     return (
-        f"Nobody at {settings.endpoint} lets {settings.user} in: nothing runs there, its certificate is of another "
-        "authority or host, or this one has expired."
+        f"No router at {settings.endpoint} accepts {settings.user}: none runs there, its certificate is of another "
+        "authority or host, or the certificate of this process has expired."
     )

@@ -1,10 +1,10 @@
-"""The signature of what a person sends, so that no router on the way can speak in that person's name.
+"""Signature of the messages that people send, so that no router on the way can forge them.
 
-A router ends the TLS on both sides, so the daemon cannot see from a message which certificate has let it in. Anyone who
-dials with a certificate therefore signs commands and set points with the key of that certificate, and the daemon takes
-nothing without it from those whom the register marks with a router (`Identity.via`). Stop is never signed.
+A router ends TLS on both sides, so the daemon cannot tell which certificate a message came with. Anyone who connects
+with a certificate therefore signs commands and set points with the key of that certificate. The daemon accepts only
+signed ones from members whose register entry names a router (`Identity.via`). Stop is never signed.
 
-The signature travels in the attachment of the Zenoh message: kind of message, time, certificate, and ECDSA with SHA-256
+The signature is in the attachment of the Zenoh message: kind of message, time, certificate, and ECDSA with SHA-256
 (FIPS 186-5) over these, the absolute key and the payload.
 """
 
@@ -34,26 +34,26 @@ from pcmrs.files import read_secret
 from pcmrs.messages.identity import LOCAL, Identity
 
 FRESH_FOR: Final = 2.0
-"""Seconds between the clock of the sender and ours at which a message is still taken: its way included."""
+"""Greatest difference between the sender's time stamp and our clock at which a message is accepted, s."""
 REMEMBERED: Final = 4096
-"""Times of messages that are remembered for each member; what is older than all of them is refused."""
+"""Number of time stamps that are remembered for each member; a message that is older than all of them is refused."""
 
 Kind = Literal["put", "query"]
 _KINDS: Final[dict[Kind, int]] = {"put": 1, "query": 2}
 _HEAD: Final = struct.Struct("<BQH")
 _PURPOSE: Final = b"pcmrs bus message 1\0"
-"""Begins all that is signed: the same key signs handshakes of TLS, and neither may pass for the other."""
+"""Prefix of all signed bytes: the same key signs TLS handshakes, and neither signature may pass for the other."""
 _STEP: Final = 1_000_000
-"""Times of two messages that are less apart may be the same on a coarse clock, ns."""
+"""Greatest step of a coarse clock: messages within it may read the same time, ns."""
 
 
 class Signer:
     """Signs messages with the key of a certificate. From any thread.
 
     Args:
-        certificate: Of the sender.
-        key: Of the certificate.
-        clock: The machine's clock.
+        certificate: Certificate of the sender.
+        key: Private key of the certificate.
+        clock: Clock of the machine.
     """
 
     def __init__(self, certificate: x509.Certificate, key: EllipticCurvePrivateKey, clock: Clock) -> None:
@@ -66,6 +66,10 @@ class Signer:
     @classmethod
     def read(cls, own: Credentials, clock: Clock) -> Signer:
         """Read certificate and key.
+
+        Args:
+            own: Identity of this process.
+            clock: Clock of the machine.
 
         Raises:
             ConfigurationError: A file cannot be read, or the key is of another kind.
@@ -84,27 +88,27 @@ class Signer:
         """Return the signature of a message that is sent now.
 
         Args:
-            kind: Of message.
+            kind: Kind of message.
             key: Absolute key.
-            payload: As it is sent.
+            payload: Payload as it is sent.
         """
         head = _HEAD.pack(_KINDS[kind], self._stamp(), len(self._certificate)) + self._certificate
         return head + self._key.sign(_signed(head, key, payload), ECDSA(SHA256()))
 
     def _stamp(self) -> int:
-        """The time, ns: never the same twice, and after the clock was set, its new one."""
+        """Return a time stamp, ns: never the same twice; follows the clock when it is set."""
         now = int(self._clock.wall() * 1e9)
         with self._lock:
             self._last = self._last + 1 if 0 <= self._last - now < _STEP else now
             return self._last
 
 
-class Signatures:
-    """Checks the messages of members who may come through a router. From any thread.
+class SignatureVerifier:
+    """Checks the messages of members whose messages may pass a router. From any thread.
 
     Args:
-        settings: Of the daemon: its register, its cell, and the certificate of its authority.
-        clock: The machine's clock.
+        settings: Settings of the daemon: its register, its cell, and the certificate of its authority.
+        clock: Clock of the machine.
 
     Raises:
         ConfigurationError: The certificate of the authority cannot be read.
@@ -119,24 +123,24 @@ class Signatures:
             raise ConfigurationError(f"{path} cannot be read: {error}.", file=str(path)) from None
         self._settings = settings
         self._clock = clock
-        # What was taken before a restart is not remembered, and not taken again.
-        self._begun = int(clock.wall() * 1e9)
+        # Messages that were accepted before a restart are not remembered; this time keeps them from being replayed.
+        self._started_at = int(clock.wall() * 1e9)
         self._lock = threading.Lock()
         self._members: dict[str, _Member] = {}
 
     def objection(self, signature: bytes, kind: Kind, user: str, key: str, payload: bytes) -> AccessError | None:
-        """Return why a message may not be taken as a user's; None where it may, and is taken from now on.
+        """Return why a message is rejected; None for a valid one, which is then accepted only once.
 
-        The error's ``why`` is that of a user who may not take part in this cell, or, for one who has to sign: no
-        signature (``unsigned``), a wrong one (``forged``), one by a ``certificate`` that does not count, or a time that
-        is ``old``, ``ahead`` or ``repeated``.
+        The error's ``why`` is the reason why the user may not take part in this cell or, for a user who has to sign: no
+        signature (``unsigned``), a wrong one (``forged``), one by an invalid ``certificate``, or a time stamp that is
+        ``old``, ``ahead`` or ``repeated``.
 
         Args:
-            signature: Of the message; empty for none.
-            kind: Of message.
-            user: In whose name it comes.
-            key: Absolute key on which it came.
-            payload: As it came.
+            signature: Signature of the message; empty for none.
+            kind: Kind of message.
+            user: User in whose name the message was sent.
+            key: Absolute key on which it arrived.
+            payload: Payload as it arrived.
         """
         try:
             self._take(signature, kind, user, key, payload)
@@ -153,8 +157,8 @@ class Signatures:
             return
         if not signature:
             text = (
-                f"What {user!r} sends has to be signed, since the register says that it may come through a router: use "
-                "a client of this version with the identity, not a bare Zenoh client."
+                f"Messages of {user!r} must be signed, because the register allows them to pass a router: use a client "
+                "of this version with the identity, not a bare Zenoh client."
             )
             raise AccessError(text, user=user, why="unsigned")
         number, stamp, length = _HEAD.unpack_from(signature) if len(signature) > _HEAD.size else (0, 0, 0)
@@ -170,42 +174,42 @@ class Signatures:
         with self._lock:
             taken = self._members[user].take(stamp)
         if not taken:
-            text = f"A message of {user!r} came before, or the daemon was restarted after it was sent: send a new one."
+            text = f"A message of {user!r} arrived before, or was sent before the daemon restarted: send a new one."
             raise AccessError(text, user=user, why="repeated")
 
     def _key_of(self, member: Identity, certificate: bytes, now: float) -> EllipticCurvePublicKey:
-        """The public key of a member, whose certificate is verified once."""
+        """Return the public key of a member; each certificate is verified once."""
         with self._lock:
             known = self._members.get(member.name)
         if known is not None and known.certificate == certificate:
             return known.key
         key = self._verified(member, certificate, now)
         with self._lock:
-            self._members.setdefault(member.name, _Member(certificate, key, self._begun))
+            self._members.setdefault(member.name, _Member(certificate, key, self._started_at))
         return key
 
     def _verified(self, member: Identity, certificate: bytes, now: float) -> EllipticCurvePublicKey:
-        """The key of a certificate that is the member's in the register, by its serial. Raises `AccessError`."""
+        """Return the public key of a certificate if its serial is that of the member's entry. Raises `AccessError`."""
         try:
             found = x509.load_der_x509_certificate(certificate)
             found.verify_directly_issued_by(self._authority)
             key = found.public_key()
         except (ValueError, TypeError, x509.InvalidVersion, UnsupportedAlgorithm, InvalidSignature):
-            raise _not_counted(member.name, "was not issued by the authority of this lab") from None
+            raise _wrong_certificate(member.name, "was not issued by the authority of this lab") from None
         if found.serial_number != int(member.serial, 16) or not isinstance(key, EllipticCurvePublicKey):
-            raise _not_counted(member.name, "is not the one in the register")
+            raise _wrong_certificate(member.name, "is not the one in the register")
         if not found.not_valid_before_utc.timestamp() <= now < found.not_valid_after_utc.timestamp():
-            raise _not_counted(member.name, "does not count now")
+            raise _wrong_certificate(member.name, "is not valid now")
         return key
 
 
 class _Member:
-    """One member's certificate, and the times of the messages that were taken.
+    """One member's certificate, and the time stamps of the accepted messages.
 
     Args:
-        certificate: As it was verified; the register has one for each member.
-        key: Its public key.
-        floor: What is not later is not taken, ns.
+        certificate: Verified certificate, DER.
+        key: Public key of the certificate.
+        floor: Messages up to this time stamp are rejected, ns.
     """
 
     __slots__ = ("_floor", "_taken", "certificate", "key")
@@ -217,7 +221,7 @@ class _Member:
         self._taken: list[int] = []
 
     def take(self, stamp: int) -> bool:
-        """Take a message, unless it was taken before or is older than all that are remembered."""
+        """Accept a message; return False if it was accepted before or is older than all that are remembered."""
         place = bisect_left(self._taken, stamp)
         if stamp <= self._floor or self._taken[place : place + 1] == [stamp]:
             return False
@@ -236,28 +240,28 @@ def _check_age(user: str, age: float) -> None:
     if age > FRESH_FOR:
         text = (
             f"A message of {user!r} is {age:.1f} s old, the limit is {FRESH_FOR:g} s: it was held back on its way, or "
-            "the clock of that machine is behind ours. Set both clocks, by NTP for example."
+            "the clock of that machine is behind that of the daemon. Set both clocks, by NTP for example."
         )
         raise AccessError(text, user=user, why="old", age=age, limit=FRESH_FOR)
     if age < -FRESH_FOR:
         text = (
-            f"The clock of {user!r} is {-age:.1f} s ahead of ours, the limit is {FRESH_FOR:g} s. Set both clocks, by "
-            "NTP for example."
+            f"The clock of {user!r} is {-age:.1f} s ahead of that of the daemon, the limit is {FRESH_FOR:g} s. Set "
+            "both clocks, by NTP for example."
         )
         raise AccessError(text, user=user, why="ahead", ahead=-age, limit=FRESH_FOR)
 
 
 def _forged(user: str) -> AccessError:
     text = (
-        f"The signature of a message of {user!r} does not hold: it was changed on its way, or somebody else has sent "
-        "it. Unless they know why, use that router no more."
+        f"The signature of a message of {user!r} is not valid: the message was changed on its way, or somebody else "
+        "sent it. Unless its operator knows why, stop using that router."
     )
     return AccessError(text, user=user, why="forged")
 
 
-def _not_counted(user: str, fault: str) -> AccessError:
+def _wrong_certificate(user: str, fault: str) -> AccessError:
     text = (
         f"The certificate with which a message of {user!r} was signed {fault}: use the newest identity, and give this "
-        "daemon the authority's present register."
+        "daemon the current register of the authority."
     )
     return AccessError(text, user=user, why="certificate")

@@ -1,4 +1,4 @@
-"""The lane of Stop: a Zenoh session of its own, so that no other traffic is ahead of it."""
+"""The lane of Stop: its own Zenoh session, so that Stop never waits behind other traffic."""
 
 from __future__ import annotations
 
@@ -24,30 +24,31 @@ from pcmrs.errors import BusError, PayloadError
 from pcmrs.messages import Message
 
 PRESS = re.compile(r"[0-9a-f]{32}")
-"""Id of one press: random, so that no other press has it."""
-LONGEST = 256
-"""Bytes of the longest message in which an id is looked for."""
-REPEATED = 10.0
-"""A message with the id of an earlier one counts as the same press for so long, s; later it is a Stop of its own."""
-PRESSES = 256
-"""Presses that are remembered; with more in that time, the oldest is forgotten and may stop twice."""
+"""Pattern of the id of one press: random, so that no two presses share it."""
+LONGEST_PRESS = 256
+"""Longest message in which an id is searched, bytes."""
+SAME_PRESS_TIME = 10.0
+"""Time for which messages with the same id are one press, s; a later one is a new Stop."""
+REMEMBERED_PRESSES = 256
+"""Number of presses that are remembered. If more arrive in that time, the oldest is forgotten and may stop twice."""
 SOURCES = 32
-"""Sources that the loop is told of in one turn; further ones are told as one, `OTHERS`."""
+"""Number of sources that the loop handles by name in one turn; all others are handled together as `OTHERS`."""
 OTHERS = "bus:others"
-ANSWERED = 64
-"""Answers that wait for one source; one more is not sent, though it was a Stop: its asker learns nothing."""
+"""Source of the presses beyond the first `SOURCES` sources of one turn."""
+WAITING_ANSWERS = 64
+"""Number of answers that may wait for one source. One more press still stops, but its query gets no answer."""
 REACHED_WITHIN = 10.0
-"""A lane that its router has not found by then does not open, s."""
-LOOKED_EVERY = 0.02
-"""Between two looks for it, s."""
+"""Time within which messages must reach the lane after it was opened, s."""
+PROBE_PERIOD = 0.02
+"""Time between two probes of the lane, s."""
 
 _log = logging.getLogger(__name__)
 
 
 class Press(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """One press of Stop, sent by more than one way: whichever message comes first stops, and the others repeat it.
+    """One press of Stop that is sent in several messages: the first one that arrives stops, the others repeat it.
 
-    Without it, as from a command line, each message is a Stop of its own.
+    A message without it, as from a command line, is always a new Stop.
 
     Attributes:
         id: 32 hexadecimal digits, random.
@@ -60,10 +61,10 @@ class Stopping(Message, frozen=True, kw_only=True, omit_defaults=False):
     """The answer to a query on ``stop/<user>``.
 
     Attributes:
-        source: Who has stopped.
-        number: Of the Stop.
-        stage: ``begun``: the latch is set and the holds are sent. That the robot stands is not confirmed yet: the
-            snapshot's ``stop`` says when it is.
+        source: Source of the Stop.
+        number: Number of the Stop.
+        stage: ``begun``: the latch is set and the holds are sent. Standstill of the robot is not confirmed yet; the
+            snapshot's ``stop`` shows when it is.
     """
 
     source: str
@@ -72,7 +73,7 @@ class Stopping(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 Stop = Callable[[str, int], int | None]
-"""Stops for a source that has pressed so often; the number of the Stop, or None where another process answers."""
+"""Called with source and number of presses; returns the number of the Stop, or None if another process answers."""
 
 
 @dataclass(slots=True)
@@ -80,9 +81,9 @@ class _Waiting:
     """Presses of one source that wait for the loop.
 
     Attributes:
-        unnamed: How many name no `Press`.
-        named: Ids of those that do.
-        queries: To be answered, each with its id.
+        unnamed: Number of presses without an id.
+        named: Ids of the other presses.
+        queries: Queries to be answered, each with the id of its press.
     """
 
     unnamed: int = 0
@@ -91,13 +92,13 @@ class _Waiting:
 
 
 class StopLane:
-    """Calls `stop(source, presses)` for the puts and queries on ``stop/<user>``, whatever their payload.
+    """Calls `stop(source, presses)` for puts and queries on ``stop/<user>``, whatever their payload.
 
-    Messages of one `Press` are one Stop: one that comes late must not stop again what was acknowledged meanwhile. A
-    query is answered with the number that `stop` returns; without a number it is left to another process to answer.
+    Messages of one `Press` are one Stop, so that a late one does not stop again after an acknowledgement. A query is
+    answered with the number that `stop` returns; without a number, another process has to answer.
 
-    Zenoh's thread only counts: the loop is woken once for all that has come, past the queue of the other messages, and
-    takes the presses of one source together. So nobody who presses without end keeps the loop from the Stops of others.
+    Zenoh's thread only counts presses. The loop is woken once for all of them, ahead of the queue of other messages,
+    and handles the presses of one source together. So a source that presses endlessly cannot delay the Stops of others.
     Use `StopLane.open`.
     """
 
@@ -109,16 +110,20 @@ class StopLane:
         self._presses: OrderedDict[tuple[str, str], tuple[float, int | None]] = OrderedDict()
         self._lock = threading.Lock()
         self._waiting: dict[str, _Waiting] = {}
-        self._replies = Replies()
+        self._replies = StopReplies()
         self._reached = asyncio.Event()
         self._receivers: tuple[Any, ...] = (
             session.declare_subscriber(f"{prefix}/stop/*", self._on_put),
-            session.declare_queryable(f"{prefix}/stop/*", self._on_query),  # last: who finds it finds both
+            session.declare_queryable(f"{prefix}/stop/*", self._on_query),  # last: if a probe finds it, both are there
         )
 
     @classmethod
     async def open(cls, settings: BusSettings, stop: Stop) -> StopLane:
-        """Opens the lane as a client of the router that `settings` names, which learns of it a moment later.
+        """Open the lane as a client of a router; see `until_reached` for when the router knows it.
+
+        Args:
+            settings: Bus of this process; its router is the one that the lane connects to.
+            stop: Called in the event loop for the presses of each source.
 
         Raises:
             BusError: No router answers.
@@ -127,27 +132,27 @@ class StopLane:
         session = await asyncio.to_thread(open_session, own)
         return cls(session, cell_prefix(settings.site, settings.cell), stop)
 
-    async def until_reached(self, look: Callable[[], Awaitable[object]]) -> None:
-        """Returns when the router brings messages to this lane.
+    async def until_reached(self, probe: Callable[[], Awaitable[object]]) -> None:
+        """Wait until the router delivers messages to this lane.
 
         Args:
-            look: Looks around on ``stop/*`` from a session of the router.
+            probe: Sends a query on ``stop/*`` from a session of the router.
 
         Raises:
-            BusError: It brings none within `REACHED_WITHIN`.
+            BusError: None arrives within `REACHED_WITHIN`.
         """
         try:
             async with asyncio.timeout(REACHED_WITHIN):
                 while not self._reached.is_set():
-                    await look()
+                    await probe()
                     with suppress(TimeoutError):
-                        await asyncio.wait_for(self._reached.wait(), LOOKED_EVERY)
+                        await asyncio.wait_for(self._reached.wait(), PROBE_PERIOD)
         except TimeoutError:
-            text = f"The daemon's own router brings it no Stop after {REACHED_WITHIN:g} s: start the daemon again."
+            text = f"The daemon's own router delivers no Stop within {REACHED_WITHIN:g} s: restart the daemon."
             raise BusError(text) from None
 
     async def close(self) -> None:
-        """Takes no more stops, answers those it has taken, and closes the session."""
+        """Stop taking presses, answer those that were taken, and close the session."""
         await asyncio.to_thread(self._close)
 
     def _close(self) -> None:
@@ -162,14 +167,14 @@ class StopLane:
     def _on_query(self, query: zenoh.Query) -> None:
         key = str(query.key_expr)
         if "*" in key:
-            # Somebody looks around, nobody asks for Stop.
+            # A probe, not a Stop.
             self._loop.call_soon_threadsafe(self._reached.set)
             _drop(query)
         else:
             self._wait(key, _press_of(payload_of(query)), query)
 
     def _wait(self, key: str, press: str | None, query: zenoh.Query | None) -> None:
-        """Counts a press, in Zenoh's thread."""
+        """Count a press; runs in Zenoh's thread."""
         source = f"bus:{key.removeprefix(f'{self._prefix}/stop/')}"
         with self._lock:
             if not self._waiting:
@@ -177,18 +182,18 @@ class StopLane:
             if source not in self._waiting and len(self._waiting) >= SOURCES:
                 source = OTHERS
             waiting = self._waiting.setdefault(source, _Waiting())
-            if press is None or len(waiting.named) >= PRESSES:
+            if press is None or len(waiting.named) >= REMEMBERED_PRESSES:
                 waiting.unnamed += 1
             else:
                 waiting.named.add(press)
-            if query is not None and len(waiting.queries) < ANSWERED:
+            if query is not None and len(waiting.queries) < WAITING_ANSWERS:
                 waiting.queries.append((query, press))
                 query = None
         if query is not None:
             _drop(query)
 
     def _take(self) -> None:
-        """Stops for everybody who has pressed since the last turn, in the loop."""
+        """Stop for all sources that have pressed since the last turn; runs in the loop."""
         with self._lock:
             taken, self._waiting = self._waiting, {}
         for source, waiting in taken.items():
@@ -200,10 +205,10 @@ class StopLane:
                 self._loop.call_exception_handler({"message": f"Stop by {source} failed", "exception": error})
 
     def _begin(self, source: str, waiting: _Waiting) -> None:
-        """Stop, unless each of these presses has stopped already, and answer."""
+        """Stop, unless each of these presses has stopped already, and answer the queries."""
         now = self._loop.time()
         earlier = {press: self._presses.get((source, press), (-math.inf, None)) for press in waiting.named}
-        numbers = {press: number for press, (begun, number) in earlier.items() if now - begun <= REPEATED}
+        numbers = {press: number for press, (begun, number) in earlier.items() if now - begun <= SAME_PRESS_TIME}
         fresh = waiting.named - numbers.keys()
         number: int | None = None
         if fresh or waiting.unnamed:
@@ -211,15 +216,15 @@ class StopLane:
         for each in fresh:
             numbers[each] = number
             self._presses[source, each] = now, number
-            while len(self._presses) > PRESSES:
+            while len(self._presses) > REMEMBERED_PRESSES:
                 self._presses.popitem(last=False)
         for query, press in waiting.queries:
             answer = numbers.get(press, number) if press is not None else number
             self._replies.add(source, query, None if answer is None else Stopping(source=source, number=answer))
 
 
-class Replies:
-    """Sends the answers to Stops in a thread of its own, one source after the other: nobody waits behind a flood."""
+class StopReplies:
+    """Sends the answers to Stops in its own thread, in turn over the sources: no source waits behind a flood."""
 
     def __init__(self) -> None:
         self._waiting: dict[str, deque[tuple[zenoh.Query, Stopping | None]]] = {}
@@ -229,17 +234,23 @@ class Replies:
         self._thread.start()
 
     def add(self, source: str, query: zenoh.Query, stopping: Stopping | None) -> None:
-        """Has a query answered, or left to another process; of a source with too many it is dropped."""
+        """Queue an answer; the query is dropped if too many answers of this source wait.
+
+        Args:
+            source: Source of the press.
+            query: Query to be answered.
+            stopping: The answer; None to leave the query to another process.
+        """
         with self._filled:
             waiting = self._waiting.setdefault(source, deque())
-            if len(waiting) < ANSWERED:
+            if len(waiting) < WAITING_ANSWERS:
                 waiting.append((query, stopping))
                 self._filled.notify()
                 return
         _drop(query)
 
     def close(self) -> None:
-        """Returns when everything is answered."""
+        """Wait until all queued answers are sent."""
         with self._filled:
             self._closed = True
             self._filled.notify()
@@ -250,7 +261,7 @@ class Replies:
             try:
                 _reply(*answer)
             except Exception:
-                _log.exception("The answer to a Stop cannot be sent")  # the others are waited for
+                _log.exception("The answer to a Stop cannot be sent")  # go on: other clients wait for theirs
 
     def _next(self) -> tuple[zenoh.Query, Stopping | None] | None:
         with self._filled:
@@ -261,14 +272,14 @@ class Replies:
             waiting = self._waiting.pop(source)
             answer = waiting.popleft()
             if waiting:
-                self._waiting[source] = waiting  # at the end: the others come first
+                self._waiting[source] = waiting  # at the end: the other sources come first
             return answer
 
 
 def _press_of(payload: bytes) -> str | None:
-    """Id of the press that a message belongs to; None where it names none."""
-    if not payload or len(payload) > LONGEST:
-        return None  # reading a long one would hold up Stops behind it
+    """Return the id of the press that a message belongs to; None if it has none."""
+    if not payload or len(payload) > LONGEST_PRESS:
+        return None  # decoding a long one would delay the Stops behind it
     try:
         press = unpack(payload, Press).id
     except PayloadError:
@@ -277,7 +288,7 @@ def _press_of(payload: bytes) -> str | None:
 
 
 def _drop(query: zenoh.Query) -> None:
-    """Ends a query without an answer."""
+    """End a query without a reply."""
     with query:
         return
 

@@ -90,7 +90,7 @@ def _text(settings: BusSettings) -> str:
 def _zenohd(settings: BusSettings) -> str:
     """The settings as one JSON document of Zenoh's, with the slashes of its keys as nesting."""
     whole: dict[str, object] = {}
-    for path, value in settings.values().items():
+    for path, value in settings.zenoh_config().items():
         *folders, name = path.split("/")
         place = whole
         for folder in folders:

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 from pcmrs.bus import DEFAULT_ENDPOINT, Bus, BusSettings, Credentials, Empty
 from pcmrs.bus.codec import convert_event
-from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.commands import Envelope
 from pcmrs.bus.keys import KeyTable, command_key
 from pcmrs.bus.seal import Seal
 from pcmrs.bus.settings import SECURED
@@ -90,7 +90,7 @@ class Client:
         credentials: Credentials | None = None,
         device_key: bytes = b"",
     ) -> AsyncIterator[Client]:
-        """Connects for the length of the ``async with`` block.
+        """Connect for the length of the ``async with`` block.
 
         Args:
             endpoint: Where the daemon's bus listens, or a router that it dials; by default that of the environment,
@@ -128,7 +128,7 @@ class Client:
         id: str | None = None,
         timeout: float = 600.0,
     ) -> Verdict:
-        """Asks for an operation and waits for its outcome.
+        """Ask for an operation and wait for its outcome.
 
         Over a network a link that breaks meanwhile is not the end: for some seconds the daemon is asked again by the
         command's id, which begins nothing twice. So it is when the command was too long on its way.
@@ -246,7 +246,7 @@ class Client:
         return await self._bus.request("svc/journal", query, JournalPage, timeout or self._patience)
 
     async def stop(self, timeout: float | None = None) -> Stopping:
-        """Stops every motion: sent to all listeners at once, and returns when the daemon has begun.
+        """Stop every motion: sent to all listeners at once, and return when the daemon has begun.
 
         Whether the robot stands is not known then; see `standstill`.
 
@@ -259,7 +259,7 @@ class Client:
         return await self._bus.request(key, press, Stopping, timeout or self._patience, urgent=True)
 
     async def standstill(self, number: int, timeout: float = 2.0) -> bool:
-        """Waits for the robot's standstill after Stop `number`, or a newer one.
+        """Wait for the robot's standstill after Stop `number`, or a newer one.
 
         Args:
             number: See `stop`.
@@ -281,7 +281,7 @@ class Client:
             await self._clock.sleep(_LOOK)
 
     async def acknowledge(self, operation: str | None = None) -> Verdict:
-        """Acknowledges the newest Stop, by its number, as soon as nothing is pending that it has to wait for.
+        """Acknowledge the newest Stop, by its number, as soon as nothing is pending that it has to wait for.
 
         Args:
             operation: Of the workflow, that releases the latch; by default the first that does.
@@ -304,12 +304,12 @@ class Client:
         return self._user
 
     def steer(self, setpoint: TeleopSetpoint) -> None:
-        """Sends a set point of a teleoperator; it counts while this user has engaged the clutch."""
+        """Send a set point of a teleoperator; it counts while this user has engaged the clutch."""
         self._bus.publish(f"teleop/{self._user}", setpoint)
 
     @asynccontextmanager
     async def holding(self, *, over: bool = False) -> AsyncIterator[None]:
-        """Holds the cell's lease for the length of the ``async with`` block.
+        """Hold the cell's lease for the length of the ``async with`` block.
 
         Args:
             over: Take it over from whoever holds it, which waits until they confirm; on site it does not.
@@ -343,7 +343,7 @@ class Client:
                     raise
 
     async def lease(self, operation: str) -> None:
-        """Asks for ``acquire``, ``take_over``, ``renew`` or ``release``; see `holding`.
+        """Ask for ``acquire``, ``take_over``, ``renew`` or ``release``; see `holding`.
 
         Raises:
             CommandRefusedError: It was not accepted.
@@ -356,7 +356,7 @@ class Client:
             raise CommandRefusedError(text, verdict=verdict)
 
     async def watch(self) -> AsyncGenerator[Event, None]:
-        """Yields the last snapshot, then snapshots, verdicts and device events as they come; never ends."""
+        """Yield the last snapshot, then snapshots, verdicts and device events as they come; never ends."""
         events: asyncio.Queue[Event] = asyncio.Queue(_BACKLOG)
 
         def take(event: Event) -> None:
@@ -377,7 +377,7 @@ class Client:
                 await end()
 
     def listen(self, key: str, kind: type[T], handler: Callable[[T], None]) -> Callable[[], Awaitable[None]]:
-        """Calls `handler` with what comes on a stream from now on.
+        """Call `handler` with what comes on a stream from now on.
 
         Args:
             key: Of the stream or of several, such as ``state/joints`` or ``state/pose/*``.
@@ -393,7 +393,7 @@ class Client:
     async def request_device(
         self, device: str, method: str, arguments: Mapping[str, Any] | None = None, timeout: float = 5.0
     ) -> Any:
-        """Calls a method of a device node, past the daemon; for the devices of a simulation.
+        """Call a method of a device node, past the daemon; for the devices of a simulation.
 
         Nodes answer only who has the key that they share with the daemon (see `connect`); the simulated scene answers
         everybody.
@@ -429,7 +429,7 @@ def _denied(verdict: Verdict) -> str:
 
 @asynccontextmanager
 async def _cancelled_with(beside: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
-    """Runs beside the block what only ends by an error; the first error, of either, is raised by itself."""
+    """Run beside the block what only ends by an error; the first error, of either, is raised by itself."""
     try:
         async with asyncio.TaskGroup() as group:
             task = group.create_task(beside)

@@ -45,7 +45,7 @@ class PlainClient:
         user: str = LOCAL,
         credentials: Credentials | None = None,
     ) -> Iterator[PlainClient]:
-        """Connects for the length of the ``with`` block; see `Client.connect`."""
+        """Connect for the length of the ``with`` block; see `Client.connect`."""
         from anyio.from_thread import start_blocking_portal  # not needed with asyncio
 
         connected = Client.connect(endpoint, site, cell, user, credentials)
@@ -60,7 +60,7 @@ class PlainClient:
         id: str | None = None,
         timeout: float = 600.0,
     ) -> Verdict:
-        """Asks for an operation and waits for its outcome; see `Client.call`."""
+        """Ask for an operation and wait for its outcome; see `Client.call`."""
         return self._portal.call(partial(self._client.call, name, arguments, id=id, timeout=timeout))
 
     def check(self, name: str, arguments: Mapping[str, Any] | None = None) -> DryRunResult:
@@ -68,7 +68,7 @@ class PlainClient:
         return self._portal.call(partial(self._client.check, name, arguments or {}))
 
     def stop(self) -> None:
-        """Stops every motion; see `Client.stop`."""
+        """Stop every motion; see `Client.stop`."""
         self._portal.call(self._client.stop)
 
     def state(self) -> Snapshot:
@@ -101,12 +101,12 @@ class PlainClient:
 
     @contextmanager
     def holding(self, *, over: bool = False) -> Iterator[None]:
-        """Holds the cell's lease for the length of the ``with`` block; see `Client.holding`."""
+        """Hold the cell's lease for the length of the ``with`` block; see `Client.holding`."""
         with self._portal.wrap_async_context_manager(self._client.holding(over=over)):
             yield
 
     def watch(self) -> Iterator[Event]:
-        """Yields the last snapshot, then snapshots, verdicts and device events as they come; see `Client.watch`."""
+        """Yield the last snapshot, then snapshots, verdicts and device events as they come; see `Client.watch`."""
         events = self._client.watch()
         try:
             while True:
@@ -115,7 +115,7 @@ class PlainClient:
             self._portal.call(events.aclose)
 
     def listen(self, key: str, kind: type[T], handler: Callable[[T], None]) -> Callable[[], None]:
-        """Calls `handler`, in a thread of the client, with what comes on a stream; see `Client.listen`.
+        """Call `handler`, in a thread of the client, with what comes on a stream; see `Client.listen`.
 
         Returns:
             Ends that; the end of the connection does, too.

@@ -1,1 +1,1 @@
-"""Devices: what the workflow may ask of them, how they are reached, and what is checked on the way."""
+"""Devices: their protocols, their drivers, the nodes that serve them, and the checks between daemon and device."""

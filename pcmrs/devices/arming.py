@@ -1,4 +1,4 @@
-"""Whether a stimulator may fire, and which pulse was the last: the rules that every driver keeps."""
+"""Arming of a stimulator and numbering of its pulses: the rules that every driver follows."""
 
 from __future__ import annotations
 
@@ -12,50 +12,50 @@ class Arming:
     """The armed state of a stimulator and the numbers of its pulses.
 
     Args:
-        longest: Time after which it disarms when no pulse was given, s.
+        longest: Time without a pulse after which the stimulator disarms, s.
 
     Attributes:
-        armed: Whether it can fire.
-        pulse: Number of the last pulse; it outlives every disarming and every link.
+        armed: True if the stimulator can fire.
+        pulse: Number of the last pulse; disarming and a lost link do not reset it.
     """
 
     def __init__(self, longest: float) -> None:
         self._longest = longest
-        self._since = 0.0
+        self._armed_at = 0.0
         self.armed = False
         self.pulse = 0
 
     def arm(self, now: float) -> None:
-        """It can fire from now on; `now` is of the cell's clock, s."""
-        self.armed, self._since = True, now
+        """Arm at the time `now`, s of the cell's clock."""
+        self.armed, self._armed_at = True, now
 
     def disarm(self) -> None:
-        """It cannot fire any more."""
+        """Disarm."""
         self.armed = False
 
     def expired(self, now: float) -> bool:
-        """Whether it has been armed for too long without a pulse."""
-        return self.armed and now - self._since >= self._longest
+        """Return True if it has been armed for too long without a pulse at the time `now`, s of the cell's clock."""
+        return self.armed and now - self._armed_at >= self._longest
 
     def expiry(self) -> DeviceEvent:
-        """Disarms it for that, and says so."""
+        """Disarm because no pulse was given, and return the event that reports it."""
         return self.disarmed(f"No pulse was given for {self._longest:g} s")
 
     def disarmed(self, why: str) -> DeviceEvent:
-        """Disarms it without being asked, and says so."""
+        """Disarm without a request, and return the event that reports the reason `why`."""
         self.disarm()
         text = f"{why}: the stimulator has disarmed. Arm it again."
         return DeviceEvent(device="stimulator", code="disarmed", text=text)
 
     def check(self, number: int) -> None:
-        """Checks that the pulse `number` may be given.
+        """Check that the pulse `number` may be given.
 
         Raises:
-            DeviceError: It is not armed, or a pulse of this or a later number was given before.
+            DeviceError: The stimulator is not armed, or a pulse with this or a higher number was given before.
         """
         if number <= self.pulse:
             raise DeviceError(
-                f"Pulse {number} is refused: pulse {self.pulse} was given already. Number the next one higher.",
+                f"Pulse {number} is refused: pulse {self.pulse} was given already. Use a higher number.",
                 number=number,
                 last=self.pulse,
             )
@@ -63,16 +63,21 @@ class Arming:
             raise DeviceError(f"Pulse {number} is refused: the stimulator is not armed. Arm it.", number=number)
 
     def take(self, number: int, now: float) -> None:
-        """Uses the number up, before the pulse is given: whatever happens then, it is not given twice."""
-        self.pulse, self._since = number, now
+        """Record a pulse before it is given, so that it is never given twice, whatever happens then.
+
+        Args:
+            number: Number of the pulse.
+            now: Time, s of the cell's clock.
+        """
+        self.pulse, self._armed_at = number, now
 
 
 def check_intensity(percent: float) -> float:
-    """An intensity in percent of the maximum stimulator output.
+    """Return an intensity if it can be set, in percent of the maximum stimulator output.
 
     Raises:
-        DeviceError: It is not from 0 to 100.
+        DeviceError: The intensity is not from 0 to 100.
     """
     if not (math.isfinite(percent) and 0.0 <= percent <= 100.0):
-        raise DeviceError(f"An intensity of {percent:g} % cannot be set; it goes from 0 to 100 %.", percent=percent)
+        raise DeviceError(f"An intensity of {percent:g} % cannot be set; the range is 0 to 100 %.", percent=percent)
     return percent

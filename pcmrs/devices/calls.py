@@ -1,4 +1,4 @@
-"""Calls of device methods by name: what each method takes and returns, and how a device is asked."""
+"""Calls of device methods by name: argument and return types of each method, and the call itself."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ PROTOCOLS: dict[str, type] = {
     "stimulator": StimulatorDriver,
     "emg": Emg,
 }
-"""Device to what its driver implements; those of its methods that are coroutines can be called over a link."""
+"""Protocol of each device, which its driver implements. Those of its methods that are coroutines can be called."""
 
 
 @cache
 def methods_of(device: str) -> Mapping[str, Mapping[str, Any]]:
-    """Method of a device to the types of its arguments, in their order, and of its ``return``; a tracker has none."""
+    """Return the types of the arguments, in order, and of ``return`` of each method; a tracker has no methods."""
     members = {name: value for each in reversed(PROTOCOLS[device].__mro__) for name, value in vars(each).items()}
     found = {name: value for name, value in members.items() if inspect.iscoroutinefunction(value)}
     return {name: get_type_hints(value) for name, value in found.items()}
 
 
 async def call_method(name: str, device: Any, method: str, arguments: Mapping[str, Any]) -> Any:
-    """Calls a method of a device with arguments as they came over a link, and returns its result.
+    """Call a method of a device with arguments that arrived over a link, and return its result.
 
     Args:
-        name: Of the device, in `PROTOCOLS`.
-        device: That is asked.
-        method: Of its protocol.
-        arguments: Name to value, as plain data.
+        name: Name of the device in `PROTOCOLS`.
+        device: The device.
+        method: Name of a method of its protocol.
+        arguments: Arguments by name, as plain data.
 
     Raises:
         PayloadError: There is no such method, or it does not take these arguments.
-        PcmrsError: What the device raises.
+        PcmrsError: The device raised this error.
     """
     hints = methods_of(name).get(method)
     if hints is None:

@@ -1,6 +1,6 @@
-"""The deadman of a device node: what moves is made safe when nothing fresh is heard of the daemon.
+"""The deadman of a device node: makes its device safe when no fresh heartbeat of the daemon arrives.
 
-Events of a node that did not hear the daemon: what they mean, and what the machine had to do then.
+It also makes the events that report this, with the load of the machine at that time.
 """
 
 from __future__ import annotations
@@ -17,31 +17,31 @@ from pcmrs.threads import Load
 
 
 def daemon_silent(device: str, silence: Silence, limit: float, load: Load) -> DeviceEvent:
-    """The node has made its device safe by itself: danger.
+    """Return the danger event of a node that has made its device safe by itself.
 
     Args:
-        device: That moved, or could have fired.
-        silence: Of the daemon.
-        limit: Of the deadman, s of the machine.
-        load: Of the node's machine, just afterwards.
+        device: Device that moved, or could have fired.
+        silence: Silence of the daemon.
+        limit: Limit of the deadman, s of the machine.
+        load: Load of the node's machine just afterwards.
     """
-    text = f"The node of the {device} has made it safe by itself: it had not heard the daemon for "
+    text = f"The node of the {device} has made it safe by itself: it had received no heartbeat of the daemon for "
     text += f"{silence.lasted * 1e3:.0f} ms, limit {limit * 1e3:.0f} ms.{_why(silence, load)} "
-    text += "Nothing goes on by itself: look, and acknowledge."
+    text += "Nothing continues by itself: look at the cell, then acknowledge."
     fields = {"silence": silence.lasted, "limit": limit, **_fields(silence, load)}
     return DeviceEvent(device=device, code="daemon_silent", text=text, danger=True, fields=fields)
 
 
 def node_held_up(device: str, silence: Silence, load: Load) -> DeviceEvent:
-    """The node itself was not served by its machine, and so could not hear the daemon in time.
+    """Return the event of a node that got no processor time, and so could not receive heartbeats in time.
 
     Args:
-        device: That it watches over.
-        silence: As it seemed before the node had taken what had arrived meanwhile.
-        load: Of the node's machine, just afterwards.
+        device: Device that the node watches.
+        silence: Silence of the daemon before the node had received the messages that arrived meanwhile.
+        load: Load of the node's machine just afterwards.
     """
-    text = f"The node of the {device} was held up.{_why(silence, load)} pcmrs-serve says at its start what it lacks "
-    text += "to go ahead of other programs; stop some of those."
+    text = f"The node of the {device} was held up.{_why(silence, load)} Stop other programs on this machine. "
+    text += "pcmrs-serve reports at its start which permissions it lacks to run ahead of them."
     return DeviceEvent(device=device, code="node_held_up", text=text, fields=_fields(silence, load))
 
 
@@ -56,32 +56,32 @@ def _fields(silence: Silence, load: Load) -> dict[str, float]:
 
 
 DEADMAN = 0.1
-"""Without a fresh heartbeat for so long what moves is held, s of the machine, unless configured otherwise."""
+"""Default time without a fresh heartbeat after which a moving device is held, s of the machine."""
 
 BEATS = 4
-"""Heartbeats are sent so often within the deadman's time."""
+"""Number of heartbeats that are sent within the deadman's time."""
 
 HELD_UP = 0.012
-"""A node of which a thread has waited so long for a processor, or whose timer was so late, was held up itself, s."""
+"""Wait of a thread for a processor, or delay of a timer, from which on the node counts as held up, s."""
 
 DELIVERY = 0.010
-"""What has already arrived at a node that was held up is taken within this, or not any more, s of the machine."""
+"""Time in which a node that was held up still receives messages that have already arrived, s of the machine."""
 
 TURN = 0.001
-"""Threads of the node are given turns of this length meanwhile, s of the machine."""
+"""Length of the turns that the node's receiving threads get meanwhile, s of the machine."""
 
 
 class Scheduling(Protocol):
-    """How the threads of this process are served by the machine; see `pcmrs.threads.Threads`."""
+    """Scheduling of the threads of this process by the machine; see `pcmrs.threads.Threads`."""
 
     def waited(self) -> float:
-        """The longest that one of them has waited for a processor since the last call, s."""
+        """Return the longest time that one of them has waited for a processor since the last call, s."""
 
     def pending(self) -> bool:
-        """Whether another thread than the caller's has something to do."""
+        """Return True if a thread other than the caller's runs or waits for a processor."""
 
     def load(self) -> Load:
-        """What the machine has to do now."""
+        """Return the present load of the machine."""
 
 
 class AlwaysServed:
@@ -99,11 +99,11 @@ class AlwaysServed:
 
 @dataclass(frozen=True, slots=True)
 class Silence:
-    """Why the deadman acts.
+    """Silence of the daemon, as the deadman measured it.
 
     Attributes:
-        lasted: Since the last sign of life of the daemon's loop, s of the machine.
-        held_up: The node itself was not served by the machine for so long meanwhile, s; 0 where it was.
+        lasted: Time since the last sign of life of the daemon's loop, s of the machine.
+        held_up: Time for which the node itself got no processor, s; 0 if it was not held up.
     """
 
     lasted: float
@@ -111,7 +111,7 @@ class Silence:
 
 
 def beat_period(deadman: float) -> float:
-    """Time between two heartbeats, of the daemon and of the nodes, s of the machine."""
+    """Return the time between two heartbeats, of the daemon and of the nodes, s of the machine."""
     return deadman / BEATS
 
 
@@ -119,21 +119,21 @@ ALWAYS_SERVED = AlwaysServed()
 
 
 class Deadman:
-    """A timer that runs from the last sign of life of the daemon's loop, however late that became known.
+    """A timer that runs from the last sign of life of the daemon's loop, however late its heartbeat arrived.
 
     Args:
-        limit: See `DEADMAN`.
-        at_risk: Whether anything moves or could fire.
-        act: Makes that safe.
-        clock: The machine's.
-        saved: Called when the node was held up and a sign of life had arrived meanwhile: it does not act.
-        scheduling: Of this process.
+        limit: Time without a sign of life after which the deadman acts, s of the machine; see `DEADMAN`.
+        at_risk: Returns True if anything moves or could fire.
+        act: Makes the device safe.
+        clock: Clock of the machine.
+        saved: Called instead of `act` if the node was held up and a sign of life had arrived meanwhile.
+        scheduling: Scheduling of this process.
 
     Attributes:
-        limit: See `DEADMAN`.
-        late: Heartbeats whose sign of life was more than `limit` old when they came.
-        implausible: Heartbeats that say nothing, since their stamps lie ahead of those of all others.
-        lateness: Of what the daemon sends.
+        limit: As above.
+        late: Number of heartbeats whose sign of life was more than `limit` old when they arrived.
+        implausible: Number of heartbeats that were ignored because their time stamps are ahead of all others.
+        lateness: Delay of the daemon's messages.
     """
 
     def __init__(
@@ -151,8 +151,8 @@ class Deadman:
         self._at_risk, self._act, self._clock = at_risk, act, clock
         self._saved, self._scheduling = saved, scheduling
         self._lock = threading.Lock()
-        self._begun = clock.monotonic()
-        self._rests_until = self._begun
+        self._started_at = clock.monotonic()
+        self._quiet_until = self._started_at
         self._session = ""
         self._ended: set[str] = set()
         self._number = 0
@@ -160,7 +160,7 @@ class Deadman:
 
     @property
     def session(self) -> str:
-        """Of the daemon that is heard; empty before the first beat."""
+        """Session id of the present daemon; empty before the first heartbeat."""
         return self._session
 
     @property
@@ -168,10 +168,10 @@ class Deadman:
         """Time since the last sign of life of the daemon's loop, s of the machine."""
         return self._clock.monotonic() - self._last_alive()
 
-    def hear(self, beat: Beat) -> None:
-        """Takes a heartbeat of the daemon, in the thread that has received it.
+    def take_beat(self, beat: Beat) -> None:
+        """Take a heartbeat of the daemon; runs in the thread that received it.
 
-        Of an earlier session, or again, it says nothing.
+        A heartbeat of an earlier session, and a repeated one, are ignored.
         """
         now = self._clock.monotonic()
         with self._lock:
@@ -187,21 +187,21 @@ class Deadman:
             if beat.alive > beat.sent or self.lateness.is_ahead(beat.sent, now):
                 self.implausible += 1
                 return
-            self.lateness.hear(beat.sent, now)
+            self.lateness.update(beat.sent, now)
             self._alive = max(self._alive, beat.alive)
-            self.late += self.lateness.of(beat.alive, now) > self.limit
+            self.late += self.lateness.delay(beat.alive, now) > self.limit
 
     def _last_alive(self) -> float:
-        """By our clock; before the first beat, when this began."""
+        """Return the last sign of life by our clock, s; before the first heartbeat, the start of this deadman."""
         with self._lock:
-            return max(self._begun, self.lateness.here(self._alive))
+            return max(self._started_at, self.lateness.to_local(self._alive))
 
     def _due(self) -> float:
-        """When to act unless another sign of life becomes known."""
-        return max(self._last_alive() + self.limit, self._rests_until)
+        """Return the time at which to act if no newer sign of life arrives, s of our clock."""
+        return max(self._last_alive() + self.limit, self._quiet_until)
 
-    async def heard(self) -> bool:
-        """Whether the daemon is there: at once, or within `limit` from now."""
+    async def wait_for_daemon(self) -> bool:
+        """Return True as soon as the daemon is alive, and False if it is silent for `limit` from now."""
         end = self._clock.monotonic() + self.limit
         while self.silence > self.limit:
             if self._clock.monotonic() >= end:
@@ -210,7 +210,7 @@ class Deadman:
         return True
 
     async def run(self) -> None:
-        """Watches until cancelled."""
+        """Watch until cancelled."""
         while True:
             due = self._due()
             await self._clock.sleep(due - self._clock.monotonic())
@@ -220,18 +220,18 @@ class Deadman:
                 continue
             silence = Silence(self.silence, held_up)
             if held_up:
-                await self._take_what_has_arrived()
+                await self._let_receivers_run()
                 if self._clock.monotonic() < self._due():
                     self._saved(silence)
                     continue
-            rest = self.limit / 4  # soon: something may begin to move unasked
+            rest = self.limit / 4  # soon: a device may start to move by itself
             if await self._at_risk():
                 await self._act(Silence(self.silence, held_up))
                 rest = self.limit
-            self._rests_until = self._clock.monotonic() + rest
+            self._quiet_until = self._clock.monotonic() + rest
 
-    async def _take_what_has_arrived(self) -> None:
-        """Lets the threads that receive run until they have nothing more to do, and waits for nothing else."""
+    async def _let_receivers_run(self) -> None:
+        """Let the receiving threads run until they have nothing more to do, for `DELIVERY` at most."""
         end = self._clock.monotonic() + DELIVERY
         pending = True
         while pending and self._clock.monotonic() < end:

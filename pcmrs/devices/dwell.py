@@ -1,33 +1,54 @@
-"""A pointer without electronics: holding its tip still somewhere is the touch."""
+"""A pointer without electronics: its tip touches where it is held still."""
 
 from __future__ import annotations
 
 from itertools import takewhile
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
 from pcmrs.clock import Clock
-from pcmrs.devices.dwelling import DwellSettings
 from pcmrs.devices.poses import PoseFeed, Sighting
 from pcmrs.messages import LandmarkPrompt
 from pcmrs.spatial import Floats, Transform
 
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+
 LOOK_PERIOD = 0.02
-"""Time between looks at the newest frames, s of the clock."""
+"""Time between two looks at the newest frames, s of the clock."""
 
 BODIES = ("body_ref", "pointer")
+"""Tracked bodies that a frame must show."""
+
+
+class DwellSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Conditions under which a tip that is held still is a touch.
+
+    Attributes:
+        time: Time for which the tip is held still, s; well within the stored history of poses.
+        still_mm: Greatest distance of the tip from its present position in that time, mm.
+        samples: Least number of frames that show the tip there.
+        away_mm: Before a touch, the tip must have been farther than this from the last touch, or from its position at
+            the prompt, mm.
+    """
+
+    time: Annotated[float, msgspec.Meta(gt=0.0, le=3.0)] = 0.8
+    still_mm: Positive = 1.0
+    samples: Annotated[int, msgspec.Meta(ge=2)] = 10
+    away_mm: Positive = 10.0
 
 
 class DwellPointer:
-    """A tracked stylus, watched on the daemon's own poses; implements `pcmrs.devices.protocols.Pointer`.
+    """A tracked stylus, watched in the daemon's own poses; implements `pcmrs.devices.protocols.Pointer`.
 
-    A touch waits without end: its caller has the deadline and cancels it.
+    A touch waits without a limit: the caller has the deadline and cancels it.
 
     Args:
-        poses: Where pointer and body_ref are seen.
-        clock: The cell's clock.
-        pointer_from_tip: The tip in the pointer's marker body; only its translation matters.
-        settings: How still and how long.
+        poses: Poses of pointer and body_ref.
+        clock: Clock of the cell.
+        pointer_from_tip: Pose of the tip in the pointer's marker body; only its translation matters.
+        settings: Conditions of a touch.
     """
 
     def __init__(self, poses: PoseFeed, clock: Clock, pointer_from_tip: Transform, settings: DwellSettings) -> None:
@@ -44,11 +65,11 @@ class DwellPointer:
         await self._wait_until_held()
 
     async def release(self) -> None:
-        """Nothing to do: the next touch must be elsewhere, or the tip lifted between."""
+        """Do nothing: the next touch must be elsewhere, or the tip lifted in between."""
 
     async def _wait_until_held(self) -> None:
         prompted = self._clock.monotonic()
-        left, away = self._left(), False
+        left, away = self._departure(), False
         while True:
             await self._clock.sleep(LOOK_PERIOD)
             frames = self._frames(prompted)
@@ -57,8 +78,8 @@ class DwellPointer:
                 self._last_touch = self._tip(frames[-1])
                 return
 
-    def _left(self) -> Floats | None:
-        """What the tip must have left: the last touch, or where it was seen last, if at all."""
+    def _departure(self) -> Floats | None:
+        """Return the position that the tip must leave first: the last touch, or else its last known position."""
         if self._last_touch is not None:
             return self._last_touch
         known = self._frames(since=-np.inf)
@@ -68,7 +89,7 @@ class DwellPointer:
         return left is None or float(np.linalg.norm(self._tip(frame) - left)) > self._settings.away_mm * 1e-3
 
     def _held_still(self, frames: list[dict[str, Sighting]]) -> bool:
-        """Whether the tip rests where it was in the newest frame, long and often enough."""
+        """Return True if the tip was held where the newest frame shows it, long and often enough."""
         if not frames or not all(self._poses.seen(body) for body in BODIES):
             return False
         newest, limit = self._tip(frames[-1]), self._settings.still_mm * 1e-3
@@ -77,11 +98,11 @@ class DwellPointer:
         return duration >= self._settings.time and len(resting) >= self._settings.samples
 
     def _frames(self, since: float) -> list[dict[str, Sighting]]:
-        """What shows pointer and reference together, captured after `since`, oldest first."""
+        """Return the frames that show pointer and reference together, captured after `since`, oldest first."""
         return [frame for frame in self._poses.frames_after(-1, BODIES) if frame["pointer"].captured >= since]
 
     def _tip(self, frame: dict[str, Sighting]) -> Floats:
-        """In body_ref, m, (3,)."""
+        """Return the position of the tip in body_ref, m, (3,)."""
         seen = {body: frame[body].tracker_from_body for body in BODIES}
         tip: Floats = seen["body_ref"].inverse() @ (seen["pointer"] @ self._tip_in_pointer)
         return tip

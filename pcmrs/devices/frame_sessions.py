@@ -1,4 +1,4 @@
-"""Sessions of a tracker: within one, frame numbers and stamps advance."""
+"""Sessions of a tracker: within one session, frame numbers and time stamps advance."""
 
 from __future__ import annotations
 
@@ -9,18 +9,20 @@ import msgspec
 
 from pcmrs.messages import BodyPose
 
-STEADY = 5
-"""So many frames in a row that advance from below the last one show that the tracker counts anew. One is a mistake, and
-a tracker that runs backwards never does so."""
+FRAMES_TO_RESTART = 5
+"""Number of successive frames that advance from below the last one after which the tracker has restarted its count.
+
+A single such frame is an error, and the frames of a tracker that runs backwards do not advance.
+"""
 
 
 class FrameSessions:
-    """Names the session of each frame as the node of a tracker publishes it.
+    """Adds the session id to the frames that the node of a tracker publishes.
 
-    The frames of a driver come in order here, so that only here a tracker that counts anew can be told from a frame
-    that was late on the network. A new session begins with the node, and where the tracker behind it counts anew. One
-    frame with a stamp ahead begins none: where bodies were seen before would be forgotten, and which of them the
-    tracker has mistaken for each other.
+    Only here do the frames of a driver arrive in order, so only here can a tracker that restarts its count be
+    distinguished from a frame that was delayed on the network. A new session begins when the node starts and when the
+    tracker restarts its count. One frame with a stamp that is ahead begins no session: receivers would forget earlier
+    poses, and with them which bodies the tracker has swapped.
     """
 
     def __init__(self) -> None:
@@ -44,11 +46,11 @@ class FrameSessions:
             self._before, self._last, self._behind, self._advanced = self._last, (number, sent), None, 0
             return
         if self._before is not None and number >= self._last[0] and sent >= self._before[1]:
-            self._last = number, sent  # it goes on from the frame before the last one, whose stamp alone was ahead
+            self._last = number, sent  # only the stamp of the last frame was ahead: go on from the one before it
             return
         before, self._behind = self._behind, (number, sent)
         advances = before is not None and number > before[0] and sent > before[1]
         self._advanced = self._advanced + 1 if advances else 1
-        if self._advanced == STEADY:
+        if self._advanced == FRAMES_TO_RESTART:
             self._begin()
             self._last = number, sent

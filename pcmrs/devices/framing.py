@@ -1,4 +1,4 @@
-"""Messages in a stream of bytes between two processes, each behind its length of four bytes."""
+"""Framing of messages in a stream of bytes between two processes: each follows its length in four bytes."""
 
 from __future__ import annotations
 
@@ -7,49 +7,50 @@ import struct
 from pcmrs.errors import PayloadError
 
 LARGEST = 1 << 26
-"""Bytes of one message, unless there are fewer by agreement; a longer one is no message of ours."""
+"""Default limit of the length of one message, bytes."""
 _LENGTH = struct.Struct(">I")
 LENGTH_SIZE = _LENGTH.size
+"""Size of the length field, bytes."""
 
 
 def framed(body: bytes) -> bytes:
-    """The message behind its length."""
+    """Return a message with its length in front."""
     return _LENGTH.pack(len(body)) + body
 
 
 def length_of(header: bytes) -> int:
-    """The length that `LENGTH_SIZE` bytes say."""
+    """Return the length in a header of `LENGTH_SIZE` bytes."""
     (length,) = _LENGTH.unpack(header)
     return int(length)
 
 
-class Cutter:
-    """Cuts a stream of bytes into messages; survives any split of them.
+class MessageSplitter:
+    """Splits a stream of bytes into messages, however the stream is cut into pieces.
 
     Args:
-        largest: Bytes of one message.
+        largest: Limit of the length of one message, bytes.
     """
 
     def __init__(self, largest: int = LARGEST) -> None:
         self._largest = largest
-        self._begun = bytearray()
+        self._incomplete = bytearray()
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The messages that `data` completes, without their lengths.
+        """Return the messages that `data` completes, without their lengths.
 
         Raises:
-            PayloadError: One is longer than there can be.
+            PayloadError: A message is longer than the limit.
         """
-        self._begun += data
+        self._incomplete += data
         found, at = [], 0
-        while len(self._begun) - at >= LENGTH_SIZE:
-            (length,) = _LENGTH.unpack_from(self._begun, at)
+        while len(self._incomplete) - at >= LENGTH_SIZE:
+            (length,) = _LENGTH.unpack_from(self._incomplete, at)
             if length > self._largest:
-                raise PayloadError(f"A message of {length} bytes; there are {self._largest} at most.", length=length)
+                raise PayloadError(f"A message has {length} bytes, the limit is {self._largest}.", length=length)
             end = at + LENGTH_SIZE + length
-            if len(self._begun) < end:
+            if len(self._incomplete) < end:
                 break
-            found.append(bytes(self._begun[at + LENGTH_SIZE : end]))
+            found.append(bytes(self._incomplete[at + LENGTH_SIZE : end]))
             at = end
-        del self._begun[:at]
+        del self._incomplete[:at]
         return found

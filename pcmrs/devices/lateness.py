@@ -1,24 +1,23 @@
-"""How late the messages of another process are, whatever its clock shows."""
+"""Delay of messages from another process, without knowing the offset between its clock and ours."""
 
 from __future__ import annotations
 
 from math import inf
 
 WINDOW = 30.0
-"""Clocks that drift apart are compared anew after at most twice this, s of the machine."""
-
+"""The comparison of the clocks is renewed after at most twice this, because they drift apart, s of the machine."""
 
 AHEAD = 0.1
-"""A stamp that is ahead of all others by more than this is wrong, s: it would make all others late."""
+"""A time stamp that is ahead of all others by more than this is wrong, s: it would make all others look late."""
 
 AGREED = 10
-"""So many messages in a row that are ahead are right, and those before were late: the comparison begins anew."""
+"""Number of successive messages that are ahead and agree after which they are right, and the comparison restarts."""
 
 
 class Lateness:
-    """Compares stamps of the sender's monotonic clock with ours; the quickest message of late is taken for not late.
+    """Compares time stamps of the sender's monotonic clock with ours; the fastest recent message counts as not delayed.
 
-    A delay that lasts longer than `WINDOW` comes to count as the link's own: what shows it is the gap when it begins.
+    A delay that lasts longer than `WINDOW` becomes part of the comparison. It shows only as a gap when it begins.
     """
 
     def __init__(self) -> None:
@@ -27,31 +26,40 @@ class Lateness:
         self._ahead: dict[float, float] = {}
 
     def forget(self) -> None:
-        """The sender has begun anew, perhaps with another clock."""
+        """Restart the comparison, as when the sender was restarted, perhaps with another clock."""
         self._least = self._least_before = inf
         self._ahead.clear()
 
-    def hear(self, sent: float, now: float) -> float:
-        """Takes a message for the comparison, and says by how much it is late, s.
+    def update(self, sent: float, now: float) -> float:
+        """Add a message to the comparison, and return its delay, s.
 
         Args:
-            sent: When it was sent, s of the sender's clock.
-            now: When it came, s of ours.
+            sent: Time at which it was sent, s of the sender's clock.
+            now: Time at which it arrived, s of our clock.
         """
         if now - self._since > WINDOW:
             self._least_before, self._least, self._since = self._least, inf, now
         self._least = min(self._least, now - sent)
-        return self.of(sent, now)
+        return self.delay(sent, now)
 
     def ahead(self, sent: float, now: float) -> float:
-        """By how much a message seems to come before it could, s; 0 while there is nothing to compare."""
+        """Return by how much the time stamp of a message is ahead of the fastest recent one, s; 0 at first.
+
+        Args:
+            sent: Time at which it was sent, s of the sender's clock.
+            now: Time at which it arrived, s of our clock.
+        """
         least = min(self._least, self._least_before)
         return max(0.0, least - (now - sent)) if least < inf else 0.0
 
     def is_ahead(self, sent: float, now: float) -> bool:
-        """Whether a stamp lies ahead of the others, so that its message says nothing.
+        """Return True if a time stamp is ahead of the others and so cannot be used.
 
-        It does not where so many agree that the others must have been late: then they are forgotten.
+        If `AGREED` such stamps agree, the others must have been late: the comparison restarts, and this returns False.
+
+        Args:
+            sent: Time at which the message was sent, s of the sender's clock.
+            now: Time at which it arrived, s of our clock.
         """
         if self.ahead(sent, now) <= AHEAD:
             self._ahead.clear()
@@ -64,15 +72,20 @@ class Lateness:
         self.forget()
         return False
 
-    def of(self, sent: float, now: float) -> float:
-        """By how much a message is later than the quickest one of late, s; 0 while there is nothing to compare."""
+    def delay(self, sent: float, now: float) -> float:
+        """Return the delay of a message relative to the fastest recent one, s; 0 at first.
+
+        Args:
+            sent: Time at which it was sent, s of the sender's clock.
+            now: Time at which it arrived, s of our clock.
+        """
         least = min(self._least, self._least_before)
         return max(0.0, now - sent - least) if least < inf else 0.0
 
-    def here(self, sent: float) -> float:
-        """Return the moment of our clock at which a moment of the sender's clock came, s; minus infinity at first.
+    def to_local(self, sent: float) -> float:
+        """Convert a time of the sender's clock to ours, s; minus infinity at first.
 
-        The quickest message of late counts as one that took no time: by so much as it took, the moment comes too late.
+        The fastest recent message counts as one without delay, so the result is too late by the delay of that message.
         """
         least = min(self._least, self._least_before)
         return sent + least if least < inf else -inf

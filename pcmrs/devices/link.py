@@ -1,4 +1,4 @@
-"""The bus as devices see it, so that this package needs no bus to be tested or reused."""
+"""The bus as devices see it, so that this package can be tested and reused without a bus."""
 
 from __future__ import annotations
 
@@ -11,19 +11,42 @@ M = TypeVar("M", bound=msgspec.Struct)
 
 
 class Link(Protocol):
-    """Keys are relative to the cell, such as ``state/joints`` or ``dev/robot/cmd``."""
+    """Messages by key. Keys are relative to the cell, such as ``state/joints`` or ``dev/robot/cmd``."""
 
     def publish(self, key: str, message: msgspec.Struct) -> None:
-        """Sends the newest value of a key; never blocks."""
+        """Publish a message; never blocks.
+
+        Args:
+            key: Relative key.
+            message: Newest value of the key.
+        """
 
     def subscribe(self, key: str, kind: type[M], handler: Callable[[str, M], None]) -> None:
-        """Calls `handler(key, message)` in the event loop for every message of `kind`."""
+        """Call a handler in the event loop for every message.
+
+        Args:
+            key: Relative key expression.
+            kind: Type of the messages.
+            handler: Called with relative key and message.
+        """
 
     def listen(self, key: str, kind: type[M], handler: Callable[[str, M], None]) -> None:
-        """Calls `handler(key, message)` where the message is received, in any thread: at once, past the event loop."""
+        """Call a handler for every message in the thread that receives it, without waiting for the event loop.
+
+        Args:
+            key: Relative key expression.
+            kind: Type of the messages.
+            handler: Called with relative key and message, in any thread.
+        """
 
     def serve(self, key: str, kind: type[M], handler: Callable[[str, M], Awaitable[msgspec.Struct]]) -> None:
-        """Answers requests on `key`, each in a task of its own, with the handler's message."""
+        """Answer requests, each in its own task.
+
+        Args:
+            key: Relative key expression.
+            kind: Type of the requests.
+            handler: Returns the reply from relative key and request.
+        """
 
     async def request(
         self,
@@ -35,21 +58,20 @@ class Link(Protocol):
         *,
         urgent: bool = False,
     ) -> M:
-        """Asks and returns the reply.
+        """Send a request and return the reply.
 
         Args:
-            key: On which somebody serves.
+            key: Relative key that another process serves.
             message: The request.
             reply: Type of the reply.
-            timeout: s of the machine.
-            sender: Requests of one sender leave in the order in which they are made, and wait for no other sender;
-                empty for a request whose order does not matter.
-            urgent: It goes ahead of requests that are not.
+            timeout: Longest wait for the reply, s of the machine.
+            sender: Name of the sender. Its requests are sent in their order and never wait for another sender. Empty
+                for a request whose order does not matter.
+            urgent: True for a request that goes ahead of those that are not urgent.
 
         Raises:
-            UnknownOutcomeError: Nobody answered within `timeout` (s of the machine), or the answering
-                process ended before it did.
+            UnknownOutcomeError: No reply came within `timeout`, or the answering process ended first.
         """
 
     def alive(self, component: str) -> Any:
-        """Declares a liveliness token for this process."""
+        """Declare a liveliness token for this process."""

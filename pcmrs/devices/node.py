@@ -1,4 +1,4 @@
-"""A device node: serves devices on the bus, and stops the robot by itself when nobody else can."""
+"""A device node: serves devices on the bus, and makes them safe by itself if the daemon is silent."""
 
 from __future__ import annotations
 
@@ -47,43 +47,43 @@ from pcmrs.messages import (
 log = structlog.get_logger(__name__)
 
 STREAMING = ("robot", "tracker")
-"""Devices that send by themselves, and are not well when they do not."""
+"""Devices that stream data; one that sends none is not healthy."""
 
 STREAM_TIMEOUT = 1.0
-"""A streaming device that has sent nothing for so long is not connected, s of the machine."""
+"""Time without data after which a streaming device counts as not connected, s of the machine."""
 
 HEALTH_PERIOD = 1.0
-"""Between two words on a device's health, s of the machine."""
+"""Time between two reports of a device's health, s of the machine."""
 
 DAEMON_BEAT = "daemon/beat"
-"""Key of the daemon's heartbeats: its own, so that no device's certificate can speak for the daemon."""
+"""Key of the daemon's heartbeats. It is not a device's key, so that no device's certificate can forge them."""
 
 PULSE_DELAY = 0.5
-"""A pulse that may have waited here for so long, because the node was held up, is not given, s of the machine."""
+"""A pulse that may have waited here for this long, because the node was held up, is not given, s of the machine."""
 
 REQUEST_DELAY = 1.0
-"""A request to act that has been on its way for so long is refused, s of the machine."""
+"""Delay on the way beyond which an acting request is refused, s of the machine."""
 
 MOTIONS = ACTS["robot"]
-"""Methods of the robot that are refused when the daemon is not heard, too."""
+"""Methods of the robot that are also refused while the daemon is silent."""
 
 HELD_UP_PERIOD = 5.0
-"""Between two events that say that the node was held up, s of the machine: each is a row of the journal."""
+"""Shortest time between two events of a node that was held up, s of the machine: each is a row of the journal."""
 
 
 class DeviceNode:
     """Serves the opened devices of one driver.
 
     Args:
-        link: The bus.
-        devices: Device name to device, as the driver has opened them.
-        clock: The machine's clock: heartbeats do not run faster with a simulated cell.
-        deadman: A moving robot is held, and an armed stimulator disarmed, when nothing fresh has been heard of the
-            daemon for so long, s of the machine.
-        scheduling: Of this process; by default it is never held up.
+        link: Bus.
+        devices: Devices by name, as the driver has opened them.
+        clock: Clock of the machine: heartbeats do not run faster with a simulated cell.
+        deadman: Time without a fresh heartbeat of the daemon after which a moving robot is held and an armed stimulator
+            disarmed, s of the machine.
+        scheduling: Scheduling of this process; by default it is never held up.
 
     Attributes:
-        late: Kind of message to how many came too late to be followed.
+        late: Number of messages that were dropped because they arrived too late, by kind.
     """
 
     def __init__(
@@ -98,20 +98,20 @@ class DeviceNode:
         self._devices = devices
         self._clock = clock
         self._scheduling = scheduling
-        self._deadman = Deadman(deadman, self._at_risk, self._hold_for_silence, clock, self._tell_held_up, scheduling)
+        self._deadman = Deadman(deadman, self._at_risk, self._hold_for_silence, clock, self._report_held_up, scheduling)
         session = uuid.uuid4().hex
         self._gates = {name: Gate(name, session) for name in devices if name in ACTS}
         self._standstill = Standstill()
         self.late: Counter[str] = Counter()
         self._moving = False
-        self._begun = self._awake = clock.monotonic()
-        self._held_up = self._told_held_up = -inf
-        self._heard: dict[str, float] = {}
+        self._started_at = self._last_turn = clock.monotonic()
+        self._held_up_at = self._reported_held_up_at = -inf
+        self._last_data: dict[str, float] = {}
         self._frame_sessions = FrameSessions()
         self._holds: set[asyncio.Task[None]] = set()
 
     async def run(self) -> None:
-        """Serves until cancelled."""
+        """Serve until cancelled."""
         for name, device in self._devices.items():
             if methods_of(name):
                 self._serve(name, device)
@@ -120,7 +120,7 @@ class DeviceNode:
             if "tracker" in self._devices:
                 tasks.create_task(self._publish_frames(self._devices["tracker"]))
             if "robot" in self._devices or "stimulator" in self._devices:
-                self._link.listen(DAEMON_BEAT, Beat, lambda _, beat: self._deadman.hear(beat))
+                self._link.listen(DAEMON_BEAT, Beat, lambda _, beat: self._deadman.take_beat(beat))
                 self._link.subscribe(DAEMON_BEAT, Beat, self._follow_daemon)
                 tasks.create_task(self._deadman.run())
             if "robot" in self._devices:
@@ -132,13 +132,13 @@ class DeviceNode:
                 tasks.create_task(self._publish_events("stimulator", self._devices["stimulator"]))
 
     def stop(self, source: str) -> None:
-        """Makes everything safe at once, whatever the daemon does; called on the lane of Stop."""
+        """Make all devices safe at once, without the daemon; called by the lane of Stop."""
         self._spawn(self.make_safe(f"stop by {source}"))
 
     def make_safe(self, why: str) -> Awaitable[None]:
-        """Holds the robot and disarms the stimulator that are here; what is not confirmed is logged.
+        """Hold the robot and disarm the stimulator of this node; a failure to confirm that is logged.
 
-        Their gates are shut when this returns: what is awaited is only that they stand.
+        The gates are shut when this returns: the caller awaits only that the devices are at rest.
         """
         for gate in self._gates.values():
             gate.hold(latch=True)
@@ -147,9 +147,9 @@ class DeviceNode:
     async def _make_safe(self, why: str) -> None:
         async with asyncio.TaskGroup() as tasks:
             if "robot" in self._devices:
-                tasks.create_task(self._confirmed("hold", self._hold_robot, why))
+                tasks.create_task(self._confirm("hold", self._hold_robot, why))
             if "stimulator" in self._devices:
-                tasks.create_task(self._confirmed("disarm", self._devices["stimulator"].disarm, why))
+                tasks.create_task(self._confirm("disarm", self._devices["stimulator"].disarm, why))
 
     async def _hold_robot(self) -> JointState:
         with self._standstill.moving():
@@ -161,16 +161,16 @@ class DeviceNode:
         self._holds.add(task)
         task.add_done_callback(self._holds.discard)
 
-    async def _confirmed(self, what: str, ask: Callable[[], Awaitable[object]], why: str) -> None:
+    async def _confirm(self, action: str, act: Callable[[], Awaitable[object]], why: str) -> None:
         try:
             async with self._clock.timeout(HOLD_TIME):
-                await ask()
+                await act()
         except PcmrsError as error:
-            log.warning(f"{what}_failed", why=why, reason=error.text)
+            log.warning(f"{action}_failed", why=why, reason=error.text)
         except TimeoutError:
-            log.warning(f"{what}_failed", why=why, reason=f"not confirmed within {HOLD_TIME:g} s")
-        except Exception:  # of a driver: nobody would watch over the device any more
-            log.exception(f"{what}_failed", why=why)
+            log.warning(f"{action}_failed", why=why, reason=f"not confirmed within {HOLD_TIME:g} s")
+        except Exception:  # a defect of a driver must not end the node that watches the device
+            log.exception(f"{action}_failed", why=why)
 
     def _serve(self, name: str, device: Any) -> None:
         gate = self._gates.get(name)
@@ -190,21 +190,21 @@ class DeviceNode:
     async def _ask_acting(
         self, name: str, gate: Gate, call: Callable[[], Awaitable[Any]], request: DeviceRequest
     ) -> Any:
-        """Performs a request to a device that acts.
+        """Perform a request to an acting device.
 
         Raises:
-            DeviceError: It was made for another situation than the present one, or the device refuses.
+            DeviceError: The request was made for other sessions or another epoch, or the device refuses it.
         """
         if request.method == HOLDS[name]:
             gate.hold(latch=request.latch, daemon=request.token.daemon if request.token is not None else "")
         elif request.method == RELEASE:
-            await self._check_rest(name)
+            await self._check_stationary(name)
             gate.release(request.token)
             return None
         if request.method in ACTS[name]:
             gate.check(request.token)
             await self._check_fresh(name, request)
-            gate.admit(request.token)  # after the last wait: a hold may have come meanwhile
+            gate.admit(request.token)  # after the last await: a hold may have arrived meanwhile
         elif request.method == "connect":
             await self._check_fresh(name, request)
         return await (self._ask_robot(request.method, call) if name == "robot" else call())
@@ -219,7 +219,7 @@ class DeviceNode:
         return result
 
     def _follow_daemon(self, _key: str, beat: Beat) -> None:
-        """What an earlier daemon has asked for ends with the first beat of a new one."""
+        """End what an earlier daemon has started with the first heartbeat of a new one."""
         if beat.session == self._deadman.session and any(
             gate.state.daemon not in ("", beat.session) for gate in self._gates.values()
         ):
@@ -227,17 +227,17 @@ class DeviceNode:
             for gate in self._gates.values():
                 gate.forget_daemon()
 
-    async def _check_rest(self, name: str) -> None:
-        """Lets nobody release an arm that moves.
+    async def _check_stationary(self, name: str) -> None:
+        """Refuse to release an arm that moves.
 
         Raises:
-            DeviceError: It moves, or says nothing of itself.
+            DeviceError: The arm moves, or does not report its state.
         """
         if name != "robot":
             return
         state: JointState = await self._devices["robot"].joints()
         if state.moving:
-            raise DeviceError("The robot still moves: it is released when it stands. Ask again.", code="moving")
+            raise DeviceError("The robot still moves: it can be released when it stands. Ask again.", code="moving")
 
     async def _beat(self) -> None:
         period, number = beat_period(self._deadman.limit), 0
@@ -253,19 +253,19 @@ class DeviceNode:
                 if number % health_every == 1 and (health := self._health(name)) is not None:
                     self._link.publish(f"dev/{name}/state", health)
             await self._clock.sleep(period)
-            self._wake_up()
+            self._note_turn()
 
-    def _wake_up(self) -> None:
+    def _note_turn(self) -> None:
         now = self._clock.monotonic()
-        if now - self._awake > PULSE_DELAY:
-            self._held_up = now
-        self._awake = now
+        if now - self._last_turn > PULSE_DELAY:
+            self._held_up_at = now
+        self._last_turn = now
 
     async def _check_fresh(self, name: str, request: DeviceRequest) -> None:
-        """Refuses what was asked for in another situation than the present one.
+        """Refuse a request that was on its way for too long.
 
         Raises:
-            DeviceError: The request is late, or nothing shows that who sent it is still there.
+            DeviceError: The request is late, or its daemon is silent.
         """
         if (name, request.method) == ("stimulator", "fire"):
             self._check_not_held_up()
@@ -274,52 +274,52 @@ class DeviceNode:
         lateness, now = self._deadman.lateness, self._clock.monotonic()
         if (ahead := lateness.ahead(request.sent, now)) > REQUEST_DELAY:
             self.late["requests_ahead"] += 1
-            text = f"{name}.{request.method} is stamped {ahead:.1f} s ahead of the daemon's clock, limit "
-            text += f"{REQUEST_DELAY:g} s: it is not known when it was sent. Ask again."
+            text = f"The time stamp of {name}.{request.method} is {ahead:.1f} s ahead of the daemon's clock, limit "
+            text += f"{REQUEST_DELAY:g} s: the time of sending is unknown. Ask again."
             raise DeviceError(text, ahead=ahead, limit=REQUEST_DELAY)
-        late = lateness.of(request.sent, now)
+        late = lateness.delay(request.sent, now)
         if late > REQUEST_DELAY:
             self.late["requests"] += 1
             text = (
-                f"{name}.{request.method} came {late:.1f} s late and was dropped, limit {REQUEST_DELAY:g} s: ask again."
+                f"{name}.{request.method} was {late:.1f} s late and was dropped, limit {REQUEST_DELAY:g} s: ask again."
             )
             raise DeviceError(text, late=late, limit=REQUEST_DELAY)
         if name == "robot" and request.method in MOTIONS:
-            await self._check_heard()
+            await self._check_daemon_alive()
 
-    async def _check_heard(self) -> None:
-        """Lets a motion begin only for a daemon that is there.
+    async def _check_daemon_alive(self) -> None:
+        """Let a motion begin only if the daemon is alive.
 
         Raises:
-            DeviceError: The daemon is not heard.
+            DeviceError: The daemon is silent.
         """
-        heard, limit = await self._deadman.heard(), self._deadman.limit
-        if not heard:
-            text = f"The robot does not begin to move: its node has not heard the daemon for {limit:g} s. "
-            text += "See that neither the network nor the machine is overloaded, and ask again."
+        alive, limit = await self._deadman.wait_for_daemon(), self._deadman.limit
+        if not alive:
+            text = f"The robot does not begin to move: its node has received no heartbeat of the daemon for {limit:g} "
+            text += "s. Make sure that neither the network nor the machine is overloaded, and ask again."
             raise DeviceError(text, limit=limit)
 
     def _pass_on(self, robot: RobotDriver, setpoint: JointSetpoint) -> None:
-        """A set point that came too late is none: where the arm shall be now is not where it should have been."""
+        """Pass a set point on to the robot; a late one is dropped, because it is not where the arm should be now."""
         try:
             self._gates["robot"].check(setpoint.token)
         except DeviceError:
-            self.late["setpoints"] += 1  # of before a hold
+            self.late["setpoints"] += 1  # it was sent before a hold
             return
         lateness, now = self._deadman.lateness, self._clock.monotonic()
-        if max(lateness.of(setpoint.sent, now), lateness.ahead(setpoint.sent, now)) > self._deadman.limit:
+        if max(lateness.delay(setpoint.sent, now), lateness.ahead(setpoint.sent, now)) > self._deadman.limit:
             self.late["setpoints"] += 1
         else:
             robot.set_point(setpoint)
 
     def _check_not_held_up(self) -> None:
-        """Refuses a pulse that may have waited here: coil and head were looked at before, not now."""
-        self._wake_up()
-        if self._awake - self._held_up < PULSE_DELAY:
+        """Refuse a pulse that may have waited here: the placement of the coil was checked before that wait."""
+        self._note_turn()
+        if self._last_turn - self._held_up_at < PULSE_DELAY:
             raise DeviceError("No pulse was given: the stimulator's node was held up just before. Fire again.")
 
     def _health(self, name: str) -> DeviceHealth | None:
-        """None while it is too early to say."""
+        """Return the health of a device; None while it is too early to tell."""
         beats = {"beats": self._deadman.late, "implausible_beats": self._deadman.implausible}
         dropped = dict(self.late) | {kind: many for kind, many in beats.items() if many}
         if name == "robot" and (stale := self._devices[name].dropped):
@@ -327,21 +327,21 @@ class DeviceNode:
         if name not in STREAMING:
             return DeviceHealth(device=name, connected=True, dropped=dropped)
         now = self._clock.monotonic()
-        if now - self._heard.get(name, self._begun) > STREAM_TIMEOUT:
+        if now - self._last_data.get(name, self._started_at) > STREAM_TIMEOUT:
             text = self._devices[name].trouble or "The device sends nothing."
             return DeviceHealth(device=name, connected=False, text=text, dropped=dropped)
-        return DeviceHealth(device=name, connected=True, dropped=dropped) if name in self._heard else None
+        return DeviceHealth(device=name, connected=True, dropped=dropped) if name in self._last_data else None
 
     async def _publish_frames(self, tracker: TrackerDriver) -> None:
         async for frame in tracker.frames():
-            self._heard["tracker"] = self._clock.monotonic()
+            self._last_data["tracker"] = self._clock.monotonic()
             for pose in self._frame_sessions.named(frame):
                 self._link.publish(f"state/pose/{pose.body}", pose)
 
     async def _publish_joints(self, robot: RobotDriver) -> None:
         async for state in robot.states():
             self._moving = state.moving
-            self._heard["robot"] = self._clock.monotonic()
+            self._last_data["robot"] = self._clock.monotonic()
             self._link.publish("state/joints", state)
             if (moved := self._standstill.take(state)) is not None:
                 self._spawn(self.make_safe(moved.text))
@@ -350,15 +350,15 @@ class DeviceNode:
     async def _publish_events(self, name: str, device: RobotDriver | StimulatorDriver) -> None:
         async for event in device.events():
             if event.danger:
-                self._gates[name].hold(latch=True)  # the device has stopped by itself: what is on its way is too late
+                self._gates[name].hold(latch=True)  # the device has stopped by itself: requests on their way are stale
             if event.code == "link_lost":
                 self._standstill.watch(False)
             self._link.publish(f"dev/{name}/event", event)
 
     async def _hold_for_silence(self, silence: Silence) -> None:
-        await asyncio.gather(self.make_safe("no heartbeat"), self._tell_silence(silence))
+        await asyncio.gather(self.make_safe("no heartbeat"), self._report_silence(silence))
 
-    async def _tell_silence(self, silence: Silence) -> None:
+    async def _report_silence(self, silence: Silence) -> None:
         load = self._scheduling.load()
         log.warning(
             "held_by_node",
@@ -368,27 +368,27 @@ class DeviceNode:
             running=load.running,
             processors=load.processors,
         )
-        self._tell_held_up(silence)
-        device = self._risky()
+        self._report_held_up(silence)
+        device = self._device_at_risk()
         self._link.publish(f"dev/{device}/event", daemon_silent(device, silence, self._deadman.limit, load))
 
-    def _tell_held_up(self, silence: Silence) -> None:
+    def _report_held_up(self, silence: Silence) -> None:
         now = self._clock.monotonic()
-        if silence.held_up and now - self._told_held_up > HELD_UP_PERIOD:
-            self._told_held_up = now
-            device = self._risky()
+        if silence.held_up and now - self._reported_held_up_at > HELD_UP_PERIOD:
+            self._reported_held_up_at = now
+            device = self._device_at_risk()
             self._link.publish(f"dev/{device}/event", node_held_up(device, silence, self._scheduling.load()))
 
-    def _risky(self) -> str:
+    def _device_at_risk(self) -> str:
         return "robot" if self._moving or "stimulator" not in self._devices else "stimulator"
 
     async def _at_risk(self) -> bool:
-        """Whether anything moves or could fire."""
+        """Return True if anything moves or could fire."""
         if self._moving or "stimulator" not in self._devices:
             return self._moving
         try:
             async with self._clock.timeout(HOLD_TIME):
                 state: StimulatorState = await self._devices["stimulator"].state()
-        except Exception:  # nobody knows, and the watch must go on
+        except Exception:  # its state is unknown, and the deadman must go on
             return True
         return state.armed

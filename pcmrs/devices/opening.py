@@ -1,6 +1,6 @@
-"""Drivers by name, as the installed packages declare them.
+"""Opening of devices by the name of their driver, as installed packages declare it.
 
-Whether what a driver has opened can do all that a node asks of it: said at the start, not at the first need.
+`check_conformity` finds missing methods of a driver at the start, not at their first use.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from pcmrs.errors import ConfigurationError
 
 
 def check_conformity(driver: str, devices: Mapping[str, Any]) -> None:
-    """Checks that each device has every method and attribute of its protocol.
+    """Check that each device has every method and attribute of its protocol.
 
     Args:
-        driver: Its name, for the message.
-        devices: As it has opened them.
+        driver: Name of the driver, for the message.
+        devices: Devices that it has opened, by name.
 
     Raises:
-        ConfigurationError: One lacks some.
+        ConfigurationError: A device lacks a method or attribute.
     """
     for name, device in devices.items():
         protocol = PROTOCOLS[name]
         lacking = [each for each in _members(protocol) if not hasattr(device, each)]
         if lacking:
             text = f"The driver {driver!r} has a {name} without {', '.join(lacking)}: "
-            text += f"write what pcmrs.devices.protocols.{protocol.__name__} asks for."
+            text += f"implement pcmrs.devices.protocols.{protocol.__name__} as a whole."
             raise ConfigurationError(text, driver=driver, device=name, lacking=lacking)
 
 
@@ -48,12 +48,12 @@ DRIVERS = "pcmrs.drivers"
 def open_driver(
     driver: str, devices: Collection[str], table: Mapping[str, Any]
 ) -> AbstractAsyncContextManager[Mapping[str, Any]]:
-    """What opens devices with a driver. One that needs a process of its own may start it already with this call.
+    """Return the context that opens devices. A driver that needs its own process may start it with this call.
 
     Args:
         driver: Name of an installed driver.
         devices: Devices to open together.
-        table: The whole configuration as plain data.
+        table: Whole configuration as plain data.
     """
     (point,) = entry_points(group=DRIVERS, name=driver)
     opened: OpenDriver = point.load()

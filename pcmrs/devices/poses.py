@@ -1,4 +1,4 @@
-"""Tracked poses as they arrive: guarded, kept for a moment, and averaged on demand."""
+"""Tracked poses as they arrive: checked, stored for some seconds, and averaged on demand."""
 
 from __future__ import annotations
 
@@ -17,26 +17,27 @@ from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform, mean_transform
 
 HISTORY = 256
-"""Frames kept per body: over four seconds at 60 Hz."""
+"""Number of frames that are stored per body: more than four seconds at 60 Hz."""
 
 RATE_TIME = 1.0
-"""Over so long a time the rate of frames is taken, s of the clock."""
+"""Time over which the frame rate is measured, s of the clock."""
 
 SESSIONS = 64
-"""Earlier sessions that are remembered: a frame may be late, but not by so many starts of the tracker."""
+"""Number of earlier sessions that are remembered: no frame is late by more restarts of the tracker."""
 
 NO_LIMITS = PoseLimits()
 
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """A valid pose.
+    """An accepted pose.
 
     Attributes:
-        frame_number: The tracker's, going on where a new session of the tracker counts anew.
-        exposed: When it was captured, s of the tracker's clock.
-        captured: The same, s of this process's clock.
-        session: That of the tracker; stamps of two sessions cannot be compared.
+        frame_number: Frame number of the tracker; continues across sessions of the tracker.
+        exposed: Time of the exposure, s of the tracker's clock.
+        captured: Time of the exposure, s of this process's clock.
+        tracker_from_body: Pose of the body in the tracker frame.
+        session: Session of the tracker; time stamps of two sessions cannot be compared.
     """
 
     frame_number: int
@@ -48,11 +49,11 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What a feed knew at one moment, for a feed in another process.
+    """Contents of a feed at one moment, for a feed in another process.
 
     Attributes:
-        sightings: The newest of each body, oldest first.
-        reasons: Why the newest pose of a body was not taken.
+        sightings: Newest accepted poses of each body, oldest first.
+        reasons: Reason for which the newest pose of a body was rejected, by body.
         trouble: See `PoseFeed`.
     """
 
@@ -64,17 +65,18 @@ class Seen:
 class PoseFeed:
     """The newest poses of all tracked bodies.
 
-    A pose is not taken when it is flagged invalid, is no pose, fits badly, its frame number or stamp does not
-    advance within its session, its stamp lies ahead of the others, it is of an earlier session of the tracker, or the
-    body has jumped; what was dropped is counted by reason in `dropped`.
+    A pose is rejected if it is flagged invalid, is not a pose, fits badly, or belongs to an earlier session of the
+    tracker, if its frame number or time stamp does not advance within its session, if its time stamp is ahead of the
+    others, or if the body has jumped.
 
     Args:
-        clock: The cell's clock.
+        clock: Clock of the cell.
         max_age: Age beyond which a pose is stale, s.
-        limits: Beyond which a pose is not believed.
+        limits: Limits beyond which a pose is rejected.
 
     Attributes:
-        trouble: Why the tracker sends nothing, as its node says; empty while it does. Refusals tell it.
+        dropped: Number of rejected poses by reason.
+        trouble: Reason why the tracker sends nothing, as its node reports it; empty while it sends. Refusals name it.
     """
 
     def __init__(self, clock: Clock, max_age: float, limits: PoseLimits = NO_LIMITS) -> None:
@@ -94,7 +96,7 @@ class PoseFeed:
         self._arrived = asyncio.Event()
 
     def update(self, pose: BodyPose) -> None:
-        """Takes one pose from the tracker, or counts why not."""
+        """Take one pose from the tracker, or count the reason why it is rejected."""
         sighting, reason = self._sighting_of(pose)
         if sighting is None:
             self.dropped[reason] += 1
@@ -105,30 +107,30 @@ class PoseFeed:
         self._arrived.set()
 
     def seen_lately(self, count: int) -> Seen:
-        """Return what is known now, with at most `count` frames per body."""
+        """Return the present contents, with at most `count` frames per body."""
         sightings = {body: tuple(known)[-count:] for body, known in self._sightings.items()}
         return Seen(sightings, dict(self._last_reason), self.trouble)
 
     def show(self, seen: Seen) -> None:
-        """Knows from now on what another feed knew; its clock must show the same time."""
+        """Take over the contents of another feed, whose clock must show the same time."""
         self._sightings = {body: deque(known, maxlen=HISTORY) for body, known in seen.sightings.items()}
         self._last_reason, self.trouble = dict(seen.reasons), seen.trouble
 
     def newest(self, body: str) -> Transform:
-        """``tracker_from_body`` of the newest frame.
+        """Return ``tracker_from_body`` of the newest frame.
 
         Raises:
-            RefusalError: The body has not been seen, or not lately.
+            RefusalError: The body was never seen, or its newest pose is stale.
         """
         return self._newest(body).tracker_from_body
 
     def last_seen(self, body: str) -> float:
-        """Return when the newest pose of a body was captured, s of the clock; minus infinity where there is none."""
+        """Return the time of the newest pose of a body, s of the clock; minus infinity if there is none."""
         known = self._sightings.get(body)
         return known[-1].captured if known else -math.inf
 
     def seen(self, body: str) -> bool:
-        """Whether there is a fresh pose of the body."""
+        """Return True if there is a fresh pose of the body."""
         try:
             self._newest(body)
         except RefusalError:
@@ -136,15 +138,20 @@ class PoseFeed:
         return True
 
     def rate_hz(self, body: str) -> float:
-        """Frames per second that showed the body lately; a tracker that slows down is seen here."""
+        """Return the rate of recent frames that show the body, 1/s; it falls if the tracker slows down."""
         since = self._clock.monotonic() - RATE_TIME
         return sum(sighting.captured >= since for sighting in self._sightings.get(body, ())) / RATE_TIME
 
     def recent(self, bodies: Sequence[str], count: int, since: float) -> dict[str, Transform]:
-        """Means over the last `count` frames captured after `since` that show all `bodies`.
+        """Return ``tracker_from_body`` of each body, averaged over the last frames that show all of them.
+
+        Args:
+            bodies: Names of the bodies.
+            count: Number of frames to average at most.
+            since: Only frames captured after this time, s of the clock.
 
         Raises:
-            RefusalError: A body is not seen freshly, or the bodies are not seen together.
+            RefusalError: The pose of a body is missing or stale, or no frame shows all bodies.
         """
         for body in bodies:
             self._newest(body)
@@ -155,7 +162,12 @@ class PoseFeed:
         return {body: mean_transform([frame[body] for frame in frames]) for body in bodies}
 
     def together(self, bodies: Sequence[str], since: float) -> list[dict[str, Transform]]:
-        """The frames captured after `since`, s of the clock, that show all `bodies`: ``tracker_from_body`` each."""
+        """Return the frames that show all bodies, oldest first: ``tracker_from_body`` by body.
+
+        Args:
+            bodies: Names of the bodies.
+            since: Only frames captured after this time, s of the clock.
+        """
         found: dict[int, dict[str, Transform]] = {}
         for body in bodies:
             for sighting in takewhile(lambda each: each.captured >= since, reversed(self._sightings.get(body, ()))):
@@ -163,7 +175,12 @@ class PoseFeed:
         return [frame for _, frame in sorted(found.items()) if len(frame) == len(bodies)]
 
     def frames_after(self, number: int, bodies: Sequence[str]) -> list[dict[str, Sighting]]:
-        """The frames after frame `number` that show all `bodies`, oldest first, each with its stamps."""
+        """Return the frames that show all bodies, oldest first: `Sighting` by body.
+
+        Args:
+            number: Only frames with a higher frame number.
+            bodies: Names of the bodies.
+        """
         found: dict[int, dict[str, Sighting]] = {}
         for body in bodies:
             for sighting in takewhile(lambda each: each.frame_number > number, reversed(self._sightings.get(body, ()))):
@@ -171,10 +188,15 @@ class PoseFeed:
         return [frame for _, frame in sorted(found.items()) if len(frame) == len(bodies)]
 
     async def collect(self, bodies: Sequence[str], count: int, timeout: float) -> list[dict[str, Transform]]:
-        """`count` frames captured from now on that show all `bodies`: ``tracker_from_body`` each.
+        """Wait for frames that show all bodies and are captured from now on: ``tracker_from_body`` by body.
+
+        Args:
+            bodies: Names of the bodies.
+            count: Number of frames.
+            timeout: Longest wait, s of the clock.
 
         Raises:
-            RefusalError: They did not come within `timeout` s: which body is not seen, and why.
+            RefusalError: The frames did not come in time; the text names the bodies that are not seen, and why.
         """
         begin = self._clock.monotonic()
         frames: list[dict[str, Transform]] = []
@@ -209,7 +231,7 @@ class PoseFeed:
             return None, "stamp_ahead"
         if known and self._is_behind(pose, known[-1]):
             return None, "stamp_not_advancing"
-        late = self._lateness.hear(pose.sent, now)
+        late = self._lateness.update(pose.sent, now)
         try:
             tracker_from_body = Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
         except GeometryError:
@@ -221,7 +243,7 @@ class PoseFeed:
         return Sighting(number, pose.captured, now - age - late, tracker_from_body, pose.session), ""
 
     def _follow_session(self, session: str) -> bool:
-        """Forgets all poses where a new session begins; returns False for a frame of an earlier one."""
+        """Forget all poses if a new session begins; return False for a frame of an earlier session."""
         if session == self._session:
             return True
         if session in self._earlier:
@@ -233,9 +255,10 @@ class PoseFeed:
         return True
 
     def _is_behind(self, pose: BodyPose, newest: Sighting) -> bool:
-        """Whether a stamp does not advance; not where so many are so far behind that the newest one must be wrong.
+        """Return True if a time stamp does not advance.
 
-        That one has come first of all: there was nothing that it could be ahead of.
+        If `AGREED` stamps in a row are far behind the newest one, the newest one is wrong: it came first, so there was
+        no other that it could be ahead of. It is forgotten then, and this returns False.
         """
         if pose.captured > newest.exposed:
             self._behind.pop(pose.body, None)
@@ -251,7 +274,7 @@ class PoseFeed:
         return False
 
     def _forget(self) -> None:
-        """Of every body: the tracker may stand elsewhere, and its clock may be another one."""
+        """Forget the poses of all bodies: the tracker may have been moved, and its clock may be another one."""
         self._lateness.forget()
         self._behind.clear()
         self._offset = self._number + 1
@@ -272,6 +295,6 @@ class PoseFeed:
 
     def _why_missing(self, bodies: Sequence[str]) -> str:
         reasons = [f"{body}: {self._last_reason[body]}" for body in bodies if body in self._last_reason]
-        if self.trouble:  # then the others are of old
+        if self.trouble:  # the reasons of single poses are outdated then
             reasons = [self.trouble.rstrip(".")]
         return f" ({', '.join(reasons)})" if reasons else ""

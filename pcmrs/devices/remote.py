@@ -1,4 +1,4 @@
-"""Devices on the other side of the bus, behind the same protocols as the devices themselves."""
+"""Proxies of devices on the other side of the bus, with the same protocols as the devices themselves."""
 
 from __future__ import annotations
 
@@ -37,32 +37,34 @@ from pcmrs.messages import (
 T = TypeVar("T")
 
 ANSWER_TIME = 2.0
-"""A device that is not moving answers within this, s."""
+"""Time within which a device answers a request that moves nothing, s."""
 
 HOLD_TIME = 1.0
-"""A robot stands so long after it was told to hold, and a stimulator is disarmed, s of the machine."""
+"""Time within which a held robot stands, and a stimulator is disarmed, s of the machine."""
 
 CONNECTING_TIME = 15.0
-"""A robot that is not there is known not to be within this, s: longer than any driver waits for one."""
+"""Time within which a connection to a robot is made or has failed, s: longer than any driver waits for one."""
 
 CHARGING_TIME = 10.0
-"""A stimulator is charged within this, s."""
+"""Time within which a stimulator is charged, s."""
 
-RETURNS = 3
-"""A node session that was taken for an earlier one is the present one after so many words in a row: what seemed to be
-its successor was a late word of its predecessor."""
+REPORTS_TO_RETURN = 3
+"""Number of successive reports after which a node session that counted as replaced is the present one again.
+
+What seemed to be the report of its successor was then a late report of its predecessor.
+"""
 
 MOTION_MARGIN = 3.0
-"""A motion may take so much longer than its trajectory, s."""
+"""Time that a motion may take beyond the duration of its trajectory, s."""
 
 
 class RemoteDevice:
     """Calls methods of one device through its node.
 
     Args:
-        link: The bus.
+        link: Bus.
         device: Name of the device, such as ``robot``.
-        clock: The machine's clock, by which calls time out.
+        clock: Clock of the machine, for timeouts and time stamps.
     """
 
     def __init__(self, link: Link, device: str, clock: Clock) -> None:
@@ -71,11 +73,17 @@ class RemoteDevice:
         self._clock = clock
 
     async def call(self, method: str, kind: type[T], timeout: float = ANSWER_TIME, **arguments: Any) -> T:
-        """Calls a method and returns its result as `kind`.
+        """Call a method and return its result.
+
+        Args:
+            method: Name of the method.
+            kind: Type of the result.
+            timeout: Longest wait for the answer, s of the machine.
+            **arguments: Arguments of the method.
 
         Raises:
             DeviceError: The device answered with a failure; field ``code`` holds its code.
-            UnknownOutcomeError: No answer came, or one that is no `kind`.
+            UnknownOutcomeError: No answer came, or one that is not of type `kind`.
         """
         return await self._ask(self._request(method, arguments), kind, timeout)
 
@@ -85,14 +93,14 @@ class RemoteDevice:
     async def _ask(
         self, request: DeviceRequest, kind: type[T], timeout: float, sender: str = "", *, urgent: bool = False
     ) -> T:
-        what, hear = f"{self._device}.{request.method}", self._hearing()
+        name, on_reply = f"{self._device}.{request.method}", self._reply_listener()
         try:
             async with self._clock.timeout(timeout):
                 key = f"dev/{self._device}/cmd"
                 reply = await self._link.request(key, request, DeviceReply, timeout, sender, urgent=urgent)
         except TimeoutError:
-            raise UnknownOutcomeError(f"{what} was not answered within {timeout:g} s.", method=what) from None
-        hear(reply)
+            raise UnknownOutcomeError(f"{name} was not answered within {timeout:g} s.", method=name) from None
+        on_reply(reply)
         if reply.failure is not None:
             failure = reply.failure
             if failure.code == UnknownOutcomeError.code:
@@ -101,32 +109,32 @@ class RemoteDevice:
         try:
             return msgspec.convert(reply.result, kind)
         except msgspec.ValidationError as error:
-            raise UnknownOutcomeError(f"{what} answered with something unexpected: {error}.", method=what) from error
+            raise UnknownOutcomeError(f"The answer of {name} has the wrong type: {error}.", method=name) from error
 
-    def _hearing(self) -> Callable[[DeviceReply], None]:
-        """A request leaves: returns what takes what its reply says beside the result."""
-        return _nothing_else
+    def _reply_listener(self) -> Callable[[DeviceReply], None]:
+        """Return the function that takes the gate state in the reply to a request that is sent now."""
+        return _ignore_gate
 
 
-def _nothing_else(_: DeviceReply) -> None:
-    """The device has no gate."""
+def _ignore_gate(_: DeviceReply) -> None:
+    """Ignore the gate state of a device that has no gate."""
 
 
 class ActingDevice(RemoteDevice):
-    """A device that acts, behind its node: its requests carry what `pcmrs.devices.gate` asks for.
+    """Proxy of an acting device: its requests carry the token that `pcmrs.devices.gate` requires.
 
-    Requests that act leave in the order in which they are made; a hold never waits behind one of them.
+    Acting requests are sent in the order in which they are made; a hold never waits behind one of them.
 
     Args:
-        link: The bus.
-        device: A device of `gate.ACTS`.
-        clock: The machine's clock, by which calls time out.
-        daemon: Daemon session; one of its own where none is given.
+        link: Bus.
+        device: Name of a device in `gate.ACTS`.
+        clock: Clock of the machine, for timeouts and time stamps.
+        daemon: Daemon session; by default a new one.
 
     Attributes:
-        name: Of the device.
-        gate: Newest report of what it acts for; None until its node was heard.
-        unreleased: Node session and epoch for which a release has failed: it is known to be latched.
+        name: Name of the device.
+        gate: Newest reported state of its gate; None until there is a report.
+        unreleased: Node session and epoch for which a release has failed: the device is known to be latched.
     """
 
     def __init__(self, link: Link, device: str, clock: Clock, daemon: str | None = None) -> None:
@@ -140,16 +148,16 @@ class ActingDevice(RemoteDevice):
 
     @property
     def foreign(self) -> bool:
-        """Whether the device acts for an earlier daemon."""
+        """True if the device acts for an earlier daemon."""
         return self.gate is not None and self.gate.daemon not in ("", self._daemon)
 
     @property
     def latched(self) -> bool:
-        """Whether the device is latched, by its newest report; True until there is one."""
+        """True if the device is latched by its newest report, and until there is one."""
         return self.gate is None or self.gate.latched
 
     def take(self, gate: GateState | None) -> None:
-        """Takes a report of the device's node, from a beat or a reply, if it is newer than the last one."""
+        """Take the gate state from a heartbeat or reply of the device's node if it is newer than the last one."""
         known = self.gate
         if gate is None:
             return
@@ -160,7 +168,7 @@ class ActingDevice(RemoteDevice):
             return
         if gate.node in self._replaced:
             self._replaced[gate.node] += 1
-            if self._replaced[gate.node] < RETURNS:
+            if self._replaced[gate.node] < REPORTS_TO_RETURN:
                 return
             del self._replaced[gate.node]
         if known is not None:
@@ -168,70 +176,80 @@ class ActingDevice(RemoteDevice):
         self.gate = gate
 
     async def act(self, method: str, kind: type[T], timeout: float = ANSWER_TIME, **arguments: Any) -> T:
-        """Calls a method that acts, for the situation that is known now.
+        """Call an acting method, for the sessions and the hold epoch that are known now.
+
+        Args:
+            method: Name of the method.
+            kind: Type of the result.
+            timeout: Longest wait for the answer, s of the machine.
+            **arguments: Arguments of the method.
 
         Raises:
             DeviceError: See `call`. The device is latched, or was held or restarted meanwhile: nothing has happened.
-            UnknownOutcomeError: No answer came, or one that is no `kind`.
+            UnknownOutcomeError: No answer came, or one that is not of type `kind`.
         """
         if self.gate is None:
-            raise DeviceError(f"The node of the {self._device} has not been heard yet: wait for it, then ask again.")
+            raise DeviceError(f"The node of the {self._device} has not reported yet: wait for it, then ask again.")
         request = msgspec.structs.replace(self._request(method, arguments), token=self.token())
         return await self._ask(request, kind, timeout, self._device)
 
     async def end(self, kind: type[T], *, latch: bool = False) -> T:
-        """Ends whatever acts, whatever the situation, and latches the device if asked to.
+        """End whatever acts, for any session and epoch, and return the result of the hold.
+
+        Args:
+            kind: Type of the result.
+            latch: True to latch the device, too.
 
         Raises:
             DeviceError: See `call`.
-            UnknownOutcomeError: It has not confirmed that in time.
+            UnknownOutcomeError: The device did not confirm that in time.
         """
         request = msgspec.structs.replace(self._request(HOLDS[self._device], {}), token=self.token(), latch=latch)
         return await self._ask(request, kind, HOLD_TIME, f"{self._device} hold", urgent=True)
 
     async def release_latch(self) -> None:
-        """Releases the device for this daemon, unless it was held once more or restarted since its last report.
+        """Release the device for this daemon, unless it was held again or restarted since its last report.
 
         Raises:
-            DeviceError: It was; or it has not been heard yet.
-            UnknownOutcomeError: It does not answer.
+            DeviceError: The device was held again or restarted, or there is no report yet.
+            UnknownOutcomeError: The device does not answer.
         """
         if self.gate is None:
-            raise DeviceError(f"The node of the {self._device} has not been heard yet: wait for it, then ask again.")
+            raise DeviceError(f"The node of the {self._device} has not reported yet: wait for it, then ask again.")
         self.unreleased = (self.gate.node, self.gate.epoch)
         request = msgspec.structs.replace(self._request(RELEASE, {}), token=self.token())
         await self._ask(request, type(None), HOLD_TIME, self._device)
         self.unreleased = None
 
     async def take_over(self) -> None:
-        """Ends whatever an earlier daemon has asked for; a device that does not confirm it stays as it is."""
+        """End whatever an earlier daemon has started; a failure is ignored and leaves the device as it is."""
         with suppress(PcmrsError):
             await self.end(object, latch=True)
 
     def token(self) -> ActToken:
-        """What the next request carries; no device acts for it while none has been heard."""
+        """Return the token of the next request. Before the first report of a node, no device acts for it."""
         self._number += 1
         node, epoch = (self.gate.node, self.gate.epoch) if self.gate is not None else ("", -1)
         return ActToken(daemon=self._daemon, node=node, epoch=epoch, number=self._number)
 
     @property
     def _node(self) -> str:
-        """Session of the node that is known; empty before one was heard."""
+        """Session of the known node; empty before its first report."""
         return "" if self.gate is None else self.gate.node
 
-    def _hearing(self) -> Callable[[DeviceReply], None]:
+    def _reply_listener(self) -> Callable[[DeviceReply], None]:
         before = self._node
 
-        def hear(reply: DeviceReply) -> None:
-            # A reply may be overtaken by the first word of the next node: it is then of one that has ended.
+        def take_gate(reply: DeviceReply) -> None:
+            # The first report of the next node may overtake a reply, which then is of a node that has ended.
             if reply.gate is not None and self._node in (before, reply.gate.node):
                 self.take(reply.gate)
 
-        return hear
+        return take_gate
 
 
 class RemoteRobot(ActingDevice):
-    """A robot behind its node; see `Robot`."""
+    """Proxy of a robot; see `Robot`."""
 
     def __init__(self, link: Link, clock: Clock, daemon: str | None = None) -> None:
         super().__init__(link, "robot", clock, daemon)
@@ -272,7 +290,7 @@ class RemoteRobot(ActingDevice):
 
 
 class RemotePointer(ActingDevice):
-    """A pointer behind its node; see `Pointer`."""
+    """Proxy of a pointer; see `Pointer`."""
 
     def __init__(self, link: Link, clock: Clock, touch_timeout: float, daemon: str | None = None) -> None:
         super().__init__(link, "pointer", clock, daemon)
@@ -290,13 +308,16 @@ class RemotePointer(ActingDevice):
         await self.end(type(None))
 
     async def _take_over(self) -> None:
-        """A hand has no latch to release: it acts for the daemon that has held it last."""
+        """Hold the pointer once for this daemon.
+
+        It has no latch to release: it acts for the daemon that held it last.
+        """
         if self.gate is None or self.gate.daemon != self._daemon:
             await self.release()
 
 
 class RemoteStimulator(ActingDevice):
-    """A stimulator behind its node; see `Stimulator`."""
+    """Proxy of a stimulator; see `Stimulator`."""
 
     def __init__(self, link: Link, clock: Clock, daemon: str | None = None) -> None:
         super().__init__(link, "stimulator", clock, daemon)
@@ -321,7 +342,7 @@ class RemoteStimulator(ActingDevice):
 
 
 class RemoteEmg(RemoteDevice):
-    """An electromyograph behind its node; see `Emg`."""
+    """Proxy of an electromyograph; see `Emg`."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         super().__init__(link, "emg", clock)
@@ -331,7 +352,7 @@ class RemoteEmg(RemoteDevice):
 
 
 class RemoteScene(RemoteDevice):
-    """A simulated scene behind its node; see `Scene`."""
+    """Proxy of a simulated scene; see `Scene`."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         super().__init__(link, "scene", clock)

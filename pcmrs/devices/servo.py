@@ -1,4 +1,4 @@
-"""A servo session from the sender's side: opened, fed with set points, and ended however it is left."""
+"""A servo session from the sender's side: opened, given set points, and ended however its block ends."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class SetpointSender:
     """Numbers the set points of one session; see `ServoStream`.
 
     Args:
-        session: The session's number.
-        put: Hands a set point on; never waits.
-        clock: Stamps them.
+        session: Number of the session.
+        put: Sends a set point; never waits.
+        clock: Clock for their time stamps.
     """
 
     def __init__(self, session: int, put: Callable[[JointSetpoint], None], clock: Clock) -> None:
@@ -43,25 +43,25 @@ class SetpointSender:
 
 @asynccontextmanager
 async def servo_session(robot: Robot, put: Callable[[JointSetpoint], None], clock: Clock) -> AsyncIterator[ServoStream]:
-    """Opens a session, and ends it however the block ends; then the robot stands.
+    """Open a session, and end it however the block ends; then the robot stands.
 
     Args:
-        robot: That follows.
-        put: Hands a set point to it.
-        clock: Stamps them.
+        robot: Robot that follows the set points.
+        put: Sends a set point to it; never waits.
+        clock: Clock for their time stamps.
 
     Raises:
         DeviceError: The robot refuses, or it had ended the session by itself; field ``reason`` says why.
-        UnknownOutcomeError: It does not answer.
+        UnknownOutcomeError: The robot does not answer.
     """
     session = (await robot.begin_servo()).session
     try:
         yield SetpointSender(session, put, clock)
     except BaseException:
-        with suppress(PcmrsError):  # the first error says more; a silent robot brakes by its deadman
+        with suppress(PcmrsError):  # the first error is the cause; a silent robot brakes by its deadman
             await robot.end_servo(session)
         raise
     result = await robot.end_servo(session)
     if result.outcome == "stopped":
-        text = f"The robot ended the servo session by itself: {result.reason}. Look why before the next one."
+        text = f"The robot ended the servo session by itself: {result.reason}. Find the cause before the next one."
         raise DeviceError(text, reason=result.reason)

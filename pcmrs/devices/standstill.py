@@ -1,4 +1,4 @@
-"""Whether an arm moves although nothing moves it: its displacement from the posture in which it came to rest."""
+"""Detection of unrequested motion: displacement of an arm from the posture in which it came to rest."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ MOVED = "moved_unasked"
 """Code of the danger event."""
 
 THRESHOLD = 0.02
-"""Displacement of a joint that is a danger, rad: beyond what sensors, gears and a hand on the tool explain."""
+"""Displacement of a joint that is a danger, rad: more than sensors, gears and a hand on the tool explain."""
 
-GIVING_WAY = 0.1
-"""The same while the arm relieves a force after a force stop, rad; its driver bounds that by `relief_mm`."""
+RELIEF_THRESHOLD = 0.1
+"""Threshold while the arm relieves a force after a force stop, rad; its driver bounds that motion by `relief_mm`."""
 
-GAP = 1.0
-"""Without a joint state for so long the posture is taken anew, s of the robot: nobody has watched it meanwhile."""
+LONGEST_GAP = 1.0
+"""Gap in the joint states after which the reference posture is taken again, s of the robot."""
 
 
 class Standstill:
     """Watches measured joints while nothing moves the arm; pure.
 
-    Every standstill sets the posture anew, so that one displacement is reported once.
+    Each standstill and each report set a new reference posture, so that one displacement is reported once.
     """
 
     def __init__(self) -> None:
@@ -35,21 +35,21 @@ class Standstill:
         self._watched = False
 
     def watch(self, watched: bool) -> None:
-        """Watches, or does not: only where the arm is connected and nothing moves it."""
+        """Start or end the watch; an arm is watched while it is connected."""
         if watched != self._watched:
             self._watched = watched
             self.forget()
 
     def forget(self) -> None:
-        """The arm has come to rest: the next joints are the posture in which it shall stay."""
+        """Take the next measured joints as the reference posture, because the arm has come to rest."""
         self._posture, self._limit = None, THRESHOLD
 
     @contextmanager
     def moving(self, *, streamed: bool = False) -> Iterator[None]:
-        """Something moves the arm, or brakes it, for as long as the context lasts.
+        """Suspend the watch for the length of the context, in which something moves or brakes the arm.
 
         Args:
-            streamed: Set points go on moving it after that, until something else moves or brakes it.
+            streamed: True if set points move the arm after that, until something else moves or brakes it.
         """
         self._movers += 1
         self._streamed = streamed
@@ -60,15 +60,15 @@ class Standstill:
             self.forget()
 
     def take(self, state: JointState) -> DeviceEvent | None:
-        """Takes measured joints: the danger event if the arm was displaced."""
+        """Take measured joints, and return the danger event if the arm was displaced."""
         gap, self._seen = state.captured - self._seen, state.captured
         if not self._watched or self._movers or self._streamed:
             return None
         if state.relieving:
-            self._limit = GIVING_WAY
-        elif self._limit == GIVING_WAY and not state.moving:
+            self._limit = RELIEF_THRESHOLD
+        elif self._limit == RELIEF_THRESHOLD and not state.moving:
             self.forget()
-        if self._posture is None or gap > GAP:
+        if self._posture is None or gap > LONGEST_GAP:
             self._posture = state.positions
             return None
         turned = [abs(now - then) for now, then in zip(state.positions, self._posture, strict=True)]

@@ -9,14 +9,14 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 BACKLOG = 64
-"""Values kept for a slow reader; beyond that it loses the oldest."""
+"""Number of values that wait for a slow reader; beyond that it loses the oldest."""
 
 
 class Stream(Generic[T]):
-    """Every reader gets every value published after it began to read, until the stream is closed.
+    """Delivers to every reader the values that are published after it began to read, until the stream is closed.
 
     Attributes:
-        dropped: Values that a reader was too slow for.
+        dropped: Number of values that were lost because a reader was too slow.
     """
 
     def __init__(self) -> None:
@@ -25,7 +25,7 @@ class Stream(Generic[T]):
         self._closed = False
 
     def publish(self, value: T | None) -> None:
-        """Hands `value` to all readers; never blocks."""
+        """Deliver `value` to all readers; never blocks. None ends them."""
         for reader in self._readers:
             if reader.full():
                 reader.get_nowait()
@@ -33,12 +33,12 @@ class Stream(Generic[T]):
             reader.put_nowait(value)
 
     def close(self) -> None:
-        """Ends all readers once they have read what was published."""
+        """End all readers once they have read what was published."""
         self._closed = True
         self.publish(None)
 
     async def read(self) -> AsyncIterator[T]:
-        """Yields values as they are published."""
+        """Yield values as they are published."""
         reader: asyncio.Queue[T | None] = asyncio.Queue(BACKLOG)
         self._readers.add(reader)
         try:

@@ -1,4 +1,4 @@
-"""What every driver does first: reads its own table of the configuration, and looks at what it is to serve."""
+"""First steps of every driver: reading its table of the configuration, and checking the requested devices."""
 
 from __future__ import annotations
 
@@ -13,7 +13,12 @@ S = TypeVar("S", bound=msgspec.Struct)
 
 
 def read_table(settings: Mapping[str, Any], name: str, kind: type[S]) -> S:
-    """The table of that name; absent means all defaults.
+    """Read a table of the configuration; if it is absent, all values are the defaults.
+
+    Args:
+        settings: Whole configuration as plain data.
+        name: Name of the table.
+        kind: Type of the table.
 
     Raises:
         ConfigurationError: A key is unknown, or a value has the wrong type or is out of range.
@@ -24,28 +29,33 @@ def read_table(settings: Mapping[str, Any], name: str, kind: type[S]) -> S:
         raise ConfigurationError(f"The table [{name}] of the configuration is wrong: {error}.") from None
 
 
-def check_devices(driver: str, asked: Collection[str], served: str) -> None:
-    """Checks that a driver is asked for nothing but the one device that it serves.
+def check_devices(driver: str, requested: Collection[str], served: str) -> None:
+    """Check that only the one device is requested that a driver serves.
+
+    Args:
+        driver: Name of the driver, for the message.
+        requested: Names of the requested devices.
+        served: Name of the device that the driver serves.
 
     Raises:
-        ConfigurationError: It is.
+        ConfigurationError: Another device is requested.
     """
-    unknown = sorted(set(asked) - {served})
+    unknown = sorted(set(requested) - {served})
     if unknown:
         text = f"The driver {driver} serves {served} only, not {', '.join(unknown)}; configure another driver for it."
         raise ConfigurationError(text, unknown=unknown)
 
 
 def check_names(key: str, names: Mapping[str, str], what: str) -> None:
-    """Checks a table of the names that bodies have elsewhere: each body needs one that no other has.
+    """Check a table of external names of bodies: each body needs its own.
 
     Args:
-        key: Of the table in the configuration.
-        names: Body to name.
-        what: Is named, such as ``topic``.
+        key: Key of the table in the configuration.
+        names: External name of each body.
+        what: Kind of thing that the names denote, such as ``topic``.
 
     Raises:
         ConfigurationError: There are no names, or two bodies share one.
     """
     if not names or len(set(names.values())) != len(names):
-        raise ConfigurationError(f"{key} is {names}; give every body a {what} of its own.", names=names)
+        raise ConfigurationError(f"{key} is {names}; give every body its own {what}.", names=names)

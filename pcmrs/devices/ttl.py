@@ -1,7 +1,7 @@
-"""One trigger line of a stimulator on a serial port: a byte, or a pulse on one of the port's control lines.
+"""Trigger line of a stimulator on a serial port: a byte, or a pulse on one of the port's control lines.
 
-Written for RS-232 ports and USB adapters that `pyserial` opens, and boxes that turn a byte into a TTL pulse; not tested
-on hardware.
+Written for RS-232 ports and USB adapters that `pyserial` opens, and for boxes that convert a byte into a TTL pulse. Not
+tested on hardware.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from pcmrs.errors import ConfigurationError, DeviceError, UnknownOutcomeError
 Signal = Literal["byte", "dtr", "rts"]
 
 LONGEST_WRITE = 0.1
-"""Seconds that the port may take to accept the byte; one byte goes into its buffer at once."""
+"""Longest time in which the port accepts the byte, s; one byte fits into its buffer at once."""
 
 
 class TriggerLine:
     """A serial port that triggers a stimulator.
 
-    Opening a port pulses DTR and RTS of many adapters: have the stimulator itself disarmed then.
+    Opening a port pulses DTR and RTS of many adapters: disarm the stimulator itself before.
 
     Args:
-        port: Such as ``/dev/ttyUSB0``.
-        signal: ``byte`` sends one; ``dtr`` and ``rts`` raise that line for `width`.
-        byte: What is sent, 0 to 255.
-        baud: Of the port.
-        width: Of the pulse on a line, s.
+        port: Path of the port, such as ``/dev/ttyUSB0``.
+        signal: ``byte`` sends a byte; ``dtr`` and ``rts`` raise that line for `width`.
+        byte: Byte to send, 0 to 255.
+        baud: Baud rate of the port.
+        width: Width of the pulse on a line, s.
 
     Raises:
         ConfigurationError: The library for serial ports is not installed.
@@ -39,8 +39,7 @@ class TriggerLine:
             import serial
         except ImportError:
             raise ConfigurationError(
-                "A trigger on a serial port needs pyserial; install the extra `hardware`: "
-                "install the extra hardware (docs/supply.md)."
+                "A trigger on a serial port needs pyserial: install the extra hardware (docs/supply.md)."
             ) from None
         self._serial: Any = serial.Serial(baudrate=baud, write_timeout=LONGEST_WRITE)
         self._serial.port = port
@@ -50,10 +49,10 @@ class TriggerLine:
         self._width = width
 
     def open(self) -> None:
-        """Opens the port with its lines low, if it is not open.
+        """Open the port with its lines low, unless it is open.
 
         Raises:
-            DeviceError: It cannot be opened.
+            DeviceError: The port cannot be opened.
         """
         if self._serial.is_open:
             return
@@ -68,10 +67,10 @@ class TriggerLine:
             ) from None
 
     async def pulse(self, clock: Clock) -> None:
-        """Triggers the stimulator.
+        """Trigger the stimulator.
 
         Raises:
-            UnknownOutcomeError: The port failed; nobody can say whether it did so before or after the trigger.
+            UnknownOutcomeError: The port failed, before or after the trigger.
         """
         try:
             if self._signal == "byte":
@@ -91,6 +90,6 @@ class TriggerLine:
             ) from None
 
     def close(self) -> None:
-        """Closes the port."""
+        """Close the port."""
         with suppress(*self._failures):
             self._serial.close()

@@ -41,7 +41,7 @@ class Stamps:
             captured: When it was made, s of the sender's clock.
             sent: When it was sent; a sender without sense counts as one that measures and sends at once.
         """
-        late = self._lateness.hear(sent, self._clock.monotonic())
+        late = self._lateness.update(sent, self._clock.monotonic())
         age = sent - captured
         known = age if 0.0 <= age < _LONGEST else 0.0
         return self._clock.wall() - (known + late) / self._rate

@@ -11,7 +11,7 @@ import structlog
 
 from pcmrs.bus import Bus
 from pcmrs.clock import Clock
-from pcmrs.devices.plus.frames import Frames
+from pcmrs.devices.plus.frames import FrameAssembler
 from pcmrs.devices.plus.messages import Reading
 from pcmrs.devices.stream import Stream
 from pcmrs.errors import PcmrsError, RefusalError
@@ -63,7 +63,7 @@ class Ros2Tracker:
     def __init__(self, accepted: Accepted, clock: Clock) -> None:
         self._accepted = accepted
         self._clock = clock
-        self._frames = Frames({name: body for body, name in accepted.names.items()}, accepted.latency)
+        self._frames = FrameAssembler({name: body for body, name in accepted.names.items()}, accepted.latency)
         self._stream: Stream[Sequence[BodyPose]] = Stream()
         self._came: asyncio.Queue[tuple[str, PoseStamped]] = asyncio.Queue()
         self._next_log = clock.monotonic()
@@ -74,7 +74,7 @@ class Ros2Tracker:
     def listen(self, bus: Bus) -> None:
         """Hears the topics from now on."""
         for name in self._accepted.names.values():
-            bus.hear(
+            bus.subscribe_encoded(
                 tracker_key(name),
                 partial(decode, kind=PoseStamped),
                 lambda _, message, name=name: self._came.put_nowait((name, message)),  # type: ignore[misc]

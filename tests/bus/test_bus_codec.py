@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.bus.codec import MAX_DEPTH, Empty, error_from, is_text, pack, pack_text, reason_from, unpack
-from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.commands import Envelope
 from pcmrs.errors import DeviceError, PayloadError, RefusalError, UnknownOutcomeError
 from pcmrs.messages import BodyPose, JointState, Message, Reason, Verdict
 
@@ -115,7 +115,7 @@ def test_text_is_told_from_messagepack_by_its_first_byte() -> None:
         (msgpack.packb({"arguments": {"x": float("-inf")}}), "-inf is not a finite number"),
         (msgpack.packb({"arguments": {"x": msgpack.ExtType(4, b"?")}}), "ExtType"),
         (msgpack.packb({"arguments": {"x": msgpack.Timestamp(1)}}), "Timestamp"),
-        (msgpack.packb({"arguments": {"x": {b"raw": 1}}}), "key that is no text"),
+        (msgpack.packb({"arguments": {"x": {b"raw": 1}}}), "key that is not text"),
         (b"\xdd\xff\xff\xff\xff", "Neither MessagePack"),
         (b"\x91" * 5000 + b"\xc0", "StackError"),
         (b'{"arguments": {"a": ' + b"[" * 5000 + b"]" * 5000 + b"}}", "recursion"),
@@ -140,7 +140,7 @@ def nested(depth: int) -> dict[str, object]:
 def test_nesting_is_limited_in_both_encodings(encode: Callable[[object], bytes]) -> None:
     assert unpack(encode(nested(MAX_DEPTH)), Envelope).arguments == nested(MAX_DEPTH)["arguments"]
     for depth in (MAX_DEPTH + 1, 250, 500):
-        with pytest.raises(PayloadError, match=f"more than {MAX_DEPTH} lists and maps deep"):
+        with pytest.raises(PayloadError, match=f"nested in more than {MAX_DEPTH} lists and maps"):
             unpack(encode(nested(depth)), Envelope)
 
 

@@ -20,10 +20,9 @@ from msgspec.structs import replace
 from pcmrs.bus import Bus, CommandEdge, stop
 from pcmrs.bus.bridge import CAPACITY
 from pcmrs.bus.codec import pack, unpack
-from pcmrs.bus.commands import TOLD_AT_ONCE
-from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.commands import REPORTED_AT_ONCE, Envelope
 from pcmrs.bus.settings import STOPS
-from pcmrs.bus.stop import ANSWERED, LONGEST, OTHERS, Replies, StopLane, Stopping
+from pcmrs.bus.stop import LONGEST_PRESS, OTHERS, WAITING_ANSWERS, StopLane, Stopping, StopReplies
 from pcmrs.messages import Command, Verdict
 from pcmrs.messages.identity import Identity, Role
 
@@ -237,10 +236,10 @@ async def test_of_very_many_refused_puts_most_are_only_counted() -> None:
             for _ in range(FLOOD):
                 session.put(f"{daemon.bus.prefix}/{PLAN}", b"[", congestion_control=zenoh.CongestionControl.BLOCK)
             async with asyncio.timeout(TIMEOUT):
-                while daemon.bus.counters()["bus.ignored"] < FLOOD - 2 * TOLD_AT_ONCE:  # noqa: ASYNC110 - by threads
+                while daemon.bus.counters()["bus.ignored"] < FLOOD - 2 * REPORTED_AT_ONCE:  # noqa: ASYNC110 - by threads
                     await asyncio.sleep(0.01)
             await get(daemon, watching, PLAN)
-        assert 0 < len(events) < 2 * TOLD_AT_ONCE
+        assert 0 < len(events) < 2 * REPORTED_AT_ONCE
 
 
 async def test_an_envelope_nested_too_deeply_is_refused_as_query_and_as_put() -> None:
@@ -309,7 +308,7 @@ async def test_a_press_is_one_stop_and_what_names_none_is_always_one() -> None:
 
         assert [await number("anna", press) for _ in range(3)] == [1, 1, 1]
         assert await number("bert", press) == 2  # nobody can take a Stop from somebody else by its id
-        long = press.ljust(LONGEST + 1)
+        long = press.ljust(LONGEST_PRESS + 1)
         for payload in (b" {}", b' {"id": ""}', b' {"id": 3}', b' {"id": "pressed"}', press[:-1], long):
             before = daemon.stops
             assert [await number("anna", payload) for _ in range(2)] == [before + 1, before + 2]
@@ -318,8 +317,8 @@ async def test_a_press_is_one_stop_and_what_names_none_is_always_one() -> None:
 def test_an_id_is_looked_for_in_a_short_message_only() -> None:
     """Reading long ones would hold up the Stops behind them: each of them is a Stop of its own, unread."""
     press = json.dumps({"id": "0123456789abcdef" * 2}).encode()
-    for length in range(LONGEST - 1, LONGEST + 3):
-        assert (stop._press_of(press.ljust(length)) is None) == (length > LONGEST), length
+    for length in range(LONGEST_PRESS - 1, LONGEST_PRESS + 3):
+        assert (stop._press_of(press.ljust(length)) is None) == (length > LONGEST_PRESS), length
     assert stop._press_of(b"") is None
 
 
@@ -354,7 +353,7 @@ async def test_a_stop_right_after_the_edge_is_open_is_not_lost(monkeypatch: pyte
 @pytest.mark.usefixtures("many_links")
 async def test_presses_are_forgotten_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever sends the same id every time is stopped for, too."""
-    monkeypatch.setattr("pcmrs.bus.stop.REPEATED", 0.0)
+    monkeypatch.setattr("pcmrs.bus.stop.SAME_PRESS_TIME", 0.0)
     async with running_daemon() as (daemon, session):
         press = json.dumps({"id": "0123456789abcdef" * 2}).encode()
         for _ in range(2):
@@ -445,7 +444,7 @@ async def test_an_answer_that_waits_behind_too_many_of_its_source_is_dropped(mon
 
     monkeypatch.setattr(stop, "_reply", hold_up)
     queries: queue.Queue[zenoh.Query] = queue.Queue()
-    replies = Replies()
+    replies = StopReplies()
 
     def add(source: str) -> None:
         replies.add(source, queries.get(timeout=TIMEOUT), Stopping(source=source, number=1))
@@ -454,17 +453,17 @@ async def test_an_answer_that_waits_behind_too_many_of_its_source_is_dropped(mon
         with plain_session(router.settings) as session:
             key = f"{router.prefix}/asked"
             session.declare_queryable(key, queries.put)
-            asked = [session.get(key, timeout=TIMEOUT) for _ in range(ANSWERED + 2)]
+            asked = [session.get(key, timeout=TIMEOUT) for _ in range(WAITING_ANSWERS + 2)]
             await asyncio.to_thread(add, "bus:eve")
             assert await asyncio.to_thread(begun.wait, TIMEOUT), "this one is being sent: it does not wait any more"
-            for _ in range(ANSWERED + 1):
+            for _ in range(WAITING_ANSWERS + 1):
                 await asyncio.to_thread(add, "bus:eve")
             other = session.get(key, timeout=TIMEOUT)
             await asyncio.to_thread(add, "bus:anna")
             gate.set()
             assert len(await asyncio.to_thread(list, other)) == 1
             answers = [len(await asyncio.to_thread(list, each)) for each in asked]
-            assert sum(answers) == ANSWERED + 1
+            assert sum(answers) == WAITING_ANSWERS + 1
             await asyncio.to_thread(replies.close)
 
 
@@ -472,10 +471,10 @@ async def test_an_answer_that_waits_behind_too_many_of_its_source_is_dropped(mon
 async def test_of_one_source_so_many_answers_wait_and_others_are_answered() -> None:
     async with running_daemon() as (daemon, session):
         await get(daemon, session, "stop/anna")
-        flood = [session.get(f"{daemon.bus.prefix}/stop/eve") for _ in range(4 * ANSWERED)]
+        flood = [session.get(f"{daemon.bus.prefix}/stop/eve") for _ in range(4 * WAITING_ANSWERS)]
         asked = session.get(f"{daemon.bus.prefix}/stop/anna")
         time.sleep(HELD_UP)  # noqa: ASYNC251 - the loop does something else meanwhile
         assert len(await asyncio.to_thread(list, asked)) == 1
         answered = [len(await asyncio.to_thread(list, each)) for each in flood]
-        assert ANSWERED <= sum(answered) < 4 * ANSWERED
-        assert daemon.presses["bus:eve"] == 4 * ANSWERED, "all are Stops"
+        assert WAITING_ANSWERS <= sum(answered) < 4 * WAITING_ANSWERS
+        assert daemon.presses["bus:eve"] == 4 * WAITING_ANSWERS, "all are Stops"

@@ -10,8 +10,8 @@ from typing import Any, cast
 import pytest
 from bus_cells import open_pair
 
-from pcmrs.bus.asking import ask
 from pcmrs.bus.qos import COMMANDS, REQUESTS
+from pcmrs.bus.requests import send_query
 from pcmrs.messages import DeviceReply, DeviceRequest
 
 
@@ -35,7 +35,7 @@ def quiet_handler(monkeypatch: pytest.MonkeyPatch) -> None:
         def __init__(self, _callback: Any, drop: Any, **_more: Any) -> None:
             self.drop = drop
 
-    monkeypatch.setattr("pcmrs.bus.asking.zenoh.handlers.Callback", Handler)
+    monkeypatch.setattr("pcmrs.bus.requests.zenoh.handlers.Callback", Handler)
 
 
 @pytest.mark.usefixtures("quiet_handler")
@@ -44,7 +44,7 @@ async def test_a_sender_that_blocks_keeps_its_order_and_holds_up_no_other() -> N
     acting, holding = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
 
     async def send(pool: ThreadPoolExecutor, what: bytes) -> None:
-        await asyncio.gather(ask(cast("Any", session), pool, "k", what, 1.0, COMMANDS), return_exceptions=True)
+        await asyncio.gather(send_query(cast("Any", session), pool, "k", what, 1.0, COMMANDS), return_exceptions=True)
 
     first, second = (asyncio.create_task(send(acting, what)) for what in (b"follow 1", b"follow 2"))
     await asyncio.wait_for(send(holding, b"hold"), 10.0)
@@ -61,7 +61,7 @@ async def test_a_request_that_was_not_sent_yet_is_recalled_with_its_caller() -> 
     session = SlowSession()
     acting = ThreadPoolExecutor(1)
     first, second = (
-        asyncio.create_task(ask(cast("Any", session), acting, "k", what, 1.0, COMMANDS))
+        asyncio.create_task(send_query(cast("Any", session), acting, "k", what, 1.0, COMMANDS))
         for what in (b"follow 1", b"follow 2")
     )
     await asyncio.sleep(0)

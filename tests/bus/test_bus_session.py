@@ -333,7 +333,7 @@ async def test_who_has_a_certificate_and_is_not_let_in_is_told_what_may_be_wrong
     Authority.init(tmp_path / "pki", "lab", now).issue("operator", "anna", now, into=tmp_path)
     endpoint = f"tls/127.0.0.1:{free_port()}"
     settings = BusSettings(endpoint=endpoint, credentials=read_credentials(tmp_path / "anna", now))
-    with pytest.raises(BusError, match=f"Nobody at {endpoint} lets anna in: nothing runs there, its certificate"):
+    with pytest.raises(BusError, match=f"No router at {endpoint} accepts anna: none runs there, its certificate"):
         await Bus.open(settings)
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from bus_cells import TIMEOUT, new_cell, open_bus
 
 from pcmrs.bus import BusSettings
-from pcmrs.bus.heart import SIGN, signs_of
+from pcmrs.bus.heart import SIGN, read_signs
 from pcmrs.bus.seal import Seal, new_key
 from pcmrs.clock import SystemClock
 from pcmrs.messages import Beat, DeviceEvent
@@ -114,7 +114,7 @@ def test_of_signs_that_have_piled_up_the_newest_is_sent_however_they_are_cut() -
     reading, writing = os.pipe()
     packed = b"".join(SIGN.pack(number, number / 10) for number in range(1, 4))
     os.write(writing, packed[:40])
-    signs = signs_of(reading)
+    signs = read_signs(reading)
     assert next(signs) == (2, 0.2)
     os.write(writing, packed[40:])
     assert next(signs) == (3, 0.3)

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from pcmrs.bus import Bus
 from pcmrs.bus.codec import pack, unpack
-from pcmrs.bus.seal import LENGTH, WINDOW, Seal, Taken, is_sealed, new_key, read_key, write_key
+from pcmrs.bus.seal import LENGTH, WINDOW, ReplayWindow, Seal, is_sealed, new_key, read_key, write_key
 from pcmrs.errors import ConfigurationError, DeviceError, SealError, UnknownOutcomeError
 from pcmrs.messages import Beat, DeviceEvent, DeviceHealth, DeviceReply, DeviceRequest
 
@@ -34,7 +34,7 @@ def fault(seal: Seal, mark: bytes, *args: Any) -> str:
 @given(payload=st.binary(max_size=64), flip=st.integers(0, LENGTH * 8 - 1))
 def test_a_sealed_message_is_taken_once_and_with_any_bit_changed_never(payload: bytes, flip: int) -> None:
     key = new_key()
-    sender, receiver, taken = Seal(key), Seal(key), Taken()
+    sender, receiver, taken = Seal(key), Seal(key), ReplayWindow()
     mark = sender.put("put", KEY, payload)
     changed = bytearray(mark)
     changed[flip // 8] ^= 1 << flip % 8
@@ -52,7 +52,7 @@ def test_a_reply_answers_one_query_only() -> None:
     key = new_key()
     daemon, node = Seal(key), Seal(key)
     asked, other = (daemon.put("query", KEY, b"joints") for _ in range(2))
-    taken = Taken()
+    taken = ReplayWindow()
     reply = node.put("reply", KEY, b"1", asked)
     assert fault(daemon, reply, ("reply", "error"), KEY, b"1", taken, other) == "forged"
     assert daemon.check(reply, ("reply", "error"), KEY, b"1", taken, asked) == "reply"
@@ -61,7 +61,7 @@ def test_a_reply_answers_one_query_only() -> None:
 @given(order=st.permutations(range(1, 9)), far=st.integers(0, 3))
 def test_within_the_window_messages_come_in_any_order_each_once(order: list[int], far: int) -> None:
     key = new_key()
-    sender, receiver, taken = Seal(key), Seal(key), Taken()
+    sender, receiver, taken = Seal(key), Seal(key), ReplayWindow()
     marks = {number: sender.put("put", KEY, b"") for number in range(1, 9)}
     for number in order:
         receiver.check(marks[number], ("put",), KEY, b"", taken)
@@ -98,7 +98,7 @@ def test_a_key_file_is_its_owners_alone_and_never_replaced(tmp_path: Path) -> No
     write_key(path)
     assert path.stat().st_mode & 0o777 == 0o600
     assert len(read_key(path)) == 32
-    with pytest.raises(ConfigurationError, match="there already"):
+    with pytest.raises(ConfigurationError, match="exists already"):
         write_key(path)
     path.chmod(0o640)
     with pytest.raises(ConfigurationError, match="0640"):

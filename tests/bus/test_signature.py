@@ -22,10 +22,10 @@ from msgspec.structs import replace
 
 from pcmrs.bus import Bus, BusSettings, CommandEdge, Empty
 from pcmrs.bus.codec import pack
-from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.commands import Envelope
 from pcmrs.bus.session import _signing
 from pcmrs.bus.settings import open_session
-from pcmrs.bus.signature import FRESH_FOR, Kind, Signatures, Signer
+from pcmrs.bus.signature import FRESH_FOR, Kind, SignatureVerifier, Signer
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.errors import ConfigurationError, UnknownOutcomeError
@@ -93,7 +93,7 @@ class Bench:
 
     def __post_init__(self) -> None:
         self.signer = self.lab.signer("tom", self.clock)
-        self.signatures = Signatures(self.lab.daemon(), self.clock)
+        self.signatures = SignatureVerifier(self.lab.daemon(), self.clock)
         self.clock.now += 0.001
 
     def sign(self, ahead: float = 0.0) -> bytes:
@@ -160,7 +160,7 @@ def test_a_certificate_counts_in_its_own_time_whatever_the_register_says(bench: 
     settings = bench.lab.daemon()
     always = tuple(replace(each, begins=0.0, ends=2.0 * time.time()) for each in settings.members)
     bench.clock.now += days * 86400.0
-    bench.signatures = Signatures(replace(settings, members=always), bench.clock)
+    bench.signatures = SignatureVerifier(replace(settings, members=always), bench.clock)
     bench.clock.now += 0.001
     assert bench.why(bench.sign()) == "certificate"
 
@@ -182,7 +182,7 @@ def test_a_message_is_taken_while_it_is_fresh_and_clocks_that_differ_are_named(b
 def test_what_was_sent_before_the_daemon_began_is_not_taken(bench: Bench) -> None:
     signature = bench.sign()
     bench.clock.now += 0.01
-    bench.signatures = Signatures(bench.lab.daemon(), bench.clock)
+    bench.signatures = SignatureVerifier(bench.lab.daemon(), bench.clock)
     assert bench.why(signature) == "repeated"
     assert bench.why(bench.sign()) == "repeated", "in the moment of the start nobody can say which came first"
     bench.clock.now += 0.01
@@ -287,7 +287,7 @@ class Cell:
         """Let the daemon find what comes from now on so old, s."""
         clock = SetClock()
         clock.now += late
-        monkeypatch.setattr(self.daemon._signatures, "_clock", clock if late else SystemClock())
+        monkeypatch.setattr(self.daemon._verifier, "_clock", clock if late else SystemClock())
 
     async def counted(self, at_least: int) -> None:
         async with asyncio.timeout(TIMEOUT):
@@ -418,7 +418,7 @@ async def test_a_busy_loop_gets_the_newest_signed_set_point_however_many_forged_
 ) -> None:
     receivers: list[Callable[[Received], None]] = []
     monkeypatch.setattr("pcmrs.bus.session.declare_subscriber", lambda *given: receivers.append(given[-1]))
-    bus = Bus(cast(zenoh.Session, None), bench.lab.daemon(), signatures=bench.signatures)
+    bus = Bus(cast(zenoh.Session, None), bench.lab.daemon(), verifier=bench.signatures)
     taken: list[int] = []
     refused: list[str] = []
     bus.subscribe(

@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 from bus_cells import open_pair
 
 from pcmrs.bus import Bus, Empty
-from pcmrs.bus.turns import AT_ONCE, WAITING
+from pcmrs.bus.round_robin import AT_ONCE, WAITING
 from pcmrs.errors import DeviceError
 from pcmrs.messages import Message
 

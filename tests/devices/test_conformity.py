@@ -14,7 +14,7 @@ class HalfATracker:
 
 
 def test_what_is_missing_is_named() -> None:
-    with pytest.raises(ConfigurationError, match="'lab' has a tracker without frames: write what") as raised:
+    with pytest.raises(ConfigurationError, match="'lab' has a tracker without frames: implement") as raised:
         check_conformity("lab", {"tracker": HalfATracker()})
     assert raised.value.fields == {"driver": "lab", "device": "tracker", "lacking": ["frames"]}
 

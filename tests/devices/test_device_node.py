@@ -138,7 +138,7 @@ async def test_a_device_whose_node_was_never_heard_is_asked_for_nothing_and_rele
     unheard = RemoteRobot(bench.link, bench.clock, "a")
     await bench.robot.stop()
     for ask in (lambda: unheard.follow(TRAJECTORY), unheard.begin_servo, unheard.release_latch):
-        with pytest.raises(DeviceError, match="has not been heard yet: wait for it, then ask again"):
+        with pytest.raises(DeviceError, match="has not reported yet: wait for it, then ask again"):
             await ask()
     assert unheard.unreleased is None
     await bench.robot.joints()
@@ -316,7 +316,7 @@ async def test_an_answer_of_another_type_is_unknown() -> None:
         return DeviceReply(result={"positions": "all fine"})
 
     link.serve("dev/robot/cmd", DeviceRequest, nonsense)
-    with pytest.raises(UnknownOutcomeError, match="something unexpected"):
+    with pytest.raises(UnknownOutcomeError, match="has the wrong type"):
         await RemoteRobot(link, ManualClock()).joints()
 
 
@@ -482,7 +482,7 @@ async def test_a_motion_that_waits_for_the_daemon_does_not_begin_after_a_stop(be
         await stop()
         beat(bench, number)
         await bench.clock.advance(DEADMAN / 2)
-        with pytest.raises(DeviceError, match=r"made before the robot was held|latched since it was stopped"):
+        with pytest.raises(DeviceError, match=r"made before the robot was held|was stopped and is latched"):
             await asking
     assert bench.robot_device.followed == []
 

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from pcmrs.devices.dwell import DwellPointer
-from pcmrs.devices.dwelling import DwellSettings
+from pcmrs.devices.dwell import DwellPointer, DwellSettings
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.messages import BodyPose, LandmarkPrompt
 from pcmrs.spatial import Transform

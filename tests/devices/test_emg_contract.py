@@ -69,5 +69,5 @@ async def test_without_a_response_there_is_only_noise(lab: Lab) -> None:
 
 
 async def test_an_impossible_window_is_refused(lab: Lab) -> None:
-    with pytest.raises(DeviceError, match="both go from 0 to 5 s"):
+    with pytest.raises(DeviceError, match="range of both is 0 to 5 s"):
         await lab.emg.epoch(FIRST, 0.05, -1.0)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.devices.frame_sessions import STEADY, FrameSessions
+from pcmrs.devices.frame_sessions import FRAMES_TO_RESTART, FrameSessions
 from pcmrs.messages import BodyPose
 
 
@@ -26,14 +26,14 @@ def test_each_start_of_the_node_is_a_session() -> None:
 
 def test_a_tracker_that_counts_anew_begins_a_session_after_a_few_frames() -> None:
     named = _sessions([500, 501, *range(1, 20)])
-    assert named.index(named[-1]) == 1 + STEADY
+    assert named.index(named[-1]) == 1 + FRAMES_TO_RESTART
     assert len(set(named)) == 2
 
 
 def test_one_frame_with_a_wrong_number_costs_a_few_frames_only() -> None:
     named = _sessions([5, 2**31, *range(6, 20)])
     assert named[0] == named[1] != named[-1]
-    assert len(set(named[1 + STEADY :])) == 1
+    assert len(set(named[1 + FRAMES_TO_RESTART :])) == 1
 
 
 def test_one_frame_with_a_wrong_stamp_begins_no_session() -> None:
@@ -45,7 +45,7 @@ def test_one_frame_with_a_wrong_stamp_begins_no_session() -> None:
 def test_a_first_frame_with_a_wrong_stamp_costs_a_few_frames_only() -> None:
     named = _sessions(range(20), [3601.0, *(float(i) for i in range(1, 20))])
     assert named[0] != named[-1]
-    assert len(set(named[STEADY:])) == 1
+    assert len(set(named[FRAMES_TO_RESTART:])) == 1
 
 
 def test_stamps_that_go_back_for_good_begin_a_session() -> None:
@@ -54,7 +54,7 @@ def test_stamps_that_go_back_for_good_begin_a_session() -> None:
         times = [*(ahead + i for i in range(5)), *(float(i) for i in range(5, 20))]
         named = _sessions(range(20), times)
         assert len(set(named)) == 2
-        assert named.index(named[-1]) == 4 + STEADY
+        assert named.index(named[-1]) == 4 + FRAMES_TO_RESTART
 
 
 @given(st.lists(st.integers(0, 50), min_size=1, max_size=60).map(lambda found: sorted(found, reverse=True)))

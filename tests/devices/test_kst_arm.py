@@ -18,7 +18,7 @@ def streamed(speed: float, until: float) -> MeasuredArm:
     arm.take_joints(HOME, 0.0)
     arm.begin()
     for time in np.arange(STEP, until + STEP / 2, STEP):
-        arm.told(told_at(speed, time), time)
+        arm.add_set_point(told_at(speed, time), time)
     return arm
 
 
@@ -43,7 +43,7 @@ def test_an_arm_that_lags_more_than_it_may_deviates() -> None:
 
 def test_a_stream_that_was_held_up_does_not_put_an_arm_farther_behind() -> None:
     arm = streamed(speed=1.0, until=0.6)
-    arm.told(told_at(1.0, 0.6 + STEP), 1.6)
+    arm.add_set_point(told_at(1.0, 0.6 + STEP), 1.6)
     arm.take_joints(told_at(1.0, 0.5), captured=1.7)
     assert arm.deviation < 1e-9
 

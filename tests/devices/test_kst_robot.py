@@ -112,12 +112,14 @@ async def test_a_cabinet_that_accepts_and_does_not_answer_may_have_another_clien
     peer = Peer()
     peer.answers["getJointsPositions"] = None
     async with laboratory(peer) as lab:
-        with pytest.raises(UnknownOutcomeError, match=r"did not answer in time.*accepts several clients.*answers one"):
+        with pytest.raises(
+            UnknownOutcomeError, match=r"did not answer in time.*accepts several clients.*answers only one"
+        ):
             await lab.robot.connect()
         with pytest.raises(DeviceError, match="not connected"):
             await lab.robot.joints()
         peer.answers["getJointsPositions"] = "garbage\n"
-        with pytest.raises(UnknownOutcomeError, match="see that no other is connected"):
+        with pytest.raises(UnknownOutcomeError, match="make sure that no other is connected"):
             await lab.robot.connect()
         peer.answers["getJointsPositions"] = "nak\n"
         with pytest.raises(DeviceRefusedError) as refused:

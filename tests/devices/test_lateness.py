@@ -19,27 +19,27 @@ def test_each_is_late_by_its_delay_beyond_the_least_whatever_the_offset_of_the_c
     for number, delay in enumerate(taken):
         sent = now - delay + offset
         expected = delay - min(taken[: number + 1])
-        assert lateness.hear(sent, now) == pytest.approx(expected, abs=1e-6)
-        assert lateness.of(sent, now) == pytest.approx(expected, abs=1e-6)
+        assert lateness.update(sent, now) == pytest.approx(expected, abs=1e-6)
+        assert lateness.delay(sent, now) == pytest.approx(expected, abs=1e-6)
         now += 0.025
 
 
 def test_with_nothing_to_compare_nothing_is_late() -> None:
-    assert Lateness().of(3.0, 1e9) == 0.0
+    assert Lateness().delay(3.0, 1e9) == 0.0
 
 
 def test_clocks_that_drift_apart_do_not_make_everything_late() -> None:
     lateness = Lateness()
-    worst = max(lateness.hear(number * 0.1 * (1 - 2e-4), number * 0.1) for number in range(36_000))
+    worst = max(lateness.update(number * 0.1 * (1 - 2e-4), number * 0.1) for number in range(36_000))
     assert worst < 2.2 * WINDOW * 2e-4
 
 
 def test_a_sender_that_begins_anew_is_compared_anew() -> None:
     lateness = Lateness()
-    lateness.hear(1000.0, 50.0)
-    assert lateness.of(10.0, 51.0) > 900.0
+    lateness.update(1000.0, 50.0)
+    assert lateness.delay(10.0, 51.0) > 900.0
     lateness.forget()
-    assert lateness.hear(10.0, 51.0) == 0.0
+    assert lateness.update(10.0, 51.0) == 0.0
 
 
 @given(delays, st.floats(-1e6, 1e6))
@@ -48,6 +48,6 @@ def test_a_moment_of_the_sender_is_placed_too_late_by_the_least_delay_and_no_mor
 ) -> None:
     lateness, now = Lateness(), 100.0
     for number, delay in enumerate(taken):
-        lateness.hear(now - delay + offset, now)
-        assert lateness.here(42.0 + offset) == pytest.approx(42.0 + min(taken[: number + 1]), abs=1e-6)
+        lateness.update(now - delay + offset, now)
+        assert lateness.to_local(42.0 + offset) == pytest.approx(42.0 + min(taken[: number + 1]), abs=1e-6)
         now += 0.025

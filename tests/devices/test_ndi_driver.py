@@ -19,7 +19,7 @@ import structlog
 from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers.ndi import NdiTracker, open_devices
 from pcmrs.devices.ndi.process import MODULE
-from pcmrs.devices.ndi.reader import known_bits
+from pcmrs.devices.ndi.reader import without_sign_extension
 from pcmrs.devices.ndi.tools import placeholder
 from pcmrs.devices.ndi.wire import Failed, Job, Ready, Unpacker, pack
 from pcmrs.errors import ConfigurationError
@@ -229,4 +229,4 @@ async def test_only_a_tracker_is_served() -> None:
     [(0x31, 0x31), (0x8031, 0x8031), (0xFFFFFFFFFFFFFFB1, 0xB1), (0xFFFFFFFFFFFF8131, 0x8131), (2**32 - 1, 2**32 - 1)],
 )
 def test_a_status_word_is_freed_from_the_signs_of_its_bytes(word: int, known: int) -> None:
-    assert known_bits(word) == known
+    assert without_sign_extension(word) == known

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.devices.ndi.poses import FROZEN_TIME, RESTARTED, FrameReader
+from pcmrs.devices.ndi.poses import FRAMES_TO_RESTART, FROZEN_TIME, FrameReader
 from pcmrs.devices.ndi.tools import LARGEST, placeholder, read_tools
 from pcmrs.devices.ndi.wire import LARGEST as LARGEST_REPORT
 from pcmrs.devices.ndi.wire import Failed, Frame, Ready, ToolFrame, Unpacker, pack
@@ -95,9 +95,9 @@ def test_a_reversed_frame_is_refused_and_counted() -> None:
 def test_numbers_go_on_where_a_tracker_that_was_set_up_again_begins_to_count() -> None:
     reader = _reader()
     assert reader.poses(_frame(500, 0.1), now=1.0)[0].frame_number == 500
-    reader.begin_anew()
+    reader.restart()
     assert [reader.poses(_frame(n, 1.0 + n), now=9.0)[0].frame_number for n in (3, 4, 6)] == [501, 502, 504]
-    reader.begin_anew()
+    reader.restart()
     assert reader.poses(_frame(7, 9.0), now=9.0)[0].frame_number == 505
     assert reader.refused.total() == 0
 
@@ -105,8 +105,8 @@ def test_numbers_go_on_where_a_tracker_that_was_set_up_again_begins_to_count() -
 def test_a_tracker_that_counts_anew_by_itself_is_believed_after_a_few_frames() -> None:
     reader = _reader()
     reader.poses(_frame(500, 0.1), now=1.0)
-    found = [reader.poses(_frame(n, 0.1 + 0.01 * n), now=9.0)[0] for n in range(1, RESTARTED + 3)]
-    assert [pose.valid for pose in found] == [False] * (RESTARTED - 1) + [True] * 3
+    found = [reader.poses(_frame(n, 0.1 + 0.01 * n), now=9.0)[0] for n in range(1, FRAMES_TO_RESTART + 3)]
+    assert [pose.valid for pose in found] == [False] * (FRAMES_TO_RESTART - 1) + [True] * 3
     assert [pose.frame_number for pose in found[-3:]] == [501, 502, 503]
 
 
@@ -164,7 +164,7 @@ def test_a_tool_definition_is_read_whole_and_its_hash_checked(tmp_path: Path) ->
 def test_what_is_no_tool_definition_is_refused(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "coil.rom"
     file.write_bytes(content)
-    with pytest.raises(ConfigurationError, match="is no tool definition"):
+    with pytest.raises(ConfigurationError, match="is not a tool definition"):
         read_tools({"coil": str(file)}, {})
 
 

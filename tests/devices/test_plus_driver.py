@@ -259,5 +259,5 @@ async def test_it_serves_a_tracker_only_and_checks_its_table() -> None:
         with pytest.raises(ConfigurationError):
             async with open_devices(devices, {"plus": table}, SystemClock()):
                 pass
-    with pytest.raises(ConfigurationError, match="of its own"):
+    with pytest.raises(ConfigurationError, match="its own transform"):
         PlusSettings(names={"coil": "A", "pointer": "A"})

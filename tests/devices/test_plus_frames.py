@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pyigtl.messages import TransformMessage
 from scipy.spatial.transform import Rotation
 
-from pcmrs.devices.plus.frames import Frames
+from pcmrs.devices.plus.frames import FrameAssembler
 from pcmrs.devices.plus.messages import TrackingDataMessage, matrix_mm, readings, rigid
 from pcmrs.errors import RefusalError
 from pcmrs.messages import BodyPose
@@ -25,8 +25,8 @@ COIL, BOTH = {"CoilToTracker": POSE}, dict.fromkeys(BODIES, POSE)
 finite = st.floats(-1e4, 1e4, width=32)
 
 
-def frames() -> Frames:
-    return Frames(BODIES, LATENCY)
+def frames() -> FrameAssembler:
+    return FrameAssembler(BODIES, LATENCY)
 
 
 def by_body(frame: list[BodyPose]) -> dict[str, BodyPose]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pcmrs.devices.standstill import GAP, GIVING_WAY, MOVED, THRESHOLD, Standstill
+from pcmrs.devices.standstill import LONGEST_GAP, MOVED, RELIEF_THRESHOLD, THRESHOLD, Standstill
 from pcmrs.messages import JointState
 
 
@@ -73,7 +73,7 @@ def test_a_relief_may_give_way_farther_and_sets_the_posture_when_it_has_ended(st
 
 
 def test_a_relief_is_bounded(standstill: Standstill) -> None:
-    assert standstill.take(at(1.1 * GIVING_WAY, 0.1, moving=True, relieving=True)) is not None
+    assert standstill.take(at(1.1 * RELIEF_THRESHOLD, 0.1, moving=True, relieving=True)) is not None
 
 
 def test_a_robot_that_is_not_connected_may_be_moved_by_hand(standstill: Standstill) -> None:
@@ -84,4 +84,4 @@ def test_a_robot_that_is_not_connected_may_be_moved_by_hand(standstill: Standsti
 
 
 def test_after_a_gap_nobody_can_say_when_it_moved(standstill: Standstill) -> None:
-    assert standstill.take(at(1.0, 0.1 + GAP)) is None
+    assert standstill.take(at(1.0, 0.1 + LONGEST_GAP)) is None

@@ -198,7 +198,7 @@ async def test_the_state_is_the_snapshot_as_json_also_for_who_comes_late() -> No
         late = msgspec.structs.replace(cell.settings, mode="client")
         found: list[str] = []
         async with open_bus(late) as bus:
-            bus.hear("ros2/state", text_of, lambda _, text: found.append(text))
+            bus.subscribe_encoded("ros2/state", text_of, lambda _, text: found.append(text))
             await until(lambda: found)
         assert json.loads(found[0])["sequence"] == 7
 

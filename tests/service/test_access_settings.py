@@ -35,7 +35,7 @@ def settings_of(lab: Path, identity: str, *more: str) -> BusSettings:
 def test_a_cell_is_closed_unless_it_has_an_identity() -> None:
     settings = read_settings()
     assert not settings.access.is_open
-    values = settings.bus("router").values()
+    values = settings.bus("router").zenoh_config()
     assert values["listen/endpoints"] == ["tcp/127.0.0.1:7447"]
     assert values["connect/endpoints"] == []
     assert "access_control" not in values
@@ -43,7 +43,7 @@ def test_a_cell_is_closed_unless_it_has_an_identity() -> None:
 
 def test_an_open_cell_denies_what_nobody_has_a_right_to(lab: Path) -> None:
     more = ('access.listen=["tls/0.0.0.0:7448"]', 'access.routers=["tls/router:7449"]')
-    values = settings_of(lab, "c1", *more).values()
+    values = settings_of(lab, "c1", *more).zenoh_config()
     assert values["listen/endpoints"] == ["tcp/127.0.0.1:7447", "tls/0.0.0.0:7448"]
     assert values["connect/endpoints"] == ["tls/router:7449"]
     assert values["access_control"]["default_permission"] == "deny"
@@ -76,22 +76,22 @@ def test_a_register_without_the_daemon_is_an_old_one(lab: Path) -> None:
 def test_a_cell_is_not_opened_without_certificates(lab: Path, table: str) -> None:
     with pytest.raises(ConfigurationError, match=r"access\.identity"):
         read_settings(None, [f'access.{table}=["tls/0.0.0.0:7448"]'])
-    with pytest.raises(ConfigurationError, match="it has to begin with tls/"):
-        settings_of(lab, "c1", f'access.{table}=["tcp/0.0.0.0:7448"]').values()
+    with pytest.raises(ConfigurationError, match="it must begin with tls/"):
+        settings_of(lab, "c1", f'access.{table}=["tcp/0.0.0.0:7448"]').zenoh_config()
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.0.2.7", "[::]", "cell.example.org"])
 @pytest.mark.parametrize("mode", ["router", "client"])
 def test_a_plain_endpoint_is_this_machines_own(host: str, mode: Any) -> None:
     with pytest.raises(ConfigurationError, match="without certificates"):
-        BusSettings(mode=mode, endpoint=f"tcp/{host}:7447").values()
+        BusSettings(mode=mode, endpoint=f"tcp/{host}:7447").zenoh_config()
     for own in ("127.0.0.1", "[::1]", "localhost"):
-        BusSettings(mode=mode, endpoint=f"tcp/{own}:7447").values()
+        BusSettings(mode=mode, endpoint=f"tcp/{own}:7447").zenoh_config()
 
 
 def test_nobody_dials_another_machine_without_an_identity() -> None:
     with pytest.raises(ConfigurationError, match="--identity"):
-        BusSettings(endpoint="tls/router:7449").values()
+        BusSettings(endpoint="tls/router:7449").zenoh_config()
 
 
 @pytest.mark.parametrize(

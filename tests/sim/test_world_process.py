@@ -74,7 +74,7 @@ async def test_calls_streams_and_errors_are_those_of_the_devices() -> None:
         bodies = [pose.body for pose in await anext(devices["tracker"].frames())]
         assert bodies == ["coil", "body_ref", "pointer", "witness"]
         assert (await devices["stimulator"].set_intensity(40.0)).intensity == 40.0
-        with pytest.raises(DeviceError, match="from 0 to 100") as refused:
+        with pytest.raises(DeviceError, match="range is 0 to 100") as refused:
             await devices["stimulator"].set_intensity(percent=400.0)
         assert (type(refused.value), refused.value.fields) == (DeviceError, {"percent": 400.0})
         with pytest.raises(PayloadError, match="set_intensity"):

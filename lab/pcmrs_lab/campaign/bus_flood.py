@@ -18,11 +18,11 @@ from typing import Final, Literal, get_args
 
 import zenoh
 
-from pcmrs.bus.asking import ask
 from pcmrs.bus.codec import pack, unpack
-from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.commands import Envelope
 from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.qos import REQUESTS
+from pcmrs.bus.requests import send_query
 from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.bus.stop import Stopping
 from pcmrs.errors import DeviceError, PcmrsError
@@ -164,7 +164,7 @@ class _Flood:
         while self._on:
             self._sent += 1
             try:
-                answer = await ask(self._session, self._pool, key, payload, PATIENCE, REQUESTS)
+                answer = await send_query(self._session, self._pool, key, payload, PATIENCE, REQUESTS)
                 code = _said(answer)
             except PcmrsError as error:
                 code = str(error.fields.get("reason", error.code))

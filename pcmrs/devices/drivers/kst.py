@@ -1,11 +1,11 @@
 """KUKA LBR iiwa through the KUKA Sunrise Toolbox (KST), by TCP.
 
-Written from the public source of the KST 1.7 server (MatlabToolboxServer, Sunrise 1.x) and its clients, and run against
-our virtual cabinet. Not tested on hardware. All motion that must be stoppable is a stream of joint set points, for a
-point-to-point motion of the cabinet cannot be stopped. When the link is lost, the real cabinet stays at the last set
-point. `disconnect` ends the KST application, which accepts one client only: start it again before the next `connect`.
-The cabinet's own law for direct servo closes small errors slowly, so that a real arm may come to rest a little off its
-set point; what is published is what was measured.
+Written from the public source of the KST 1.7 server (MatlabToolboxServer, Sunrise 1.x) and its clients, and tested
+against our virtual cabinet. Not tested on hardware. All motion that must be stoppable is a stream of joint set points,
+because a point-to-point motion of the cabinet cannot be stopped. If the link is lost, the real cabinet stays at the
+last set point. `disconnect` ends the KST application, which accepts one client only: start it again before the next
+`connect`. The cabinet's control law for direct servo closes small errors slowly, so a real arm may come to rest a
+little off its set point. The published joints are the measured ones.
 """
 
 from __future__ import annotations
@@ -43,24 +43,24 @@ from pcmrs.messages import (
 __all__ = ["KstRobot", "KstSettings", "open_devices"]
 
 END_TIMEOUT = 2.0
-"""An arm stands still so long after it was told to hold, s."""
-ONE_CLIENT = "It accepts several clients and answers one: see that no other is connected."
+"""Time within which a held arm stands still, s."""
+ONE_CLIENT = "It accepts several clients but answers only one: make sure that no other is connected."
 NOT_CONNECTED = "The robot is not connected; connect it first."
 
 log = structlog.get_logger(__name__)
 
 
 class KstRobot:
-    """Implements `pcmrs.devices.protocols.RobotDriver`; while it is not connected there are no states.
+    """Implements `pcmrs.devices.protocols.RobotDriver`; there are no states while it is not connected.
 
     Args:
-        settings: Where the cabinet is, and how to stream.
-        model: The arm.
-        force: When the force on the tool is too great.
-        clock: Paces the stream and stamps what is sent.
+        settings: Address of the cabinet, and parameters of the stream.
+        model: Model of the arm.
+        force: Limits of the force on the tool.
+        clock: Clock that paces the stream, and for time stamps.
 
     Attributes:
-        sessions: Of set points.
+        sessions: Servo sessions.
     """
 
     def __init__(self, settings: KstSettings, model: ArmModel, force: ForceSettings, clock: Clock) -> None:
@@ -88,14 +88,14 @@ class KstRobot:
             known = self._drive
             drive = known or await self._open()
         if drive is known:
-            await drive.rest()  # seen anew: the newest reading may be of before this process was held up
+            await drive.rest()  # for a fresh reading: the newest one may be older if this process was held up
         return drive.state
 
     async def disconnect(self) -> None:
         if self._drive is not None:
             self._drive.follower.hold()
-        async with self._connecting:  # which would end the stream that brakes
-            drive, self._drive = self._drive, None  # nothing begins any more
+        async with self._connecting:  # a new connection would end the stream that brakes
+            drive, self._drive = self._drive, None  # from here on no motion can begin
             self._lost = None
             if drive is not None:
                 await self._end_connection(drive)
@@ -144,15 +144,15 @@ class KstRobot:
         return self._events.read()
 
     async def close(self) -> None:
-        """Brakes, ends the connection and all readers."""
-        with suppress(PcmrsError):  # a link that is lost is reported already
+        """Brake, and end the connection and all readers."""
+        with suppress(PcmrsError):  # a lost link was reported already
             await self.disconnect()
         await self._stop_driving()
         self._states.close()
         self._events.close()
 
     async def _open(self) -> Drive:
-        """Begins anew: nothing of an earlier connection is sent, and the reference starts from the measured joints."""
+        """Open a new connection: nothing of an earlier one is sent, and the reference starts at the measured joints."""
         await self._stop_driving()
         own = self._settings
         cabinet = await Cabinet.open(own.host, own.port, self._clock, own.connect_timeout, own.reply_timeout)
@@ -169,7 +169,7 @@ class KstRobot:
         self._drive, self._lost, self.sessions.servo = drive, None, None
         self._driving = asyncio.create_task(self._run(drive), name="KST drive")
         try:
-            await drive.rest()  # until it has been read once
+            await drive.rest()  # until the first reading
         except BaseException:
             await self._abandon(drive)
             raise
@@ -187,7 +187,7 @@ class KstRobot:
             await drive.end()
 
     async def _abandon(self, drive: Drive) -> None:
-        """Who was told that the connection failed has none."""
+        """End a connection whose `connect` has failed, so that the caller has none."""
         if self._drive is drive:
             self._drive = None
             await self._stop_driving()
@@ -198,14 +198,14 @@ class KstRobot:
             await drive.run()
         except UnknownOutcomeError as error:
             lost = error
-        except Exception as error:  # a defect of ours; nobody would watch over the arm any more
+        except Exception as error:  # a defect of this driver must not leave the arm unwatched
             log.exception("kst_drive_failed")
             lost = UnknownOutcomeError(f"The driver of the robot has failed: {error}. Look at the arm, connect again.")
         if self._drive is drive:
             self._drive, self._lost = None, lost
             event = DeviceEvent(device="robot", code="link_lost", text=lost.text, danger=True, fields=lost.fields)
             self._events.publish(event)
-        await drive.end()  # after a defect the link still works, and the cabinet takes no other one
+        await drive.end()  # after a defect the link still works, and the cabinet accepts no second one
 
     async def _stop_driving(self) -> None:
         if self._driving is not None:
@@ -215,7 +215,7 @@ class KstRobot:
             self._driving = None
 
     async def _end(self, drive: Drive, force: Callable[[], float] | None = None) -> MotionResult:
-        """How the motion ended, once the arm rests; with the `force` measured then."""
+        """Wait until the arm rests, and return the outcome of the motion with the `force` measured then."""
         await _held_unless_done(drive, drive.rest())
         stopped = drive.follower.stopped
         return MotionResult(
@@ -233,7 +233,7 @@ class KstRobot:
         raise DeviceError(NOT_CONNECTED)
 
     def _free(self) -> Drive:
-        """Accepts a new motion, from where the arm is measured."""
+        """Return the drive for a new motion, which starts at the measured joints."""
         drive = self._connected()
         self.sessions.check_free(drive.follower, drive.busy)
         drive.follower.stand(drive.arm.positions.copy())
@@ -241,7 +241,7 @@ class KstRobot:
 
 
 async def _held_unless_done(drive: Drive, waiting: Awaitable[None]) -> None:
-    """Waits; brakes when the caller is cancelled, for nobody waits for the end any more."""
+    """Wait, and brake if the caller is cancelled, because then nobody waits for the end of the motion."""
     try:
         await waiting
     except asyncio.CancelledError:
@@ -253,15 +253,15 @@ async def _held_unless_done(drive: Drive, waiting: Awaitable[None]) -> None:
 async def open_devices(
     devices: Collection[str], settings: Mapping[str, Any], clock: Clock
 ) -> AsyncIterator[Mapping[str, Any]]:
-    """Opens the robot, which is not connected yet; see `pcmrs.devices.protocols.OpenDriver`.
+    """Open the robot, which is not connected yet; see `pcmrs.devices.protocols.OpenDriver`.
 
     Args:
-        devices: ``robot`` only.
-        settings: The whole configuration; ``kst`` and ``robot`` are read.
-        clock: Of the machine: a real arm does not run faster.
+        devices: Only ``robot``.
+        settings: Whole configuration as plain data; ``kst`` and ``robot`` are read.
+        clock: Clock of the machine: a real arm does not run faster.
 
     Raises:
-        ConfigurationError: Another device is asked for, or a table is wrong, or the arm is no iiwa.
+        ConfigurationError: Another device is requested, a table is wrong, or the arm is not an iiwa.
     """
     check_devices("kst", devices, "robot")
     own, force = read_table(settings, "kst", KstSettings), read_table(settings, "robot", ForceSettings)

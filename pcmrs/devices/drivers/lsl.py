@@ -1,8 +1,8 @@
-"""An electromyograph on Lab Streaming Layer, with the stimulator's pulses as markers on another stream.
+"""Driver of an electromyograph on Lab Streaming Layer, with the stimulator's pulses as markers on another stream.
 
 Written from liblsl 1.18 (pylsl); tested against outlets of the same library, not tested on hardware. Epochs are cut by
 the time stamps of both streams, each corrected by the library's estimate of its clock's offset (below 1 ms, and far
-less on one machine); what the amplifier and its software add before they stamp a sample is not known here.
+less on one machine). The delay of the amplifier and its software before they stamp a sample is unknown here.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from pcmrs.background import background_task
 from pcmrs.clock import Clock
-from pcmrs.devices.lsl.epochs import LONGEST, Recording, check_window
+from pcmrs.devices.lsl.epochs import LONGEST, SignalBuffer, check_window
 from pcmrs.devices.lsl.inlet import Inlet
 from pcmrs.devices.lsl.library import EMG, StreamName, load_lsl
 from pcmrs.devices.lsl.markers import PULSES, read_pulse
@@ -28,29 +28,29 @@ from pcmrs.messages import Epoch
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 
 READ_PERIOD = 0.01
-"""Seconds between readings of both streams."""
+"""Time between two readings of both streams, s."""
 
 KEPT = 2.0 * LONGEST
-"""Seconds of signal and markers that are kept: an epoch is asked for right after its pulse."""
+"""Duration of signal and markers that are stored, s: an epoch is requested right after its pulse."""
 
 GRACE = 0.5
-"""An epoch may come so long after its last sample was due, s."""
+"""Longest wait for an epoch after its last sample was due, s."""
 
 
 class LslSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The table ``lsl`` of the configuration.
 
-    Where a lab's network needs it, Lab Streaming Layer itself is configured by its own file ``lsl_api.cfg``.
+    If the lab's network requires it, Lab Streaming Layer itself is configured by its own file ``lsl_api.cfg``.
 
     Attributes:
         stream: Name of the amplifier's stream.
-        type: Its type; empty for any.
-        channel: Of that stream, from 0.
-        muscle: What the electrodes of that channel are on.
-        volts_per_unit: Of the stream's numbers, V; most amplifiers send uV.
-        full_scale: Magnitude at which the amplifier saturates, V; 0 where it is not known.
-        jitter: By how much time stamps may be off an even spacing, s; more means that samples are missing.
-        markers: Name of the stream on which the stimulator's pulses are marked.
+        type: Type of that stream; None for any.
+        channel: Channel of that stream, from 0.
+        muscle: Muscle under the electrodes of that channel.
+        volts_per_unit: Unit of the stream's numbers, V; most amplifiers send uV.
+        full_scale: Magnitude at which the amplifier saturates, V; 0 if it is unknown.
+        jitter: Greatest deviation of time stamps from an even spacing, s; more means that samples are missing.
+        markers: Name of the stream with the markers of the stimulator's pulses.
     """
 
     stream: StreamName = EMG
@@ -67,8 +67,8 @@ class LslEmg:
     """Implements `pcmrs.devices.protocols.Emg`.
 
     Args:
-        settings: The streams.
-        clock: The machine's clock: streams of a lab run in real time.
+        settings: Streams and channel.
+        clock: Clock of the machine: streams of a lab run in real time.
 
     Raises:
         ConfigurationError: Lab Streaming Layer is not installed.
@@ -81,7 +81,7 @@ class LslEmg:
         self._markers = Inlet(settings.markers)
         self._lsl = load_lsl()
         self._info: Any = None
-        self._recording: Recording | None = None
+        self._recording: SignalBuffer | None = None
         self._pulses: dict[int, float] = {}
         self._unusable = ""
         self._news = asyncio.Event()
@@ -95,7 +95,7 @@ class LslEmg:
         return self._cut(pulse, before, after)
 
     async def read(self) -> None:
-        """Reads both streams until cancelled."""
+        """Read both streams until cancelled."""
         try:
             while True:
                 self._read_markers()
@@ -112,7 +112,7 @@ class LslEmg:
         for text, time in zip(texts, times, strict=True):
             if (marker := read_pulse(text[0])) is not None:
                 self._pulses[marker.pulse] = float(time)
-        oldest = self._lsl.local_clock() - KEPT  # a number may come again in another session
+        oldest = self._lsl.local_clock() - KEPT  # numbers repeat in another session
         self._pulses = {number: time for number, time in self._pulses.items() if time > oldest}
 
     def _read_signal(self) -> None:
@@ -123,19 +123,19 @@ class LslEmg:
             self._recording.add(times, samples[:, self._settings.channel] * self._settings.volts_per_unit)
 
     def _begin(self, info: Any) -> None:
-        """A stream has been found: perhaps another one than before, so nothing of that is kept."""
+        """Start a new buffer for a stream that was found: it may be another one than before."""
         self._info, self._recording, self._unusable = info, None, ""
         rate, count, channel = info.nominal_srate(), info.channel_count(), self._settings.channel
         name = f"The stream {self._settings.stream!r}"
         if not rate > 0.0 or info.channel_format() == self._lsl.cf_string:
-            self._unusable = f"{name} holds no numbers at a fixed rate; configure the amplifier's own stream"
+            self._unusable = f"{name} has no numbers at a fixed rate; configure the amplifier's own stream"
         elif channel >= count:
             self._unusable = f"{name} has {count} channels; lsl.channel = {channel} is not among 0 to {count - 1}"
         else:
-            self._recording = Recording(rate, KEPT, self._settings.jitter)
+            self._recording = SignalBuffer(rate, KEPT, self._settings.jitter)
 
     def _measured(self, pulse: int, after: float) -> bool:
-        """Whether the epoch is complete."""
+        """Return True if the epoch is complete."""
         time = self._pulses.get(pulse)
         return time is not None and self._recording is not None and self._recording.end >= time + after
 
@@ -143,7 +143,7 @@ class LslEmg:
         time = self._pulses.get(pulse)
         recording = self._recording
         if time is None:
-            why = self._markers.problem or f"no marker of it came on the stream {self._settings.markers!r}"
+            why = self._markers.problem or f"no marker of it arrived on the stream {self._settings.markers!r}"
             raise DeviceError(f"Pulse {pulse} has no epoch: {why}.", pulse=pulse)
         if recording is None or recording.end < time + after:
             why = self._unusable or self._signal.problem or f"the stream {self._settings.stream!r} sends nothing"
@@ -163,10 +163,15 @@ class LslEmg:
 async def open_devices(
     devices: Collection[str], settings: Mapping[str, Any], clock: Clock
 ) -> AsyncIterator[Mapping[str, Any]]:
-    """Opens the electromyograph; see `pcmrs.devices.protocols.OpenDriver`.
+    """Open the electromyograph; see `pcmrs.devices.protocols.OpenDriver`.
+
+    Args:
+        devices: Only ``emg``.
+        settings: Whole configuration as plain data; ``lsl`` is read.
+        clock: Clock of the machine.
 
     Raises:
-        ConfigurationError: Another device is asked for, the table ``lsl`` is wrong, or the library is missing.
+        ConfigurationError: Another device is requested, the table ``lsl`` is wrong, or the library is missing.
     """
     check_devices("lsl", devices, "emg")
     emg = LslEmg(read_table(settings, "lsl", LslSettings), clock)

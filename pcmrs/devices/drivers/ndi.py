@@ -16,7 +16,7 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.devices.ndi.poses import FrameReader
-from pcmrs.devices.ndi.process import reports
+from pcmrs.devices.ndi.process import read_reports
 from pcmrs.devices.ndi.tools import placeholder, read_tools
 from pcmrs.devices.ndi.wire import Job, Ready
 from pcmrs.devices.tables import check_devices, read_table
@@ -24,10 +24,10 @@ from pcmrs.errors import ConfigurationError, PcmrsError
 from pcmrs.messages import BodyPose
 
 VIRTUAL_BODIES = ("coil", "body_ref", "pointer", "witness")
-"""What the virtual tracker shows where no tools are configured."""
+"""Bodies that the virtual tracker shows if no tools are configured."""
 
 FIRST_PAUSE, LONGEST_PAUSE = 0.5, 10.0
-"""Between attempts to reach the tracker, s: each is twice as long as the one before."""
+"""Shortest and longest pause between attempts to reach the tracker, s; each one is twice as long as the one before."""
 
 Body = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$")]
 
@@ -39,11 +39,11 @@ class NdiSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         device: ``host:port``, or the path of a serial port.
-        tools: Body to the SROM file of the tool that is fixed to it; may be left out for a virtual tracker only.
-        sha256: Body to the hash of that file, where another file shall be refused.
-        latency: From the exposure until the frame can be had, s.
-        max_error_mm: Beyond this fit error there is no pose.
-        baud: Of a serial port.
+        tools: SROM file of the tool that is fixed to each body; may be left out for a virtual tracker only.
+        sha256: Hash of that file by body; any other file is refused.
+        latency: Time from the exposure until the frame is available, s.
+        max_error_mm: Largest fit error of a valid pose, mm.
+        baud: Baud rate of a serial port.
 
     Raises:
         ConfigurationError: `device` is neither an address with a port nor a path.
@@ -58,7 +58,7 @@ class NdiSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         host, _, port = self.device.rpartition(":")
-        # The library would take a greater port modulo 65536, and an address without a port for a serial line.
+        # The library takes a larger port number modulo 65536, and an address without a port as a serial port.
         if not (self.device.startswith("/") or (host and port.isdecimal() and 0 < int(port) < 65536)):
             raise ConfigurationError(
                 f"ndi.device is {self.device!r}; it must be host:port with a port of 1 to 65535, such as "
@@ -68,15 +68,15 @@ class NdiSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class NdiTracker:
-    """The tracker; see `pcmrs.devices.protocols.TrackerDriver`. It is read while somebody iterates over its frames.
+    """Implements `pcmrs.devices.protocols.TrackerDriver`. The tracker is read while its frames are iterated over.
 
     Args:
-        settings: Where it is.
-        tools: Body to the definition of its tool.
-        clock: Runs in real time.
+        settings: Address of the tracker, and limits of its poses.
+        tools: Definition of the tool of each body.
+        clock: Clock of the machine.
 
     Attributes:
-        trouble: Why there are no frames; empty while there are.
+        trouble: Reason why there are no frames; empty while there are.
     """
 
     def __init__(self, settings: NdiSettings, tools: Mapping[str, bytes], clock: Clock) -> None:
@@ -87,7 +87,7 @@ class NdiTracker:
         self.trouble = f"The tracker at {settings.device} has not been reached yet."
 
     async def frames(self) -> AsyncGenerator[Sequence[BodyPose], None]:
-        """All bodies of each new frame; tries again without end while there is no tracker. For one reader."""
+        """Yield all bodies of each new frame, for one reader; an absent tracker is tried again without a limit."""
         pause = FIRST_PAUSE
         while True:
             try:
@@ -101,15 +101,15 @@ class NdiTracker:
             pause = min(2 * pause, LONGEST_PAUSE)
 
     async def _connection(self) -> AsyncGenerator[Sequence[BodyPose], None]:
-        async with aclosing(reports(self._job, self._clock)) as found:
-            async for report in found:
+        async with aclosing(read_reports(self._job, self._clock)) as reports:
+            async for report in reports:
                 if isinstance(report, Ready):
                     self._ready(report)
                 elif poses := self._reader.poses(report, self._clock.monotonic()):
                     yield poses
 
     def _ready(self, report: Ready) -> None:
-        self._reader.begin_anew()
+        self._reader.restart()
         self.trouble = ""
         version = " ".join(line for line in report.version.splitlines() if line.startswith("Freeze Tag:"))
         command = "BX" if report.binary else "TX"
@@ -125,10 +125,16 @@ class NdiTracker:
 async def open_devices(
     devices: Collection[str], settings: Mapping[str, Any], clock: Clock
 ) -> AsyncIterator[Mapping[str, Any]]:
-    """Opens the tracker; one that is absent is waited for. See `pcmrs.devices.protocols.OpenDriver`.
+    """Open the tracker; an absent one is tried again and again. See `pcmrs.devices.protocols.OpenDriver`.
+
+    Args:
+        devices: Only ``tracker``.
+        settings: Whole configuration as plain data; ``ndi`` is read.
+        clock: Clock of the machine.
 
     Raises:
-        ConfigurationError: The table ``ndi`` is wrong, or a tool definition is missing or another than agreed.
+        ConfigurationError: Another device is requested, the table ``ndi`` is wrong, or a tool definition is missing or
+            has another hash.
     """
     check_devices("ndi", devices, "tracker")
     own = read_table(settings, "ndi", NdiSettings)
@@ -145,7 +151,7 @@ def _tools(settings: NdiSettings) -> dict[str, bytes]:
 
 
 def _is_virtual(device: str) -> bool:
-    """Whether this is the place of a virtual tracker: this machine, or a pseudo-terminal."""
+    """Return True if a tracker at this address is virtual: on this machine, or on a pseudo-terminal."""
     host = device.rpartition(":")[0]
     try:
         return ipaddress.ip_address(host).is_loopback

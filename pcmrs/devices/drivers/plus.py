@@ -1,8 +1,8 @@
-"""Tracker by way of a PLUS server, over OpenIGTLink.
+"""Driver of a tracker behind a PLUS server, over OpenIGTLink.
 
 Written from the source of PlusLib (vtkPlusOpenIGTLinkServer, vtkPlusIgtlMessageFactory; OpenIGTLink header versions 1
 and 2). Not tested on hardware, nor with a PLUS server. The server sends TRANSFORM, TDATA or both; names are
-``XToTracker``, lengths mm. It needs the extra ``hardware`` (`pyigtl`).
+``XToTracker``, lengths are in mm. Needs the extra ``hardware`` (`pyigtl`).
 """
 
 from __future__ import annotations
@@ -22,11 +22,13 @@ NAMES = {"coil": "CoilToTracker", "body_ref": "ReferenceToTracker", "pointer": "
 
 
 class PlusSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The table ``plus``.
+    """The table ``plus`` of the configuration.
 
     Attributes:
-        names: Body to the name of its transform into the tracker's frame; a TDATA name has 20 letters at most.
-        latency: From exposure to arrival, s; used where the server's clock does not agree with ours.
+        host: Host name or address of the server.
+        port: TCP port of the server.
+        names: Name of the transform from each body to the tracker frame; a TDATA name has 20 letters at most.
+        latency: Time from exposure to arrival, s; used if the server's clock does not agree with ours.
 
     Raises:
         ConfigurationError: There are no names, or two bodies share one.
@@ -45,10 +47,15 @@ class PlusSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 async def open_devices(
     devices: Collection[str], settings: Mapping[str, Any], clock: Clock
 ) -> AsyncIterator[Mapping[str, Any]]:
-    """Opens the tracker; see `pcmrs.devices.protocols.OpenDriver`. An absent server is tried again and again.
+    """Open the tracker; see `pcmrs.devices.protocols.OpenDriver`. An absent server is tried again and again.
+
+    Args:
+        devices: Only ``tracker``.
+        settings: Whole configuration as plain data; ``plus`` is read.
+        clock: Clock of the machine.
 
     Raises:
-        ConfigurationError: Another device is asked for, the table ``plus`` is wrong, or `pyigtl` is missing.
+        ConfigurationError: Another device is requested, the table ``plus`` is wrong, or `pyigtl` is missing.
     """
     check_devices("plus", devices, "tracker")
     own = read_table(settings, "plus", PlusSettings)

@@ -1,7 +1,7 @@
-"""A stimulator that is triggered: pulses as markers of Lab Streaming Layer and, if configured, on a serial port.
+"""Driver of a triggered stimulator: pulses as markers of Lab Streaming Layer and, if configured, on a serial port.
 
-Such a stimulator says nothing of itself: it counts as ready when it is armed here, its coil has no temperature, and its
-intensity is what the operator has dialled and said. Written from liblsl 1.18 (pylsl) and pyserial 3.5; not tested on
+Such a stimulator reports nothing: it counts as ready when it is armed here, the temperature of its coil is unknown, and
+its intensity is the one that the operator has dialled. Written from liblsl 1.18 (pylsl) and pyserial 3.5; not tested on
 hardware.
 """
 
@@ -26,7 +26,7 @@ from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, FiredPulse, StimulatorState
 
 WATCH_PERIOD = 0.1
-"""Seconds of the clock between looks at how long it has been armed."""
+"""Time between two checks of how long it has been armed, s of the clock."""
 
 log = structlog.get_logger(__name__)
 
@@ -35,15 +35,15 @@ class TriggerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The table ``trigger`` of the configuration.
 
     Attributes:
-        markers: Name of the stream on which pulses are marked; other cells on the network have other names.
-        dialled: The operator turns the stimulator's dial to every intensity that is asked for, before the pulse. Only
-            then intensities can be set.
-        armed_time: Time after which it disarms when no pulse was given, s.
+        markers: Name of the stream with the markers of the pulses; each cell on a network needs its own.
+        dialled: True if the operator turns the stimulator's dial to each requested intensity before the pulse. Only
+            then can intensities be set.
+        armed_time: Time without a pulse after which it disarms, s.
         port: Serial port of the trigger, such as ``/dev/ttyUSB0``; empty for markers alone.
-        signal: What triggers on the port: a ``byte``, or a pulse on its line ``dtr`` or ``rts``.
-        byte: The byte.
-        baud: Of the port.
-        width: Of the pulse on a line, s.
+        signal: Trigger on the port: a ``byte``, or a pulse on its line ``dtr`` or ``rts``.
+        byte: Byte that triggers.
+        baud: Baud rate of the port.
+        width: Width of the pulse on a line, s.
     """
 
     markers: StreamName = PULSES
@@ -60,11 +60,11 @@ class TriggerStimulator:
     """Implements `pcmrs.devices.protocols.StimulatorDriver`.
 
     Args:
-        settings: What is triggered, and how.
-        clock: The cell's clock.
+        settings: Stream of markers, and trigger port.
+        clock: Clock of the cell.
 
     Raises:
-        ConfigurationError: A library that it needs is not installed.
+        ConfigurationError: A required library is not installed.
     """
 
     def __init__(self, settings: TriggerSettings, clock: Clock) -> None:
@@ -88,7 +88,7 @@ class TriggerStimulator:
         if not self._dialled:
             raise DeviceError(
                 f"{check_intensity(percent):g} % cannot be set: this stimulator has a dial. If the operator turns it "
-                "to every intensity that is asked for, set trigger.dialled = true."
+                "to each requested intensity, set trigger.dialled = true."
             )
         self._intensity = check_intensity(percent)
         return await self.state()
@@ -116,7 +116,7 @@ class TriggerStimulator:
         return self._events.read()
 
     async def watch(self) -> None:
-        """Opens the port, and disarms after the time without a pulse, until cancelled."""
+        """Open the port, then disarm after each `armed_time` without a pulse, until cancelled."""
         if self._line is not None:
             try:
                 self._line.open()
@@ -128,7 +128,7 @@ class TriggerStimulator:
                 self._events.publish(self._arming.expiry())
 
     def close(self) -> None:
-        """Makes it unable to fire, closes the port and ends all readers."""
+        """Disarm, close the port and end all readers."""
         self._arming.disarm()
         self._events.close()
         if self._line is not None:
@@ -146,10 +146,15 @@ class TriggerStimulator:
 async def open_devices(
     devices: Collection[str], settings: Mapping[str, Any], clock: Clock
 ) -> AsyncIterator[Mapping[str, Any]]:
-    """Opens the stimulator; see `pcmrs.devices.protocols.OpenDriver`.
+    """Open the stimulator; see `pcmrs.devices.protocols.OpenDriver`.
+
+    Args:
+        devices: Only ``stimulator``.
+        settings: Whole configuration as plain data; ``trigger`` is read.
+        clock: Clock of the cell.
 
     Raises:
-        ConfigurationError: Another device is asked for, the table ``trigger`` is wrong, or a library is missing.
+        ConfigurationError: Another device is requested, the table ``trigger`` is wrong, or a library is missing.
     """
     check_devices("trigger", devices, "stimulator")
     with closing(TriggerStimulator(read_table(settings, "trigger", TriggerSettings), clock)) as stimulator:

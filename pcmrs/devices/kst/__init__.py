@@ -1,1 +1,1 @@
-"""The client side of the KUKA Sunrise Toolbox: framing, numbers, commands, and one connection that streams."""
+"""Client of the KUKA Sunrise Toolbox (KST): framing, number format, commands, and one connection that streams."""

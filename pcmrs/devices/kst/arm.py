@@ -1,4 +1,4 @@
-"""What is known of the arm behind the cabinet: where it was told to be, where it was measured, what it feels."""
+"""State of the arm behind the cabinet: recent set points, measured joints, and external force."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from pcmrs.messages import JointState
 from pcmrs.spatial import Floats
 
 REST_ERROR = 5e-5
-"""An arm this near to its set point has arrived, rad in any joint: about 0.03 mm at the flange."""
+"""Distance from its set point at which an arm has arrived, rad in any joint: about 0.03 mm at the flange."""
 REST_SPEED = 1e-3
-"""An arm that moves more slowly stands still, rad/s."""
+"""Speed below which a joint stands still, rad/s."""
 SETTLING = 0.5
-"""An arm that stands still is at rest even off its set point when that has not moved for so long, s."""
+"""Time after the last change of its set point after which an arm that stands still is at rest, even off it, s."""
 LAG = 0.2
-"""How far an arm may lag behind its set points, s; direct servo interpolates over 40 ms."""
+"""Greatest lag of an arm behind its set points, s; direct servo interpolates over 40 ms."""
 
 
 class MeasuredArm:
     """Readings and set points of one arm.
 
     Args:
-        model: The arm.
+        model: Model of the arm.
         tool_axis: Unit vector of the tool's +z in the flange's axes, (3,).
-        step: Time between set points of a stream that is not held up, s.
+        step: Time between two set points of a stream that is not held up, s.
 
     Attributes:
-        force: On the flange.
+        force: Estimate of the force on the flange.
         positions: Measured joints, rad, (n,).
-        velocities: By their differences, rad/s, (n,).
-        captured: When they were measured at the latest asked for, s of the clock.
+        velocities: Joint velocities from the differences of `positions`, rad/s, (n,).
+        captured: Time at which the measured joints were requested, s of the clock.
     """
 
     def __init__(self, model: ArmModel, tool_axis: Floats, step: float) -> None:
@@ -41,47 +41,69 @@ class MeasuredArm:
         self.positions = self.velocities = self._torques = np.zeros(model.joints)
         self.captured = -np.inf
         self._lag = round(LAG / step)
-        self._told: deque[tuple[float, Floats]] = deque()
+        self._set_points: deque[tuple[float, Floats]] = deque()
 
     def take_joints(self, positions: Floats, captured: float) -> None:
-        """A reading of the joints, rad, (n,), that was asked for at `captured`."""
+        """Take a reading of the joints.
+
+        Args:
+            positions: Measured joints, rad, (n,).
+            captured: Time at which they were requested, s of the clock.
+        """
         elapsed = captured - self.captured
         if np.isfinite(elapsed):
             self.velocities = (positions - self.positions) / elapsed
         self.positions, self.captured = positions, captured
-        while len(self._told) > self._lag and self._told[self._lag][0] <= captured:
-            self._told.popleft()  # not by their age: an arm is no farther behind when its stream was held up
+        while len(self._set_points) > self._lag and self._set_points[self._lag][0] <= captured:
+            self._set_points.popleft()  # by number, not age: the arm lags no farther if its stream was held up
 
     def take_torques(self, torques: Floats) -> None:
-        """A reading of the external torques, N m, (n,)."""
+        """Take a reading of the external torques, N m, (n,)."""
         self._torques = torques
         self.force.update(self.positions, torques)
 
-    def told(self, positions: Floats, time: float) -> None:
-        """A set point was sent at `time`, rad, (n,)."""
-        self._told.append((time, positions))
+    def add_set_point(self, positions: Floats, time: float) -> None:
+        """Record a set point that was sent.
+
+        Args:
+            positions: Joint positions, rad, (n,).
+            time: Time of sending, s of the clock.
+        """
+        self._set_points.append((time, positions))
 
     def begin(self) -> None:
-        """It is told to stay where it is, before a stream."""
-        self._told.clear()
-        self.told(self.positions, self.captured)
+        """Start a stream: the only set point is the measured posture."""
+        self._set_points.clear()
+        self.add_set_point(self.positions, self.captured)
 
     @property
     def deviation(self) -> float:
-        """How far the worst joint is from all it was told, from a little before the question until now, rad.
+        """Distance of the worst joint from the range of its recent set points, rad.
 
-        When between question and answer the joints were measured is not known.
+        The range starts `LAG` before the request for the measured joints and ends now, because the time of the
+        measurement between request and answer is unknown.
         """
-        told = np.array([positions for _, positions in self._told])
-        return float(np.maximum(told.min(axis=0) - self.positions, self.positions - told.max(axis=0)).max())
+        recent = np.array([positions for _, positions in self._set_points])
+        return float(np.maximum(recent.min(axis=0) - self.positions, self.positions - recent.max(axis=0)).max())
 
     def at_rest(self, target: Floats, ended: float) -> bool:
-        """Whether it stands, on a set point `target`, rad, (n,), that has not moved since `ended`."""
+        """Return True if the arm stands at its last set point.
+
+        Args:
+            target: Last set point, rad, (n,).
+            ended: Time since which the set point has not moved, s of the clock.
+        """
         near = float(np.abs(self.positions - target).max()) < REST_ERROR or self.captured > ended + SETTLING
         return self.captured > ended and near and float(np.abs(self.velocities).max()) < REST_SPEED
 
     def state(self, now: float, *, moving: bool, relieving: bool) -> JointState:
-        """The same as a message, sent `now`; its torques are the external ones."""
+        """Return the readings as a message; its torques are the external ones.
+
+        Args:
+            now: Time of sending, s of the clock.
+            moving: True if the arm moves.
+            relieving: True if the arm gives way to a force on the tool.
+        """
         return JointState(
             captured=self.captured,
             sent=now,

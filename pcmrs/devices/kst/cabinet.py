@@ -1,4 +1,4 @@
-"""The commands of the KST server: mm and rad on the wire, SI here; angles are A(z) B(y) C(x)."""
+"""Commands of the KST server: mm and rad on the wire, SI units here; angles are A (about z), B (y) and C (x)."""
 
 from __future__ import annotations
 
@@ -17,25 +17,27 @@ from pcmrs.spatial import Floats
 
 JOINTS = 7
 DONE = "done"
+"""Acknowledgement of a command that has no result."""
 SECOND_DONE = 0.3
-"""KST 1.7 acknowledges the end of an impedance stream twice; the second one may come so much later, s."""
+"""Longest time between the two acknowledgements with which KST 1.7 ends an impedance stream, s."""
 STRAY = 0.1
-"""What was outstanding when a motion broke off comes within this, or not at all, s."""
+"""Time within which replies that were outstanding when a motion was broken off arrive, if at all, s."""
 PTP_TIMEOUT = 120.0
-"""A point-to-point motion takes no longer, s."""
+"""Longest duration of a point-to-point motion, s."""
 SPEEDS = (0.01, 1.0)
+"""Range of the relative joint speed of a point-to-point motion."""
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 
 
 class ImpedanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The joint impedance of the cabinet's smart servo.
+    """Impedance of the cabinet's smart servo.
 
     Attributes:
-        tool_mass: kg.
-        tool_com_mm: Its centre of mass in the flange's axes, mm.
-        translation_stiffness: N/m, at most 4000.
-        rotation_stiffness: N m/rad, at most 300.
-        null_space_stiffness: N m/rad.
+        tool_mass: Mass of the tool, kg.
+        tool_com_mm: Centre of mass of the tool in the flange's axes, mm.
+        translation_stiffness: Stiffness in translation, N/m, at most 4000.
+        rotation_stiffness: Stiffness in rotation, N m/rad, at most 300.
+        null_space_stiffness: Stiffness of the redundant joint motion, N m/rad.
     """
 
     tool_mass: NotNegative = 1.0
@@ -48,12 +50,12 @@ class ImpedanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 class Cabinet:
     """A connected KST server, one command at a time.
 
-    Every method raises `DeviceRefusedError` or `MotionInterruptedError` as the cabinet answers, and
-    `UnknownOutcomeError` when it does not, or answers something else: the link is lost then.
+    Every method raises `DeviceRefusedError` or `MotionInterruptedError` if the cabinet answers so, and
+    `UnknownOutcomeError` if it does not answer, or with something else: the link is lost then.
 
     Args:
-        link: To it.
-        timeout: For every reply, s.
+        link: Link to the cabinet.
+        timeout: Longest wait for a reply, s.
     """
 
     def __init__(self, link: KstLink, timeout: float) -> None:
@@ -62,72 +64,106 @@ class Cabinet:
 
     @classmethod
     async def open(cls, host: str, port: int, clock: Clock, connect_timeout: float, timeout: float) -> Self:
-        """Connects; see `KstLink.open`."""
+        """Connect; see `KstLink.open`.
+
+        Args:
+            host: Host name or address of the cabinet.
+            port: TCP port of the KST application.
+            clock: Clock for deadlines.
+            connect_timeout: Longest wait for the connection, s.
+            timeout: Longest wait for a reply, s.
+        """
         return cls(await KstLink.open(host, port, clock, connect_timeout), timeout)
 
     def check(self) -> None:
-        """Raises what the cabinet has said unasked, or `UnknownOutcomeError` if the link fails; see `KstLink.check`."""
+        """Raise an error that the cabinet reported by itself, or `UnknownOutcomeError` if the link has failed.
+
+        See `KstLink.check`.
+        """
         self._link.check()
 
     async def drain(self) -> None:
-        """Waits a little for what is outstanding after a motion broke off."""
+        """Wait at most `STRAY` for outstanding replies after a motion was broken off."""
         await self._link.drain(STRAY)
 
     async def joints(self) -> Floats:
-        """Measured joints, rad, (7,)."""
+        """Return the measured joints, rad, (7,)."""
         return await self._read("getJointsPositions", JOINTS)
 
     async def external_torques(self, patience: float = 0.0) -> Floats:
-        """Joint torques by external forces, N m, (7,); their reply may come `patience` s later than others.
+        """Return the joint torques by external forces, N m, (7,).
 
-        The thread that answers is busy until an ended stream has brought the arm to rest.
+        Args:
+            patience: Additional wait for the reply, s: the thread that answers is busy until the arm is at rest after a
+                stream.
         """
         (line,) = await self._link.ask("Torques_ext_J", self._timeout + patience)
         return self.values(line, JOINTS)
 
     async def measured_torques(self) -> Floats:
-        """Joint torques as the sensors have them, N m, (7,)."""
+        """Return the joint torques as the sensors measure them, N m, (7,)."""
         return await self._read("Torques_m_J", JOINTS)
 
     async def pose(self) -> Floats:
-        """The tool frame in the base: x y z m, A B C rad, (6,)."""
+        """Return the pose of the tool frame in the base: x y z m, A B C rad, (6,)."""
         values = await self._read("Eef_pos", 6)
         return np.concatenate((values[:3] * 1e-3, values[3:]))
 
     async def force(self) -> Floats:
-        """External force on the tool frame, N, (3,)."""
+        """Return the external force on the tool frame, N, (3,)."""
         return await self._read("Eef_force", 3)
 
     async def moment(self) -> Floats:
-        """External moment on the tool frame, N m, (3,)."""
+        """Return the external moment on the tool frame, N m, (3,)."""
         return await self._read("Eef_moment", 3)
 
     async def set_tool_frame(self, translation: npt.ArrayLike, angles: npt.ArrayLike) -> None:
-        """Puts the tool frame on the flange: x y z m, A B C rad, (3,) each."""
+        """Set the tool frame in the flange frame.
+
+        Args:
+            translation: x y z, m, (3,).
+            angles: A B C, rad, (3,).
+        """
         await self._do(f"TFtrans_{_pose(translation, angles)}")
 
     async def ptp_joints(self, positions: npt.ArrayLike, speed: float) -> None:
-        """Moves to joints, rad, (7,), with a part of the greatest speed; returns at the end. It cannot be stopped."""
+        """Move to a posture, and return at its end. The motion cannot be stopped.
+
+        Args:
+            positions: Joint positions, rad, (7,).
+            speed: Part of the greatest joint speed, within `SPEEDS`.
+        """
         goal = f"jp_{_joints(positions)}"
         await self._set_speed(speed)
         await self._do(goal)
         await self._do("doPTPinJS", PTP_TIMEOUT)
 
     async def ptp_cartesian(self, translation: npt.ArrayLike, angles: npt.ArrayLike, speed: float) -> None:
-        """Moves the tool frame to x y z m, A B C rad in the base; returns at the end. It cannot be stopped."""
+        """Move the tool frame to a pose in the base frame, and return at its end. The motion cannot be stopped.
+
+        Args:
+            translation: x y z, m, (3,).
+            angles: A B C, rad, (3,).
+            speed: Part of the greatest joint speed, within `SPEEDS`.
+        """
         goal = f"cArtixanPosition_{_pose(translation, angles)}_"
         await self._set_speed(speed)
         await self._do(goal)
         await self._do("doPTPinCS", PTP_TIMEOUT)
 
     async def start_servo(self) -> None:
-        """Begins to follow the stream of joints."""
+        """Start to follow the stream of joints."""
         await self._do("startDirectServoJoints")
 
     async def start_impedance(self, settings: ImpedanceSettings, posture: npt.ArrayLike) -> None:
-        """Begins to follow the stream of joints under impedance, at a posture where the arm stands, rad, (7,).
+        """Start to follow the stream of joints under impedance control.
 
-        The server takes joint 1 not from where the arm is but from the last joints it was told, so these come first.
+        The server takes joint 1 from the last commanded joints, not from the measured ones, so the posture is sent
+        first.
+
+        Args:
+            settings: Impedance and load.
+            posture: Present posture of the arm, at rest, rad, (7,).
         """
         values = (
             settings.tool_mass,
@@ -140,35 +176,43 @@ class Cabinet:
         await self._do(f"startSmartImpedneceJoints_{words(values)}_")
 
     async def stop_servo(self) -> None:
-        """Ends the stream of `start_servo`."""
+        """End the stream of `start_servo`."""
         await self._do("stopDirectServoJoints", sure=True)
 
     async def stop_impedance(self) -> None:
-        """Ends the stream of `start_impedance`."""
+        """End the stream of `start_impedance`."""
         for line in await self._link.ask_for_one_or_two("stopDirectServoJoints", self._timeout, SECOND_DONE):
             self._check_done(line)
 
     def stream(self, positions: npt.ArrayLike) -> None:
-        """The next set point, rad, (7,), without any reply."""
+        """Send the next set point, rad, (7,), without any reply."""
         self._link.send(f"jf_{_joints(positions)}")
 
     def stream_for_joints(self, positions: npt.ArrayLike) -> asyncio.Future[str]:
-        """The next set point; the measured joints come back, for `values`."""
+        """Send the next set point, rad, (7,); the reply holds the measured joints, for `values`."""
         return self._link.send(f"jpJP_{_joints(positions)}", self._timeout, sure=True)[0]
 
     def stream_for_torques(self, positions: npt.ArrayLike) -> asyncio.Future[str]:
-        """The next set point; the external torques come back, for `values`."""
+        """Send the next set point, rad, (7,); the reply holds the external torques, for `values`."""
         return self._link.send(f"jpExT_{_joints(positions)}", self._timeout, sure=True)[0]
 
     def values(self, line: str, count: int = JOINTS) -> Floats:
-        """The numbers of a reply, (count,)."""
+        """Return the numbers of a reply.
+
+        Args:
+            line: Reply.
+            count: Number of values that it must hold.
+
+        Raises:
+            UnknownOutcomeError: The reply holds something else; the link is lost then.
+        """
         try:
             return parse_values(line, count)
         except PayloadError as error:
             raise self._lost(error) from None
 
     def end(self) -> None:
-        """Ends the KST application, as far as the link still can, and closes it."""
+        """End the KST application if the link still works, and close the link."""
         self._link.close("end")
 
     async def _set_speed(self, speed: float) -> None:
@@ -190,7 +234,7 @@ class Cabinet:
             raise self._lost(PayloadError(f"The cabinet answered {line[:40]!r}, not {DONE!r}.", line=line[:40]))
 
     def _lost(self, error: PayloadError) -> UnknownOutcomeError:
-        """After a reply that is none of ours nobody knows which reply belongs to what."""
+        """Fail the link after an unexpected reply: later replies can no longer be assigned to their commands."""
         return self._link.fail(error.text.rstrip("."))
 
 

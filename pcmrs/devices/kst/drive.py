@@ -1,4 +1,4 @@
-"""One connected arm: polled while it stands, streamed to while it moves, by one task that alone uses the link."""
+"""One connected arm: polled at rest and streamed to in motion, by one task that alone uses the link."""
 
 from __future__ import annotations
 
@@ -20,39 +20,39 @@ from pcmrs.messages import DeviceEvent, JointState
 from pcmrs.spatial import Floats
 
 POLL_PERIOD = 0.04
-"""Between readings of an arm that stands, s."""
+"""Time between two readings of an arm at rest, s."""
 STOPPING = 1.0
-"""The cabinet may need so much longer than we until its arm rests after a stream, s."""
+"""Additional time that the cabinet may need until its arm rests after a stream, s."""
 READINGS_HZ = 100.0
-"""Of an arm that moves: half of them its joints, half its torques."""
+"""Rate of readings of a moving arm, 1/s: half of them joints, half torques."""
 CATCH_UP = 0.02
-"""A stream that is later than this loses time, and the motion takes longer: set points never come in a burst, s."""
+"""Delay of the stream beyond which the motion takes longer, s: set points are never sent in a burst."""
 LATE = 0.1
-"""While a reply is outstanding for longer, the motion waits: the arm is not sent ahead of what it says of itself, s."""
+"""Delay of a reply beyond which the motion waits, s: the arm is not moved ahead of its own readings."""
 UNSETTLED = 5.0
-"""An arm that does not stand still so long after its reference ended is pushed, or oscillates, s."""
+"""Time after the end of its reference after which an arm that still moves is pushed or oscillates, s."""
 STALLED = 0.3
-"""A stream that has paused for so long ends where it is, s."""
+"""Pause of the stream after which the motion ends where the arm is, s."""
 
 Waiting = list[asyncio.Future[None]]
 
 
 class Drive:
-    """What the arm follows, and how the cabinet is told.
+    """Follows a reference and streams its set points to the cabinet.
 
     Args:
-        cabinet: Just connected.
-        posture: Its measured joints, where the reference starts, rad, (n,).
-        settings: How to stream.
-        model: The arm.
-        force: When the force on the tool is too great.
-        clock: Paces the stream.
-        publish: Takes every new state.
-        report: Takes what the arm has to report.
+        cabinet: Cabinet that was just connected.
+        posture: Measured joints, at which the reference starts, rad, (n,).
+        settings: Settings of the stream.
+        model: Model of the arm.
+        force: Limits of the force on the tool.
+        clock: Clock that paces the stream.
+        publish: Called with each new state.
+        report: Called with each event that the arm reports.
 
     Attributes:
-        arm: As it was measured.
-        follower: What it follows.
+        arm: Readings of the arm.
+        follower: Reference of the arm.
     """
 
     def __init__(
@@ -73,29 +73,29 @@ class Drive:
         self.arm.take_joints(posture, clock.monotonic())
         limits = brake_limits(model.facts, settings.brake_acceleration, settings.brake_jerk)
         self.follower = Follower(model, limits, force, self.arm.force, posture, self._step)
-        self._asks = cycle(
+        self._requests = cycle(
             ((cabinet.stream_for_joints, self._take_joints), (cabinet.stream_for_torques, self.arm.take_torques))
         )
         self._reply: asyncio.Future[str] | None = None
         self._take: Callable[[Floats], None] = self._take_joints
-        self._asked = 0.0
-        self._ended = np.inf
+        self._requested_at = 0.0
+        self._ended_at = np.inf
         self._wake = asyncio.Event()
         self._resting: Waiting = []
         self._started: Waiting = []
         self._streaming = self._refusing = self._deviated = False
 
     async def run(self) -> None:
-        """Polls and streams until the link fails, which is the outcome of all that then waits.
+        """Poll and stream until the link fails; pending calls then fail, too.
 
         Raises:
-            UnknownOutcomeError: It has failed.
+            UnknownOutcomeError: The link has failed.
         """
         patience = 0.0
         try:
             while True:
                 await self._attempt(self._poll(patience))
-                self.follower.supervise()  # somebody may push an arm that stands, too
+                self.follower.supervise()  # a force on an arm at rest must be relieved, too
                 if self.follower.reference.ended:
                     self._release()
                     patience = 0.0
@@ -113,25 +113,25 @@ class Drive:
 
     @property
     def moving(self) -> bool:
-        """Whether the arm moves, or a session goes on."""
+        """True if the arm moves, or a servo session runs."""
         return self._streaming or not self.follower.reference.ended
 
     @property
     def busy(self) -> bool:
-        """Whether the last motion has yet to be reported."""
+        """True if the last motion has yet to be reported."""
         return self.moving or bool(self._resting)
 
     @property
     def state(self) -> JointState:
-        """The newest readings."""
+        """Newest readings as a message."""
         return self.arm.state(self._clock.monotonic(), moving=self.moving, relieving=self.follower.relieving)
 
     async def started(self) -> None:
-        """Returns when the cabinet follows the stream; raises as `rest`."""
+        """Wait until the cabinet follows the stream; see `rest` for the errors."""
         await self._wait(self._started)
 
     async def rest(self) -> None:
-        """Returns when the arm stands and the stream has ended.
+        """Wait until the arm stands and the stream has ended.
 
         Raises:
             DeviceError: The cabinet refused or interrupted the motion.
@@ -140,7 +140,7 @@ class Drive:
         await self._wait(self._resting)
 
     async def end(self) -> None:
-        """Ends the KST application and the link, when `run` has ended."""
+        """End the KST application and the link, when `run` has ended."""
         try:
             await self._cabinet.drain()
         finally:
@@ -161,7 +161,7 @@ class Drive:
         self._wake.clear()
 
     async def _attempt(self, part: Awaitable[None]) -> None:
-        """Gives up what the cabinet refuses or interrupts; the link goes on, so that it can be asked again."""
+        """Run a part, and give it up if the cabinet refuses or interrupts it; the link stays open for another try."""
         try:
             await part
         except DeviceError as error:
@@ -183,7 +183,7 @@ class Drive:
     async def _stream(self) -> None:
         cabinet, impedance = self._cabinet, self._settings.mode == "impedance"
         self.arm.begin()
-        self._reply, self._ended, self._deviated = None, np.inf, False
+        self._reply, self._ended_at, self._deviated = None, np.inf, False
         await (
             cabinet.start_impedance(self._settings.impedance, self.arm.positions)
             if impedance
@@ -199,7 +199,7 @@ class Drive:
         every = max(1, round(self._settings.rate_hz / READINGS_HZ))
         while not self._at_rest() or self._reply is not None:
             self._cabinet.check()
-            self._hear()
+            self._take_reply()
             ticked = self._stand_if_stalled(ticked)
             self._check_settles()
             if not self._waits():
@@ -208,19 +208,19 @@ class Drive:
             due = await self._until(due + self._step)
 
     def _waits(self) -> bool:
-        """Whether the cabinet is late; who brakes does not wait for it."""
-        late = self._reply is not None and self._clock.monotonic() - self._asked > LATE
+        """Return True if a reply of the cabinet is late; a braking arm does not wait for it."""
+        late = self._reply is not None and self._clock.monotonic() - self._requested_at > LATE
         return late and self.follower.stopped is None
 
     def _check_settles(self) -> None:
-        if self._clock.monotonic() - self._ended > UNSETTLED:
-            text = f"The arm does not stand still within {UNSETTLED:g} s of its motion's end: look what moves it."
+        if self._clock.monotonic() - self._ended_at > UNSETTLED:
+            text = f"The arm does not stand still within {UNSETTLED:g} s of its motion's end: find out what moves it."
             raise DeviceError(text, limit=UNSETTLED)
 
     def _stand_if_stalled(self, ticked: float) -> float:
-        """Leaves the arm where it is when this process was held up since `ticked`; returns the present time, s.
+        """Leave the arm where it is if this process was held up since `ticked`; return the present time, s.
 
-        It has stopped long ago: to brake from the speed that it had then would move it once more.
+        The arm stopped long ago: braking from its speed at that time would move it again.
         """
         now = self._clock.monotonic()
         if now - ticked > STALLED:
@@ -229,7 +229,7 @@ class Drive:
         return now
 
     async def _until(self, due: float) -> float:
-        """Waits for the next moment of the stream, and returns it; it is another one when that has long passed."""
+        """Wait for the next set point's time `due`, and return it; if it is more than `CATCH_UP` ago, return now."""
         now = self._clock.monotonic()
         if now - due > CATCH_UP:
             due = now
@@ -241,41 +241,41 @@ class Drive:
         while self.follower.alarms:
             self._report(self.follower.alarms.popleft())
         now = self._clock.monotonic()
-        self.arm.told(target, now)
+        self.arm.add_set_point(target, now)
         if ask and self._reply is None:
-            stream, self._take = next(self._asks)
-            self._asked = now
+            stream, self._take = next(self._requests)
+            self._requested_at = now
             self._reply = stream(target)
         else:
             self._cabinet.stream(target)
 
-    def _hear(self) -> None:
-        """Takes the reply that has come, if one has."""
+    def _take_reply(self) -> None:
+        """Take the outstanding reply if it has arrived."""
         if self._reply is not None and self._reply.done():
             reply, self._reply = self._reply, None
             self._take(self._cabinet.values(reply.result()))
 
     def _take_joints(self, positions: Floats) -> None:
-        self.arm.take_joints(positions, self._asked)
+        self.arm.take_joints(positions, self._requested_at)
         deviation, limit = self.arm.deviation, self._settings.pose_limit
         if deviation > limit and not self._deviated:
             self._deviated = True
             self.follower.hold("pose_differs")
-            far = f"a joint is {deviation:.3f} rad from where it was told to be, limit {limit:g}"
+            far = f"a joint is {deviation:.3f} rad from its set points, limit {limit:g} rad"
             self._alarm("pose_differs", f"brakes: {far}")
         self._publish(self.state)
 
     def _alarm(self, code: str, text: str) -> None:
-        text = f"The robot {text}. Look at the arm before going on."
+        text = f"The robot {text}. Look at the arm before you continue."
         self._report(DeviceEvent(device="robot", code=code, text=text, danger=True))
 
     def _at_rest(self) -> bool:
         reference = self.follower.reference
         if not reference.ended:
-            self._ended = np.inf
-        elif self._ended == np.inf:
-            self._ended = self._clock.monotonic()
-        return self.arm.at_rest(reference.position, self._ended)
+            self._ended_at = np.inf
+        elif self._ended_at == np.inf:
+            self._ended_at = self._clock.monotonic()
+        return self.arm.at_rest(reference.position, self._ended_at)
 
     def _release(self, error: PcmrsError | None = None) -> None:
         _release(self._started, error)

@@ -1,4 +1,4 @@
-"""The force on the flange, from what the joints feel of it."""
+"""Estimate of the force on the flange from the external joint torques."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats
 
 DAMPING = 0.01
-"""Of the inverse of the Jacobian, so that the estimate stays finite at singularities; elsewhere it takes about 1 %."""
+"""Damping of the inverse Jacobian: keeps the estimate finite at singularities and lowers it by about 1 % elsewhere."""
 
 
 class TorqueForce:
@@ -17,12 +17,12 @@ class TorqueForce:
     The wrench is ``(J J^T + damping^2 I)^-1 J tau``; for the statics see Siciliano et al., Robotics, 2009, section 3.8.
 
     Args:
-        model: The arm.
-        axis_in_flange: Unit vector of the tool's +z, along which contact pushes, (3,).
+        model: Model of the arm.
+        axis_in_flange: Unit vector of the tool's +z in the flange's axes, along which contact pushes, (3,).
 
     Attributes:
-        axis: The same.
-        flange_force: N, along the flange's axes.
+        axis: As `axis_in_flange`.
+        flange_force: External force along the flange's axes, N.
     """
 
     def __init__(self, model: ArmModel, axis_in_flange: Floats) -> None:
@@ -31,7 +31,12 @@ class TorqueForce:
         self.flange_force = (0.0, 0.0, 0.0)
 
     def update(self, positions: Floats, torques: Floats) -> None:
-        """Takes measured joints, rad, and external torques, N m, (n,) each."""
+        """Update the estimate.
+
+        Args:
+            positions: Measured joints, rad, (n,).
+            torques: External joint torques, N m, (n,).
+        """
         jacobian = self._model.jacobian(positions)
         wrench = np.linalg.solve(jacobian @ jacobian.T + DAMPING**2 * np.eye(6), jacobian @ torques)
         x, y, z = (self._model.forward(positions).rotation.T @ wrench[:3]).tolist()
@@ -39,5 +44,5 @@ class TorqueForce:
 
     @property
     def magnitude(self) -> float:
-        """Of the force, N."""
+        """Magnitude of the force, N."""
         return float(np.linalg.norm(self.flange_force))

@@ -1,7 +1,7 @@
-"""One TCP connection to a cabinet: commands out, replies in their order, nothing after an answer that never came.
+"""One TCP connection to a cabinet: commands, and their replies in order; a missing reply ends the connection.
 
-The server has two threads. One answers set points, stops and questions for the joints at once and always; the other
-does all the rest, and says ``nak`` or ``interrupted`` unasked when a motion of its breaks off.
+The server has two threads. One always answers set points, stops and requests for the joints at once. The other does all
+the rest, and sends ``nak`` or ``interrupted`` by itself if one of its motions breaks off.
 """
 
 from __future__ import annotations
@@ -16,12 +16,19 @@ from pcmrs.devices.kst.wire import END, LineBuffer
 from pcmrs.errors import DeviceError, DeviceRefusedError, MotionInterruptedError, PayloadError, UnknownOutcomeError
 
 REFUSED, INTERRUPTED = "nak", "interrupted"
+"""Replies to a command that the cabinet refuses, and to a motion that it breaks off."""
 SILENT = "it did not answer in time"
 
 
 @dataclass
 class _Awaited:
-    """A reply to come until a deadline; one that is `sure` comes even when a motion breaks off."""
+    """An outstanding reply.
+
+    Attributes:
+        reply: Future of the reply.
+        deadline: Time until which it must arrive, s of the clock.
+        sure: True if it arrives even if a motion breaks off.
+    """
 
     reply: asyncio.Future[str]
     deadline: float
@@ -32,12 +39,12 @@ class KstLink(asyncio.Protocol):
     """A connection that works until it fails, and then never again: open another one.
 
     Args:
-        where: The cabinet's address, for messages.
-        clock: For deadlines.
+        where: Address of the cabinet, for messages.
+        clock: Clock for deadlines.
 
     Attributes:
-        failure: Why it has failed.
-        notice: What it said unasked, until `check` has raised it.
+        failure: Reason why it has failed; None while it works.
+        notice: Error that the cabinet reported by itself, until `check` has raised it.
     """
 
     def __init__(self, where: str, clock: Clock) -> None:
@@ -51,10 +58,16 @@ class KstLink(asyncio.Protocol):
 
     @classmethod
     async def open(cls, host: str, port: int, clock: Clock, timeout: float) -> Self:
-        """Connects within `timeout` s.
+        """Connect.
+
+        Args:
+            host: Host name or address of the cabinet.
+            port: TCP port of the KST application.
+            clock: Clock for deadlines.
+            timeout: Longest wait for the connection, s.
 
         Raises:
-            DeviceError: Nobody accepts there.
+            DeviceError: The connection is refused or takes too long.
         """
         where = f"{host}:{port}"
         remedy = "start the KST application on the smartPAD (it accepts for 60 s), or set kst.host and kst.port."
@@ -70,23 +83,23 @@ class KstLink(asyncio.Protocol):
         return link
 
     def send(self, command: str, *timeouts: float, sure: bool = False) -> list[asyncio.Future[str]]:
-        """Sends a command at once; never waits.
+        """Send a command at once; never waits.
 
         Args:
-            command: Without its end.
-            *timeouts: One for each reply that it has, s from now.
-            sure: The reply comes even when a motion breaks off.
+            command: Command without its line end.
+            *timeouts: One for each reply of the command, s from now.
+            sure: True if the reply arrives even if a motion breaks off.
 
         Returns:
-            The replies to come; `nak` and `interrupted` become `DeviceRefusedError` and `MotionInterruptedError`.
+            Futures of the replies; `nak` and `interrupted` become `DeviceRefusedError` and `MotionInterruptedError`.
 
         Raises:
             UnknownOutcomeError: The link has failed; nothing was sent.
-            DeviceError: It has replies, but another one is still outstanding; nothing was sent.
+            DeviceError: The command has replies, but another reply is still outstanding; nothing was sent.
         """
         self.check()
         if timeouts and self._awaited:
-            raise DeviceError(f"The cabinet still owes a reply; {command!r} was not sent.", command=command)
+            raise DeviceError(f"A reply of the cabinet is outstanding; {command!r} was not sent.", command=command)
         now, loop = self._clock.monotonic(), asyncio.get_running_loop()
         replies = [_Awaited(loop.create_future(), now + timeout, sure) for timeout in timeouts]
         self._awaited.extend(replies)
@@ -95,25 +108,36 @@ class KstLink(asyncio.Protocol):
         return [each.reply for each in replies]
 
     async def ask(self, command: str, *timeouts: float, sure: bool = False) -> list[str]:
-        """Sends a command and waits for its replies.
+        """Send a command and wait for its replies.
+
+        Args:
+            command: Command without its line end.
+            *timeouts: One for each reply of the command, s from now.
+            sure: True if the reply arrives even if a motion breaks off.
 
         Raises:
-            DeviceRefusedError: `nak`.
-            MotionInterruptedError: `interrupted`.
-            UnknownOutcomeError: The link has failed, or fails now because a reply does not come in time.
+            DeviceRefusedError: The reply is `nak`.
+            MotionInterruptedError: The reply is `interrupted`.
+            UnknownOutcomeError: The link has failed, or fails now because a reply did not arrive in time.
         """
         replies = self.send(command, *timeouts, sure=sure)
         return [await self._before(reply, timeout) for reply, timeout in zip(replies, timeouts, strict=True)]
 
     async def ask_for_one_or_two(self, command: str, timeout: float, later: float) -> list[str]:
-        """Sends a command whose reply may be followed by another one, `later` s after it; see `ask`."""
+        """Send a command that has one or two replies; see `ask`.
+
+        Args:
+            command: Command without its line end.
+            timeout: Longest wait for the first reply, s.
+            later: Longest time between the two replies, s.
+        """
         first, second = self.send(command, timeout, timeout + later, sure=True)
         lines = [await self._before(first, timeout)]
         await self.drain(later)
         return [*lines, second.result()] if second.done() else lines
 
     async def drain(self, timeout: float) -> None:
-        """Waits for what is outstanding, `timeout` s at most, and for no longer."""
+        """Wait at most `timeout` s for outstanding replies, then give them up."""
         try:
             async with self._clock.timeout(timeout):
                 while self._awaited:
@@ -122,10 +146,10 @@ class KstLink(asyncio.Protocol):
             self._awaited.clear()
 
     def check(self) -> None:
-        """Fails when a reply is overdue.
+        """Check the link, and fail it if a reply is overdue.
 
         Raises:
-            DeviceError: The cabinet has said so unasked.
+            DeviceError: The cabinet has reported this error by itself.
             UnknownOutcomeError: The link has failed.
         """
         if self.notice is not None:
@@ -137,7 +161,7 @@ class KstLink(asyncio.Protocol):
             raise self._unknown(self.failure)
 
     def fail(self, why: str) -> UnknownOutcomeError:
-        """Ends the connection; whatever is awaited, or sent from now on, has an unknown outcome."""
+        """End the connection; outstanding replies, and later commands, have an unknown outcome."""
         if self.failure is None:
             self.failure = why
             while self._awaited:
@@ -147,7 +171,7 @@ class KstLink(asyncio.Protocol):
         return self._unknown(self.failure)
 
     def close(self, farewell: str) -> None:
-        """Sends a last command if the link works, and ends the connection."""
+        """Send a last command if the link works, and end the connection."""
         if self.failure is None and self._transport is not None:
             self._transport.write(farewell.encode("ascii") + END)
             self._transport.close()
@@ -169,9 +193,9 @@ class KstLink(asyncio.Protocol):
     async def _before(self, reply: asyncio.Future[str], timeout: float) -> str:
         try:
             async with self._clock.timeout(timeout):
-                return await asyncio.shield(reply)  # it is still to come when its caller has been cancelled
+                return await asyncio.shield(reply)  # the reply still arrives if its caller is cancelled
         except TimeoutError:
-            await asyncio.sleep(0)  # where this process was held up itself, the reply has come and is still to be read
+            await asyncio.sleep(0)  # if this process was held up, the reply has arrived and is not read yet
             if reply.done():
                 return reply.result()
             raise self.fail(SILENT) from None
@@ -188,10 +212,10 @@ class KstLink(asyncio.Protocol):
             self.notice = _failure(line)
             return
         if not self._awaited:
-            raise PayloadError(f"It sent {line[:40]!r} unasked.", line=line[:40])
+            raise PayloadError(f"It sent {line[:40]!r} without a request.", line=line[:40])
         reply = self._awaited.popleft().reply
         if failed:
-            self._awaited.clear()  # nothing follows
+            self._awaited.clear()  # no other reply follows
             _settle(reply, _failure(line))
         elif not reply.done():
             reply.set_result(line)
@@ -200,10 +224,10 @@ class KstLink(asyncio.Protocol):
 def _failure(line: str) -> DeviceError:
     if line == REFUSED:
         return DeviceRefusedError("The cabinet refused (nak). Look at the smartPAD: mode, brakes, protective stop.")
-    return MotionInterruptedError("The cabinet interrupted the motion. Look at the arm before going on.")
+    return MotionInterruptedError("The cabinet interrupted the motion. Look at the arm before you continue.")
 
 
 def _settle(reply: asyncio.Future[str], error: Exception) -> None:
     if not reply.done():  # its caller was cancelled
         reply.set_exception(error)
-        reply.exception()  # who looks at it later finds it; who does not has been told in another way
+        reply.exception()  # marks it as retrieved: a caller that does not await it learns of the error otherwise

@@ -15,22 +15,22 @@ UNIT_TOLERANCE = 1e-6
 
 
 class KstSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where the cabinet is, and how the arm is streamed to.
+    """Address of the cabinet, and parameters of the stream to the arm.
 
     Attributes:
-        host: Of the cabinet; a real one is 172.31.1.147 from the factory.
-        port: Of the KST application on it.
-        connect_timeout: Within which it must accept, s.
-        reply_timeout: Within which it must answer every command, s; later the link is lost.
-        rate_hz: Set points per second. A quarter of them asks for the joints, another quarter for the torques.
-        mode: ``servo``: the arm is stiff; ``impedance``: compliant, as `impedance` says.
-        impedance: The arm's compliance and the tool that it carries, in that mode.
+        host: Host name or address of the cabinet; the factory setting of a real one is 172.31.1.147.
+        port: TCP port of the KST application.
+        connect_timeout: Time within which the cabinet must accept, s.
+        reply_timeout: Time within which the cabinet must answer each command, s; later the link is lost.
+        rate_hz: Set points per second. A quarter of them requests the joints, another quarter the torques.
+        mode: ``servo`` for a stiff arm; ``impedance`` for a compliant one, see `impedance`.
+        impedance: Compliance of the arm and load of the tool in mode ``impedance``.
         tool_axis: Unit vector of the tool's +z in the flange's axes: away from the patient, along which contact
             pushes and the force is relieved.
-        brake_acceleration: Of every joint when held, rad/s^2.
-        brake_jerk: Of every joint when held, rad/s^3.
-        pose_limit: The arm is held when a joint is measured farther than this from where it was told to be at any
-            moment of the last 0.2 s, rad.
+        brake_acceleration: Acceleration of each joint when the arm is held, rad/s^2.
+        brake_jerk: Jerk of each joint when the arm is held, rad/s^3.
+        pose_limit: Distance of a measured joint from its set points of the last 0.2 s beyond which the arm is held,
+            rad.
     """
 
     host: str = "127.0.0.1"

@@ -1,6 +1,6 @@
-"""Framing: replies are lines, however the network splits and merges them.
+"""Framing and number format of KST: replies are lines, however the network splits and merges them.
 
-Numbers on the wire: ours with five decimals, the cabinet's as Java's ``Double.toString`` writes them.
+Our numbers have five decimals; the cabinet writes numbers like Java's ``Double.toString``.
 """
 
 from __future__ import annotations
@@ -19,25 +19,29 @@ SEPARATOR = "_"
 
 
 def parse_values(line: str, count: int) -> Floats:
-    """The numbers of a reply, (count,).
+    """Return the numbers of a reply, (count,).
+
+    Args:
+        line: Reply.
+        count: Number of values that it must hold.
 
     Raises:
-        PayloadError: It does not hold `count` finite numbers.
+        PayloadError: The reply does not hold `count` finite numbers.
     """
     words = line.removesuffix(SEPARATOR).split(SEPARATOR)
     if len(words) != count or not all(_JAVA_DOUBLE.fullmatch(word) for word in words):
         raise PayloadError(f"The cabinet answered {line[:80]!r}, not {count} numbers.", line=line[:80], count=count)
     values = np.array([float(word) for word in words])
     if not np.isfinite(values).all():
-        raise PayloadError(f"The cabinet answered {line[:80]!r}, which is too great a number.", line=line[:80])
+        raise PayloadError(f"The cabinet answered {line[:80]!r}: a number is too large.", line=line[:80])
     return values
 
 
 def words(values: Iterable[float]) -> str:
-    """Numbers with five decimals, joined.
+    """Return numbers with five decimals, joined by `SEPARATOR`.
 
     Raises:
-        DeviceError: One is not finite; nothing was sent.
+        DeviceError: A number is not finite; nothing was sent.
     """
     numbers = [float(value) for value in values]
     if not all(isfinite(number) for number in numbers):
@@ -46,8 +50,9 @@ def words(values: Iterable[float]) -> str:
 
 
 LONGEST = 512
-"""Bytes of a reply without its end; seven numbers take 175 at most."""
+"""Longest reply without its end, bytes; seven numbers take 175 at most."""
 END = b"\n"
+"""End of a command or reply."""
 
 
 class LineBuffer:
@@ -57,7 +62,7 @@ class LineBuffer:
         self._rest = b""
 
     def feed(self, data: bytes) -> list[str]:
-        """The lines that `data` completes, without their ends.
+        """Return the lines that `data` completes, without their ends.
 
         Raises:
             PayloadError: A line is too long, or holds bytes that are not printable ASCII.
@@ -73,4 +78,4 @@ def _check(line: bytes) -> None:
         text = f"A reply of the cabinet holds {len(line)} bytes without an end, limit {LONGEST}; is this a KST server?"
         raise PayloadError(text, bytes=len(line), limit=LONGEST)
     if any(not 0x20 <= byte < 0x7F for byte in line):
-        raise PayloadError(f"A reply of the cabinet is no printable text: {line[:40]!r}; is this a KST server?")
+        raise PayloadError(f"A reply of the cabinet is not printable text: {line[:40]!r}; is this a KST server?")

@@ -1,1 +1,1 @@
-"""Lab Streaming Layer: markers out, markers and signals in, and epochs cut from them."""
+"""Lab Streaming Layer: sending markers, receiving markers and signals, and cutting epochs from them."""

@@ -1,4 +1,4 @@
-"""A recording of one channel that keeps the newest seconds, and the epochs cut from it."""
+"""Buffer of the newest seconds of one channel, and the epochs cut from it."""
 
 from __future__ import annotations
 
@@ -8,31 +8,35 @@ from pcmrs.errors import DeviceError
 from pcmrs.spatial import Floats
 
 LONGEST = 5.0
-"""Of an epoch before its pulse, and after it, s."""
+"""Longest duration of an epoch before its pulse, and after it, s."""
 
 
 def check_window(before: float, after: float) -> None:
-    """Checks how long an epoch is to last before and after its pulse, s.
+    """Check the durations of an epoch.
+
+    Args:
+        before: Duration before the pulse, s.
+        after: Duration after the pulse, s.
 
     Raises:
-        DeviceError: One is negative, too long or no number.
+        DeviceError: A duration is negative, longer than `LONGEST` or not a number.
     """
     if not (0.0 <= before <= LONGEST and 0.0 <= after <= LONGEST):
         raise DeviceError(
-            f"An epoch from {before:g} s before its pulse until {after:g} s after it cannot be had; both go from 0 to "
-            f"{LONGEST:g} s.",
+            f"An epoch from {before:g} s before its pulse until {after:g} s after it is not possible; the range of "
+            f"both is 0 to {LONGEST:g} s.",
             before=before,
             after=after,
         )
 
 
-class Recording:
+class SignalBuffer:
     """The newest samples of one channel with their times.
 
     Args:
         rate: Samples per second.
-        seconds: How much is kept.
-        jitter: Greatest distance of a sample's time from an even spacing, s; more means that samples are missing.
+        seconds: Duration that is stored, s.
+        jitter: Greatest deviation of a sample's time from an even spacing, s; more means that samples are missing.
     """
 
     def __init__(self, rate: float, seconds: float, jitter: float) -> None:
@@ -44,22 +48,31 @@ class Recording:
 
     @property
     def end(self) -> float:
-        """Time of the newest sample, s; before everything when there is none."""
+        """Time of the newest sample, s; minus infinity if there is none."""
         return float(self._times[-1]) if self._times.size else -np.inf
 
     def add(self, times: Floats, samples: Floats) -> None:
-        """Appends samples (n,) with their times, s, (n,)."""
+        """Append samples.
+
+        Args:
+            times: Times of the samples, s, (n,).
+            samples: Values of the samples, (n,).
+        """
         self._times = np.concatenate((self._times, times))[-self._length :]
         self._samples = np.concatenate((self._samples, samples))[-self._length :]
 
     def cut(self, start: float, end: float) -> tuple[float, Floats]:
-        """The samples from `start` to `end`, s, and the time of the first of them.
+        """Return the time of the first sample of an epoch, s, and its samples, (n,).
 
-        The times of devices that stamp whole packets jump; the line through all times of the epoch does so less than
-        any one of them.
+        The time stamps of devices that stamp whole packets jump. The time of the first sample is therefore taken from a
+        line through all time stamps of the epoch.
+
+        Args:
+            start: Start of the epoch, s.
+            end: End of the epoch, s.
 
         Raises:
-            DeviceError: Samples of that time are missing.
+            DeviceError: Samples of the epoch are missing.
         """
         within = np.flatnonzero((self._times >= start) & (self._times <= end))
         whole = slice(within[0], within[-1] + 1) if within.size else slice(0)

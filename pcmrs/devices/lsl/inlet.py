@@ -1,4 +1,4 @@
-"""One stream of the lab, found by its name, read without ever waiting, found again when it comes back."""
+"""One stream of the lab: found by its name, read without waiting, and found again when it returns."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from pcmrs.devices.lsl.library import load_lsl
 from pcmrs.spatial import Floats
 
 FORGOTTEN = 5.0
-"""A stream that does not answer is no longer known after this time, s."""
+"""Time after which a stream that does not answer is forgotten, s."""
 
 BUFFER = 10
-"""Seconds (of a stream of markers, hundreds of markers) that the library keeps until they are read."""
+"""Size of the library's buffer of unread samples, s; for a stream of markers, hundreds of markers."""
 
 MOST = 1 << 12
-"""Samples that are read at once."""
+"""Number of samples that are read at once."""
 
 log = structlog.get_logger(__name__)
 
 
 class Inlet:
-    """Reads a stream that may be absent, end, and come back; every method returns at once.
+    """Reads a stream that may be absent, end, and return; every method returns at once.
 
-    Two streams of the same name are read neither: nobody could say which is meant.
+    If two streams have the same name, neither is read, because it is unclear which one is meant.
 
     Args:
-        name: Of the stream; it holds no quotes.
-        kind: Its type, such as ``EMG`` or ``Markers``; empty for any.
+        name: Name of the stream, without quotes.
+        kind: Type of the stream, such as ``EMG`` or ``Markers``; empty for any.
 
     Attributes:
-        info: Description of the stream that was found last, another object each time; None before.
-        problem: Why nothing is read now; empty while the stream is read.
+        info: Description of the stream that was found last, a new object each time; None before.
+        problem: Reason why nothing is read now; empty while the stream is read.
 
     Raises:
         ConfigurationError: Lab Streaming Layer is not installed.
@@ -52,9 +52,9 @@ class Inlet:
         self.problem = f"The {self._label} has not been found; start its source"
 
     def pull(self) -> tuple[Any, Floats]:
-        """What has come since the last call: samples (n, channels) and their times on this machine's clock, s, (n,).
+        """Return the samples since the last call, (n, channels), and their times of this machine's clock, s, (n,).
 
-        Numbers are an array; texts are bytes. Nothing comes before the first estimate of the clocks' offset.
+        Numbers are an array; texts are bytes. Nothing is returned before the first estimate of the clock offset.
         """
         self._follow()
         if self._inlet is None:
@@ -64,7 +64,7 @@ class Inlet:
             samples, times = self._inlet.pull_chunk(max_samples=MOST, as_numpy=True)
         except self._lsl.util.TimeoutError:
             return [], np.empty(0)
-        except RuntimeError as error:  # the base of all that the library raises
+        except RuntimeError as error:  # base of all errors of the library
             self._drop(f"is not sent any more ({error}); start its source again".replace(".)", ")"))
             self._lost, self._again = self._uid, self._lsl.local_clock() + FORGOTTEN
             return [], np.empty(0)
@@ -72,19 +72,19 @@ class Inlet:
         return samples, times + correction
 
     def close(self) -> None:
-        """Ends reading."""
+        """End reading."""
         self._inlet = self._resolver = None
 
     def _follow(self) -> None:
-        """Opens the stream when there is just one, and leaves one that has vanished."""
+        """Open the stream if exactly one is found, and drop one that has vanished."""
         found = {info.uid(): info for info in self._resolver.results()}
         if self._inlet is not None and self._uid not in found:
-            self._drop("does not answer any more; look at its source and the network")
+            self._drop("does not answer any more; check its source and the network")
         if self._lsl.local_clock() < self._again:
-            found.pop(self._lost, None)  # the resolver remembers it, but its source may have ended
+            found.pop(self._lost, None)  # the resolver still remembers it, although its source may have ended
         if len(found) > 1:
             self._inlet = None
-            self.problem = f"There are {len(found)} of the {self._label}; end all but one or configure another name"
+            self.problem = f"The {self._label} exists {len(found)} times; end all but one or configure another name"
         elif found and self._inlet is None:
             ((self._uid, self.info),) = found.items()
             self._open()
@@ -92,9 +92,9 @@ class Inlet:
     def _open(self) -> None:
         self.problem = f"The {self._label} has been found; its clock is being compared with ours"
         log.info("lsl_stream_found", stream=self._label, host=self.info.hostname())
-        with suppress(RuntimeError):  # that it takes time, or what the next pull sees too
+        with suppress(RuntimeError):  # a timeout, or an error that the next pull raises again
             self._inlet = self._lsl.StreamInlet(self.info, max_buflen=BUFFER, recover=False)
-            self._inlet.open_stream(timeout=0.0)  # asks for the data, so that none is missed from now on
+            self._inlet.open_stream(timeout=0.0)  # requests the data, so that none is missed from now on
 
     def _drop(self, why: str) -> None:
         self.problem = f"The {self._label} {why}"

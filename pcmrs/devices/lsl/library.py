@@ -1,4 +1,4 @@
-"""Loads ``pylsl`` so that streams are found on a machine without any network, and that it is quiet."""
+"""Loading of ``pylsl``, configured to find streams on a machine without a network and to print only fatal errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pcmrs.errors import ConfigurationError
 _log = structlog.get_logger(__name__)
 
 CONFIGURATION_FILES = ("lsl_api.cfg", "~/lsl_api/lsl_api.cfg", "/etc/lsl_api/lsl_api.cfg")
-"""Where the library itself looks, besides the environment variable ``LSLAPICFG``; a lab's own file goes before ours."""
+"""Files that the library reads, besides the environment variable ``LSLAPICFG``; they take precedence over ours."""
 
 CONFIGURATION = """
 [lab]
@@ -28,35 +28,36 @@ PortRange = 256
 [log]
 level = -3
 """
-"""Streams are offered to, and looked for on, this machine only. They are asked for by unicast as well, since a machine
-without network has no multicast: a stream takes up to four ports, and none beyond the range is asked. Only fatal errors
-are printed: what matters comes as an error code."""
+"""Default configuration of the library: streams are offered and searched on this machine only.
+
+They are also searched by unicast, because a machine without a network has no multicast: a stream takes up to four
+ports, and no port beyond the range is asked. Only fatal errors are printed; all others are returned as error codes.
+"""
 
 OPENED = (
     "The lab's own file configures Lab Streaming Layer. Streams have neither passwords nor encryption: if its "
-    "ResolveScope is wider than machine, everybody on that network may read and replace them."
+    "ResolveScope is wider than machine, everyone on that network can read and replace them."
 )
 
 StreamName = Annotated[str, msgspec.Meta(pattern=r"^[^'\"]+$")]
-"""Of a stream in configuration: streams are asked for by an XPath predicate, in which a quote would end it."""
+"""Name of a stream in the configuration, without quotes: a quote would end the XPath predicate that finds it."""
 
 EMG = "pcmrs_emg"
-"""Name of the stream of the simulated muscle, and of an amplifier unless configured otherwise."""
+"""Name of the stream of the simulated muscle, and default name of an amplifier's stream."""
 
 
 @cache
 def load_lsl() -> Any:
-    """The module ``pylsl``, configured; the first call in a process decides.
+    """Return the module ``pylsl``; the first call in a process configures it.
 
     Raises:
-        ConfigurationError: It is not installed, or its library cannot be loaded.
+        ConfigurationError: The module is not installed, or its library cannot be loaded.
     """
     try:
         import pylsl
     except (ImportError, RuntimeError, OSError) as error:
         raise ConfigurationError(
-            f"Lab Streaming Layer cannot be used ({error}); install the extra `hardware`: "
-            "install the extra hardware (docs/supply.md)."
+            f"Lab Streaming Layer cannot be used ({error}): install the extra hardware (docs/supply.md)."
         ) from None
     own = lab_configuration()
     if own is None:
@@ -67,7 +68,7 @@ def load_lsl() -> Any:
 
 
 def lab_configuration() -> str | None:
-    """Path of the file with which the lab configures Lab Streaming Layer; None where PCMRS configures it."""
+    """Return the path of the lab's own configuration of Lab Streaming Layer; None if PCMRS configures it."""
     if named := os.environ.get("LSLAPICFG"):
         return named
     return next((name for name in CONFIGURATION_FILES if Path(name).expanduser().exists()), None)

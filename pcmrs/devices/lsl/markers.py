@@ -1,4 +1,4 @@
-"""Markers as texts on a stream of irregular rate; those of pulses are JSON."""
+"""Markers: texts on a stream of irregular rate; those of pulses are JSON."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import msgspec
 from pcmrs.devices.lsl.library import load_lsl
 
 PULSES = "pcmrs_pulses"
-"""Name of the stream on which the stimulator's pulses are marked, unless configured otherwise."""
+"""Default name of the stream with the markers of the stimulator's pulses."""
 
 
 class PulseMarker(msgspec.Struct, frozen=True):
-    """A pulse, marked at the moment at which it was given.
+    """Marker of a pulse, sent when the pulse is given.
 
     Attributes:
-        pulse: Its number.
-        intensity: Percent of the maximum stimulator output; None where only the operator knows.
+        pulse: Number of the pulse.
+        intensity: Intensity, percent of the maximum stimulator output; None if only the operator knows it.
     """
 
     pulse: int
@@ -23,12 +23,12 @@ class PulseMarker(msgspec.Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """What is sent, such as ``{"pulse":3,"intensity":55.0}``."""
+        """Text of the marker, such as ``{"pulse":3,"intensity":55.0}``."""
         return msgspec.json.encode(self).decode()
 
 
 def read_pulse(text: str | bytes) -> PulseMarker | None:
-    """The pulse that a marker means; None for any other marker."""
+    """Return the pulse of a marker; None for any other marker."""
     try:
         return msgspec.json.decode(text, type=PulseMarker)
     except (msgspec.DecodeError, UnicodeError):
@@ -36,10 +36,10 @@ def read_pulse(text: str | bytes) -> PulseMarker | None:
 
 
 class MarkerOutlet:
-    """A stream of markers; pushing never waits, whoever listens or not.
+    """A stream of markers; pushing never waits, with or without readers.
 
     Args:
-        name: Of the stream.
+        name: Name of the stream.
 
     Raises:
         ConfigurationError: Lab Streaming Layer is not installed.
@@ -47,10 +47,15 @@ class MarkerOutlet:
 
     def __init__(self, name: str) -> None:
         lsl = load_lsl()
-        # A recorder goes on with the stream of the same source after a restart.
+        # The same source id after a restart lets recorders continue with this stream.
         info = lsl.StreamInfo(name, "Markers", 1, lsl.IRREGULAR_RATE, lsl.cf_string, f"pcmrs:{name}")
         self._outlet = lsl.StreamOutlet(info)
 
     def push(self, text: str, time: float = 0.0) -> None:
-        """Marks `time`, s of the library's clock; 0 is now."""
+        """Send a marker.
+
+        Args:
+            text: Text of the marker.
+            time: Time that is marked, s of the library's clock; 0 for now.
+        """
         self._outlet.push_sample([text], time)

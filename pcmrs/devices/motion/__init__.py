@@ -1,1 +1,1 @@
-"""References that an arm follows, generated where the arm is streamed to; the simulated arm follows the same ones."""
+"""References that an arm follows, generated in the process that streams to it; the simulated arm uses the same ones."""

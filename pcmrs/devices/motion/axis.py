@@ -1,4 +1,4 @@
-"""A reference that goes along one axis of the tool at a speed that is decided at every step."""
+"""A reference along one axis of the tool, at a speed that is chosen at every step."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from pcmrs.messages import DeviceEvent
 from pcmrs.spatial import Floats
 
 DAMPING = 0.01
-"""Of the inverse of the Jacobian (Nakamura, Hanafusa 1986; Wampler 1986): joints stay slow near singularities."""
+"""Damping of the inverse Jacobian (Nakamura, Hanafusa 1986; Wampler 1986): keeps joints slow near singularities."""
 LAG = 0.02
-"""Time constant with which the speed follows what is wanted, and what was moving before fades out, s."""
+"""Time constant with which the speed follows the wanted one, and the earlier motion fades out, s."""
 SLOWING = 0.1
-"""Time constant with which the tool runs out at the end of its travel, s."""
+"""Time constant with which the tool slows down at the end of its travel, s."""
 NEAR = 5e-5
-"""A travel that lacks no more than this is at its end, m."""
+"""Distance from the end of the travel at which it is reached, m."""
 
 _DAMPED = DAMPING**2 * np.eye(6)
 
@@ -26,17 +26,17 @@ class AxisMotion(ABC):
     """Keeps the orientation of the flange and moves it by ``dq = J^T (J J^T + damping^2 I)^-1 (axis v, 0)``.
 
     Args:
-        model: The arm as the controller knows it.
-        position: Where it begins, rad, (n,).
-        velocity: What still moves then, rad/s, (n,).
-        axis_in_flange: Unit vector, (3,).
-        travel: Longest way along it, m.
+        model: Model of the arm in the controller.
+        position: Start posture, rad, (n,).
+        velocity: Joint velocities at the start, rad/s, (n,).
+        axis_in_flange: Unit vector of the axis in the flange frame, (3,).
+        travel: Longest travel along the axis, m.
         step: Time between samples, s.
 
     Attributes:
-        ended: It stands still for good.
-        halt: Why the arm must brake now.
-        travelled: Way along the axis, m.
+        ended: True if the reference stands still for good.
+        halt: Reason why the arm must brake now; None if it need not.
+        travelled: Travel along the axis so far, m.
     """
 
     def __init__(
@@ -62,10 +62,10 @@ class AxisMotion(ABC):
 
     @abstractmethod
     def _wanted(self) -> float:
-        """The speed wanted along the axis now, m/s; may set `ended` or `halt`."""
+        """Return the wanted speed along the axis, m/s; may set `ended` or `halt`."""
 
     def advance(self) -> Floats:
-        """The next sample, (3, n)."""
+        """Return the next sample: position, velocity and acceleration, (3, n)."""
         wanted = min(self._wanted(), (self._travel - self.travelled) / SLOWING)
         if self.ended:
             return np.array((self._position, np.zeros_like(self._position), np.zeros_like(self._position)))
@@ -82,17 +82,17 @@ class AxisMotion(ABC):
 
     @property
     def alarm(self) -> DeviceEvent | None:
-        """What to report when it is held."""
+        """Event to report when the arm is held; None for no event."""
         return None
 
     @property
     def position(self) -> Floats:
-        """The present set posture, rad, (n,)."""
+        """Present set posture, rad, (n,)."""
         return self._position.copy()
 
     @property
     def velocity(self) -> Floats:
-        """Its velocity, rad/s, (n,)."""
+        """Present set velocity, rad/s, (n,)."""
         return np.zeros_like(self._velocity) if self.ended else self._velocity
 
     @property

@@ -1,4 +1,4 @@
-"""What an arm follows: one reference at a time, braked whenever the reference or the force on the tool demands it."""
+"""Follower of references: one at a time, braked whenever the reference or the force on the tool demands it."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from pcmrs.spatial import Floats
 
 
 class Follower:
-    """Pure: nothing moves but by `advance`.
+    """Yields the set points of an arm. Pure: only `advance` moves the reference.
 
     Args:
-        model: The arm as everybody knows it.
-        brake_limits: With which it brakes; of the joints only.
-        force: When the force on the tool is too great, and how it is relieved.
-        sensor: Of that force.
-        posture: Where the arm stands, rad, (n,).
+        model: Model of the arm.
+        brake_limits: Limits of the joints with which it brakes.
+        force: Limits of the force on the tool, and its relief.
+        sensor: Estimate of that force.
+        posture: Posture of the arm at rest, rad, (n,).
         step: Time between samples, s.
 
     Attributes:
-        reference: What it follows.
-        stopped: Why the last motion did not go to its end.
-        alarms: What is to be reported, oldest first.
+        reference: Present reference.
+        stopped: Reason why the last motion did not reach its end; None if it did.
+        alarms: Events to be reported, oldest first.
     """
 
     def __init__(
@@ -56,19 +56,19 @@ class Follower:
         self._braking: SetPoint | None = None
 
     def follow(self, trajectory: JointTrajectory) -> None:
-        """Takes a trajectory for its reference.
+        """Follow a trajectory from now on.
 
         Raises:
-            DeviceError: The trajectory does not start here or leaves the limits of the arm.
+            DeviceError: The trajectory does not start at the present posture, or leaves the limits of the arm.
         """
         check_trajectory(trajectory, self.reference.position, self._model.facts)
         self._begin(Reference.along(trajectory, self.reference, self._step))
 
     def press(self, request: PressRequest) -> Press:
-        """Begins to press; the arm must be at rest.
+        """Start to press; the arm must be at rest.
 
         Raises:
-            DeviceError: The request is beyond what is gentle.
+            DeviceError: A value of the request is out of range.
         """
         check_press(request)
         press = Press(self._model, self.reference.position, request, self._force, self._step)
@@ -76,21 +76,21 @@ class Follower:
         return press
 
     def servo(self) -> Servo:
-        """Waits for set points from now on; the arm must be at rest."""
+        """Follow set points from now on; the arm must be at rest."""
         servo = Servo(self.reference.position, self._model.facts, self._brake_limits, self._step, self._deadman)
         self._begin(servo)
         return servo
 
     @property
     def relieving(self) -> bool:
-        """Whether it gives way to a force on the tool."""
+        """True if the arm gives way to a force on the tool."""
         return isinstance(self.reference, Relief)
 
     def hold(self, reason: str | None = "held") -> None:
-        """Brakes from the present reference as fast as the limits allow.
+        """Brake from the present reference as fast as the limits allow.
 
         Args:
-            reason: Why, where the reference itself knows no better; None for the end that the motion was meant to have.
+            reason: Reason for the stop if the reference itself has none; None for the regular end of a motion.
         """
         present = self.reference
         if present.alarm is not None:
@@ -100,23 +100,28 @@ class Follower:
         if not present.ended:
             self.stopped = self.stopped or present.halt or reason
         if present is self._braking:
-            return  # a brake that began anew would begin gently, and who asks again and again would never stop the arm
+            return  # a brake starts gently: one that is restarted by every request would never stop the arm
         stop = brake(present.position.tolist(), present.velocity.tolist(), self._brake_limits)
         self.reference = self._braking = Reference.along(stop, present, self._step)
 
     def stand(self, posture: Floats, reason: str | None = None) -> None:
-        """Stands at a posture, rad, (n,), whatever it followed; `reason` says why that was stopped."""
+        """Stand at a posture from now on.
+
+        Args:
+            posture: Posture, rad, (n,).
+            reason: Reason for which the present motion is stopped; None for its regular end.
+        """
         if not self.reference.ended:
             self.stopped = self.stopped or reason
         self.reference = Reference.standing(posture)
 
     def advance(self) -> Floats:
-        """The next sample: position, velocity and acceleration, (3, n); brakes where that is demanded."""
+        """Return the next sample: position, velocity and acceleration, (3, n); brakes if that is demanded."""
         self.supervise()
         return self.reference.advance()
 
     def supervise(self) -> None:
-        """Brakes, or gives way, where the reference or the force on the tool demands it."""
+        """Brake, or give way, if the reference or the force on the tool demands it."""
         reference = self.reference
         if reference.halt is not None:
             self.hold()
@@ -138,13 +143,19 @@ class Follower:
 
 
 def brake_limits(facts: ArmFacts, acceleration: float, jerk: float) -> MotionLimits:
-    """Limits with which every joint brakes, rad/s^2 and rad/s^3."""
+    """Return the limits with which the joints brake.
+
+    Args:
+        facts: Data of the arm, with the speed limits of its joints.
+        acceleration: Acceleration limit of every joint, rad/s^2.
+        jerk: Jerk limit of every joint, rad/s^3.
+    """
     joints = len(facts.joints)
     return MotionLimits(
         joint_velocity=tuple(joint.velocity for joint in facts.joints),
         joint_acceleration=(acceleration,) * joints,
         joint_jerk=(jerk,) * joints,
-        # Braking has no path in space, so nothing reads the limits of the tool.
+        # Braking follows no Cartesian path, so the limits of the tool are not used.
         linear_velocity=1.0,
         linear_acceleration=1.0,
         linear_jerk=1.0,

@@ -1,4 +1,4 @@
-"""What an arm knows of the force on its flange, and when that is too much."""
+"""Force on the flange of an arm, and the guard that limits it."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import msgspec
 from pcmrs.spatial import Floats
 
 AGAIN = 5.0
-"""A force that has exceeded the limit counts again when it has grown, or first fallen below the limit, by this, N.
+"""Hysteresis of the guard, N.
 
-Half the limit is enough to fall by, where that is less.
+A force that has exceeded the limit counts again when it has grown by this, or when it has first fallen by this below
+the limit; half the limit is enough if that is less.
 """
 
 
@@ -20,24 +21,24 @@ class FlangeForce(Protocol):
 
     @property
     def axis(self) -> Floats:
-        """The tool's +z, along which contact pushes, in the flange's axes, (3,)."""
+        """Unit vector of the tool's +z, along which contact pushes, in the flange's axes, (3,)."""
 
     @property
     def flange_force(self) -> tuple[float, float, float]:
-        """N, along the flange's axes."""
+        """External force along the flange's axes, N."""
 
     @property
     def magnitude(self) -> float:
-        """Of the force, N."""
+        """Magnitude of the force, N."""
 
 
 class ForceSettings(msgspec.Struct, frozen=True):
-    """What drivers read of the table ``robot``: when the arm stops by itself.
+    """Values of the table ``robot`` that drivers read: when the arm stops by itself.
 
     Attributes:
-        force_limit: The greatest force, N.
-        relief_mm: The way by which it is relieved.
-        deadman: A servo session ends so long after its last set point, s of the cell.
+        force_limit: Greatest force on the tool, N.
+        relief_mm: Travel by which a greater force is relieved, mm.
+        deadman: Time after the last set point at which a servo session ends, s of the cell.
     """
 
     force_limit: Annotated[float, msgspec.Meta(gt=0.0)] = 25.0
@@ -46,17 +47,20 @@ class ForceSettings(msgspec.Struct, frozen=True):
 
 
 class ForceGuard:
-    """Says once when a force exceeds its limit, so that the arm may still be moved out of it.
+    """Reports once that a force exceeds its limit, so that the arm can still be moved away.
 
     Args:
-        limit: N.
+        limit: Greatest force, N.
+
+    Attributes:
+        limit: As above.
     """
 
     def __init__(self, limit: float) -> None:
         self.limit = self._threshold = limit
 
     def exceeded(self, force: float) -> bool:
-        """Whether the limit is exceeded anew."""
+        """Return True if `force`, N, exceeds the limit and was not reported before."""
         if force < max(self.limit - AGAIN, self.limit / 2.0):
             self._threshold = self.limit
         if force <= self._threshold:

@@ -1,4 +1,4 @@
-"""What an arm refuses to follow."""
+"""Limits of requests: trajectories and presses that an arm refuses."""
 
 from __future__ import annotations
 
@@ -11,21 +11,27 @@ from pcmrs.spatial import Floats
 
 START_TOLERANCE = 0.02
 """Greatest distance of a trajectory's start from the present set posture, rad in any joint."""
-PRESS_FORCE = (1.0, 5.0)  # N
-PRESS_TRAVEL = 0.010  # m
-PRESS_SPEED = 0.05  # m/s
-PRESS_TIMEOUT = 20.0  # s
+PRESS_FORCE = (1.0, 5.0)
+"""Range of the force of a press, N."""
+PRESS_TRAVEL = 0.010
+"""Longest travel of a press, m."""
+PRESS_SPEED = 0.05
+"""Greatest speed of a press, m/s."""
+PRESS_TIMEOUT = 20.0
+"""Longest duration of a press, s."""
 UNIT_TOLERANCE = 1e-3
-ROUNDING = 1e-6  # relative to a limit, so that a planner may use all of it
+"""Greatest deviation of the length of a unit vector from 1."""
+ROUNDING = 1e-6
+"""Excess over a limit, relative to it, that is accepted, so that a planner may use the whole range."""
 
 
 def check_trajectory(trajectory: JointTrajectory, posture: Floats, facts: ArmFacts) -> None:
-    """Checks form, start, position limits and data-sheet velocities.
+    """Check shape, start, position limits and speed limits of a trajectory.
 
     Args:
-        trajectory: What is asked for.
+        trajectory: Requested trajectory.
         posture: Present set posture, rad, (n,).
-        facts: The arm and its limits.
+        facts: Data of the arm, with the limits of its joints from the data sheet.
 
     Raises:
         DeviceError: The trajectory must not be followed.
@@ -37,10 +43,10 @@ def check_trajectory(trajectory: JointTrajectory, posture: Floats, facts: ArmFac
 
 
 def check_press(request: PressRequest) -> None:
-    """Checks that a press is gentle and complete.
+    """Check that all values of a press are in their ranges.
 
     Raises:
-        DeviceError: It must not be done.
+        DeviceError: A value is out of range.
     """
     length = float(np.linalg.norm(request.direction_in_flange))
     for what, value, low, high, unit in (

@@ -11,28 +11,30 @@ from pcmrs.messages import DeviceEvent, PressRequest
 from pcmrs.spatial import Floats
 
 RESISTANCE = 500.0
-"""D of the admittance ``v = (F_target - F) / D``, N s/m: 3 N approach at 6 mm/s, and on a skin of 1 kN/m the force
-comes within 5 % in 1.5 s without overshoot."""
+"""Damping D of the admittance ``v = (F_target - F) / D``, N s/m.
+
+With 3 N the tool approaches at 6 mm/s. On skin of 1 kN/m the force is within 5 % after 1.5 s, without overshoot.
+"""
 TOLERANCE = 0.3
-"""The force is reached within this, N."""
+"""Greatest difference between the force and its target, N."""
 STEADY = 0.5
-"""And has to stay so for this, s."""
+"""Time for which the force must stay within `TOLERANCE`, s."""
 TOUCHED = 0.5
-"""Less force than this is no contact, N."""
+"""Least force of a contact, N."""
 RELIEF_SPEED = 0.02
-"""At which the tool gives way, m/s."""
+"""Speed at which the tool gives way, m/s."""
 RELIEVED = 1.0
-"""It does so until the force is below this, N."""
+"""Force below which the tool stops giving way, N."""
 
 
 class Press(AxisMotion):
-    """Goes along an axis with a speed that the missing force gives.
+    """Moves along an axis with a speed in proportion to the missing force.
 
     Args:
-        model: The arm as the controller knows it.
-        position: Where it begins, at rest, rad, (n,).
-        request: What is asked for.
-        sensor: Of the force on the flange.
+        model: Model of the arm in the controller.
+        position: Start posture, at rest, rad, (n,).
+        request: Force, direction and limits of the press.
+        sensor: Estimate of the force on the flange.
         step: Time between samples, s.
     """
 
@@ -48,7 +50,7 @@ class Press(AxisMotion):
 
     @property
     def force(self) -> float:
-        """With which the tool presses now, N."""
+        """Present force of the tool along the direction of the press, N."""
         return -float(self._direction @ self._sensor.flange_force)
 
     def _wanted(self) -> float:
@@ -66,15 +68,15 @@ class Press(AxisMotion):
 
 
 class Relief(AxisMotion):
-    """Goes back along the tool's axis until the force has gone or the travel has, then halts with an alarm.
+    """Moves back along the tool's axis until the force is gone or the travel is used up, then halts with an alarm.
 
     Args:
-        model: The arm as the controller knows it.
-        position: Where it begins, rad, (n,).
-        velocity: What still moves then, rad/s, (n,).
-        travel: Longest way, m; 0 to halt at once.
-        sensor: Of the force on the flange.
-        limit: That the force exceeded, N.
+        model: Model of the arm in the controller.
+        position: Start posture, rad, (n,).
+        velocity: Joint velocities at the start, rad/s, (n,).
+        travel: Longest travel, m; 0 to halt at once.
+        sensor: Estimate of the force on the flange.
+        limit: Limit that the force has exceeded, N.
         step: Time between samples, s.
     """
 
@@ -97,7 +99,7 @@ class Relief(AxisMotion):
     def alarm(self) -> DeviceEvent:
         text = (
             f"The force on the tool was {self._force:.1f} N, limit {self._limit:g} N; it was relieved by "
-            f"{self.travelled * 1e3:.1f} mm. Look at the tool before going on."
+            f"{self.travelled * 1e3:.1f} mm. Look at the tool before you continue."
         )
         fields = {"force": self._force, "limit": self._limit, "relieved": self.travelled}
         return DeviceEvent(device="robot", code="force_limit", text=text, danger=True, fields=fields)

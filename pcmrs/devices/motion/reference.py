@@ -1,4 +1,4 @@
-"""What an arm follows: a joint trajectory sampled at its rate, with velocities and accelerations."""
+"""References of an arm: their protocol, and a joint trajectory sampled at the arm's rate."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from pcmrs.spatial import Floats
 
 
 class SetPoint(Protocol):
-    """What the arm follows.
+    """A moving set point that an arm follows.
 
     Attributes:
-        halt: Why the arm must brake now, if it must.
-        alarm: What to report when it is held, if anything.
-        ended: Whether it stands still for good.
-        position: The present set posture, rad, (n,).
-        velocity: Its velocity, rad/s, (n,).
+        halt: Reason why the arm must brake now; None if it need not.
+        alarm: Event to report when the arm is held; None for no event.
+        ended: True if the set point stands still for good.
+        position: Present set posture, rad, (n,).
+        velocity: Present set velocity, rad/s, (n,).
     """
 
     @property
@@ -38,11 +38,11 @@ class SetPoint(Protocol):
     def velocity(self) -> Floats: ...
 
     def advance(self) -> Floats:
-        """The next sample: position, velocity and acceleration, (3, n)."""
+        """Return the next sample: position, velocity and acceleration, (3, n)."""
 
 
 class Reference:
-    """A moving set point that stays at its last sample for ever.
+    """A set point along stored samples that stays at the last one.
 
     Args:
         samples: Position rad, velocity rad/s and acceleration rad/s^2 of n joints at every step, (N, 3, n).
@@ -58,19 +58,19 @@ class Reference:
 
     @classmethod
     def standing(cls, posture: Floats) -> Self:
-        """A set point that does not move, posture (n,) in rad."""
+        """Return a set point that does not move, at a posture (n,) in rad."""
         return cls(np.stack((posture, np.zeros_like(posture), np.zeros_like(posture)))[None])
 
     @classmethod
     def along(cls, trajectory: JointTrajectory, present: SetPoint, step: float) -> Self:
-        """Follows a trajectory from the present set point: a cubic spline, clamped to end at rest.
+        """Return a set point along a trajectory: a cubic spline from the present set point, clamped to end at rest.
 
-        A trajectory starts near the present set point, not exactly on it; the difference fades out linearly. One of
-        a single posture is no motion.
+        The trajectory starts near the present set point, not exactly at it; the difference fades out linearly. A
+        trajectory of a single posture is no motion.
 
         Args:
-            trajectory: Where to go.
-            present: What is followed now.
+            trajectory: Trajectory to follow.
+            present: Set point that is followed now.
             step: Time between samples, s.
         """
         if len(trajectory.positions) == 1:
@@ -85,24 +85,24 @@ class Reference:
         return cls(samples)
 
     def advance(self) -> Floats:
-        """The next sample, (3, n)."""
+        """Return the next sample: position, velocity and acceleration, (3, n)."""
         self._index = min(self._index + 1, self._last)
         sample: Floats = self._samples[self._index]
         return sample
 
     @property
     def ended(self) -> bool:
-        """Whether the last sample has been reached."""
+        """True if the last sample has been reached."""
         return self._index == self._last
 
     @property
     def position(self) -> Floats:
-        """The present set posture, rad, (n,)."""
+        """Present set posture, rad, (n,)."""
         position: Floats = self._samples[self._index, 0]
         return position
 
     @property
     def velocity(self) -> Floats:
-        """Its velocity, rad/s, (n,)."""
+        """Present set velocity, rad/s, (n,)."""
         velocity: Floats = self._samples[self._index, 1]
         return velocity

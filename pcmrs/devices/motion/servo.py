@@ -1,4 +1,4 @@
-"""A set point that comes in a stream, and that the arm approaches within its limits."""
+"""A reference that approaches streamed set points within the limits of the arm."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from pcmrs.messages import DeviceEvent, JointSetpoint
 from pcmrs.spatial import Floats
 
 DEADMAN = 0.1
-"""Without a fresh set point for so long the session is over, s of the cell, unless configured otherwise."""
+"""Default time without a fresh set point after which the session ends, s of the cell."""
 FIRST = 1.0
-"""The first one may take so much longer: until then nothing moves, s of the cell."""
+"""Additional time until the first set point, before which nothing moves, s of the cell."""
 LARGEST_JUMP = 0.2
-"""A set point farther than this from the present set posture is refused, rad in any joint."""
+"""Greatest distance of a set point from the present set posture, rad in any joint; a farther one is refused."""
 MOST_SPEED = 0.98
-"""Part of a joint's speed limit that a set point's velocity may use, so that the arm can still catch up with it."""
+"""Part of a joint's speed limit that the velocity of a set point may use, so that the arm can catch up with it."""
 
 
 class Servo:
-    """A reference that meets a moving target as soon as its limits allow, and goes on with it.
+    """A reference that meets a moving target as soon as its limits allow, and then moves with it.
 
-    Seen from a target that moves on with its velocity, the arm must come to rest at zero: one time-optimal profile of
-    bounded jerk per set point (Berscheid, Kröger, RSS 2021), whose speed limits are those of the arm less the target's.
-    After that it moves with the target, without lag.
+    In the frame of a target that moves on with its velocity, the arm must come to rest at zero. So each set point gives
+    one time-optimal profile of bounded jerk (Berscheid, Kröger, RSS 2021), whose speed limits are those of the arm less
+    the speed of the target. After that the reference moves with the target, without lag.
 
     Args:
-        posture: Where it begins, at rest, rad, (n,).
-        facts: The arm and its limits.
-        limits: Acceleration and jerk of the joints, with which it can also brake.
+        posture: Start posture, at rest, rad, (n,).
+        facts: Data of the arm, with the limits of its joints.
+        limits: Acceleration and jerk limits of the joints, with which it can also brake.
         step: Time between samples, s.
-        deadman: See `DEADMAN`.
+        deadman: Time without a fresh set point after which the session ends, s of the cell; see `DEADMAN`.
 
     Attributes:
-        deadman: See `DEADMAN`.
-        number: Of the last set point taken.
-        halt: Why the arm must brake now.
-        alarm: What to report then.
+        deadman: As above.
+        number: Number of the last set point.
+        halt: Reason why the arm must brake now; None if it need not.
+        alarm: Event to report then.
     """
 
     ended = False
@@ -68,7 +68,7 @@ class Servo:
         self.alarm: DeviceEvent | None = None
 
     def take(self, setpoint: JointSetpoint) -> None:
-        """Goes for a new target, or halts where that must not be followed."""
+        """Approach a new target, or halt if it must not be followed."""
         position, velocity = np.array(setpoint.positions), np.array(setpoint.velocities)
         self.number = setpoint.number
         if not self._allowed(position, velocity):
@@ -84,7 +84,7 @@ class Servo:
         self._target, self._steps = (position, velocity), 0
 
     def advance(self) -> Floats:
-        """The next sample, (3, n)."""
+        """Return the next sample: position, velocity and acceleration, (3, n)."""
         self._steps += 1
         if self._steps * self._step > self.deadman:
             self._refuse("no_set_point", f"no set point came for {self.deadman:g} s", limit=self.deadman)
@@ -100,13 +100,13 @@ class Servo:
 
     @property
     def position(self) -> Floats:
-        """The present set posture, rad, (n,)."""
+        """Present set posture, rad, (n,)."""
         position: Floats = self._sample[0]
         return position
 
     @property
     def velocity(self) -> Floats:
-        """Its velocity, rad/s, (n,)."""
+        """Present set velocity, rad/s, (n,)."""
         velocity: Floats = self._sample[1]
         return velocity
 
@@ -123,13 +123,13 @@ class Servo:
         return self.halt is None
 
     def _check_room(self) -> None:
-        """Halts while the arm can still brake before the ends of its joints."""
-        speed = np.abs(self.velocity) + self._acceleration * self._step  # as it may be at the next look
+        """Halt as long as the arm can still brake before the limits of its joints."""
+        speed = np.abs(self.velocity) + self._acceleration * self._step  # greatest speed at the next check
         ahead = np.where(self.velocity > 0.0, self._upper - self.position, self.position - self._lower)
         room = ahead - _braking_distance(speed, self._acceleration, self._jerk) - 2 * self._step * speed
         joint = int(room.argmin())
         if room[joint] < 0.0 and self.velocity[joint] != 0.0:
-            self._refuse("joint_limit", f"joint {joint + 1} comes too fast towards its end", joint=joint + 1)
+            self._refuse("joint_limit", f"joint {joint + 1} moves too fast towards its limit", joint=joint + 1)
 
     def _refuse(self, reason: str, text: str, **fields: float) -> None:
         if self.halt is not None:
@@ -145,8 +145,8 @@ class Servo:
 
 
 def _braking_distance(speed: Floats, acceleration: Floats, jerk: Floats) -> Floats:
-    """Way to rest from `speed` without acceleration, with bounded acceleration and jerk, rad, (n,)."""
-    ramps = np.sqrt(speed / jerk)  # where the acceleration does not reach its limit
+    """Return the distance to rest from a constant `speed` with bounded acceleration and jerk, rad, (n,)."""
+    ramps = np.sqrt(speed / jerk)  # duration of each ramp if the acceleration does not reach its limit, s
     distance: Floats = speed * np.where(
         ramps * jerk <= acceleration, ramps, (speed / acceleration + acceleration / jerk) / 2
     )

@@ -1,4 +1,4 @@
-"""Servo sessions, one after the other: who may send set points, and what becomes of those of others."""
+"""Servo sessions of a robot, one after the other: only set points of the running one are followed."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ class Sessions:
     """The sessions of one robot, of which one at most runs.
 
     Attributes:
-        servo: Of the session that nobody has ended yet; it may have ended by itself.
-        number: Of the last session.
-        dropped: Set points that were stale or of no running session.
+        servo: Reference of the session that was not ended by a request yet; it may have ended by itself.
+        number: Number of the last session.
+        dropped: Number of set points that were stale or of no running session.
     """
 
     def __init__(self) -> None:
@@ -23,16 +23,20 @@ class Sessions:
         self.dropped = 0
 
     def begin(self, follower: Follower) -> ServoSession:
-        """Opens one; the arm must be at rest."""
+        """Open a session; the arm must be at rest."""
         self.servo = follower.servo()
         self.number += 1
         return ServoSession(session=self.number, deadman=self.servo.deadman)
 
     def end(self, session: int, follower: Follower) -> None:
-        """Ends this one, never a later one; the arm brakes if it has not done so before.
+        """End a session, never a later one; the arm brakes unless it has braked already.
+
+        Args:
+            session: Number of the session.
+            follower: Follower of the arm.
 
         Raises:
-            DeviceError: It is over.
+            DeviceError: The session has ended before.
         """
         if self.servo is None or session != self.number:
             raise DeviceError(f"The servo session {session} is over; begin another one.", session=session)
@@ -41,7 +45,12 @@ class Sessions:
         self.servo = None
 
     def take(self, setpoint: JointSetpoint, follower: Follower | None) -> None:
-        """Goes for a set point of the running session; None for an arm that nobody can tell anything."""
+        """Follow a set point of the running session; drop any other.
+
+        Args:
+            setpoint: The set point.
+            follower: Follower of the arm; None if the arm is not connected.
+        """
         servo = self.servo
         running = follower is not None and self.runs(follower)
         if servo is not None and running and setpoint.session == self.number and setpoint.number > servo.number:
@@ -50,10 +59,14 @@ class Sessions:
             self.dropped += 1
 
     def check_free(self, follower: Follower, busy: bool) -> None:
-        """Accepts a new motion; a session that has ended by itself is forgotten then.
+        """Check that a new motion may begin, and forget a session that has ended by itself.
+
+        Args:
+            follower: Follower of the arm.
+            busy: True if another motion runs.
 
         Raises:
-            DeviceError: A session runs, or the arm is `busy` otherwise.
+            DeviceError: A session or another motion runs.
         """
         if self.runs(follower):
             raise DeviceError("A servo session runs; end it or hold the arm before the next motion.")
@@ -62,5 +75,5 @@ class Sessions:
         self.servo = None
 
     def runs(self, follower: Follower) -> bool:
-        """Whether the arm follows set points now."""
+        """Return True if the arm follows set points now."""
         return self.servo is not None and follower.reference is self.servo

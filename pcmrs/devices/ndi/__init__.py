@@ -1,1 +1,1 @@
-"""The host side of an NDI Polaris or Vega: a reader in a process of its own, and what its frames mean."""
+"""Host side of an NDI Polaris or Vega: a reader in its own process, and the conversion of its frames into poses."""

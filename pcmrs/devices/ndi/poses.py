@@ -1,4 +1,4 @@
-"""From what the tracker answered to poses of bodies, or why there are none."""
+"""Conversion of the tracker's answers into poses of bodies, or into the reasons why there are none."""
 
 from __future__ import annotations
 
@@ -13,22 +13,21 @@ SYSTEM_INTERFERENCE, TEMPERATURE = 0x0002, 0x0100
 """Bits of the system's status."""
 
 FROZEN_TIME = 0.5
-"""A tracker that answers but has had no new frame for so long is frozen, s: longer than a frame at 5 Hz."""
+"""Time without a new frame after which a tracker that answers is frozen, s: longer than a frame at 5 Hz."""
 
-
-RESTARTED = 5
-"""So many frames in a row that advance from below the last one show that the tracker counts anew."""
+FRAMES_TO_RESTART = 5
+"""Number of successive frames that advance from below the last one after which the tracker has restarted its count."""
 
 
 class FrameReader:
-    """Turns answers into poses; the same frame is answered to many questions and taken once.
+    """Converts answers into poses. Many polls return the same frame, which is converted once.
 
     Args:
-        latency: From the exposure until a frame can be had, s.
-        max_error: Beyond this fit error there is no pose, m.
+        latency: Time from the exposure until a frame is available, s.
+        max_error: Largest fit error of a valid pose, m.
 
     Attributes:
-        refused: Frames that were not new, counted by ``frozen`` and ``reversed``.
+        refused: Number of frames that were not new, by ``frozen`` and ``reversed``.
     """
 
     def __init__(self, latency: float, max_error: float) -> None:
@@ -37,28 +36,30 @@ class FrameReader:
         self._max_error = max_error
         self._number = -1
         self._offset = 0
-        self._anew = False
+        self._restarted = False
         self._behind: list[int] = []
         self._new_at: float | None = None
 
-    def begin_anew(self) -> None:
-        """The tracker was set up again: where it counts from the beginning, its numbers go on from the last one."""
-        self._anew = True
+    def restart(self) -> None:
+        """Continue the frame numbers after the tracker was set up again, if it restarts its count."""
+        self._restarted = True
 
     def poses(self, frame: Frame, now: float) -> list[BodyPose]:
-        """The bodies of a new frame; of one that is not new, that it is not, once it should be.
+        """Return the bodies of a new frame; empty for a repeated one.
+
+        A frame that should be new but is not gives bodies without a pose, with the reason ``frozen`` or ``reversed``.
 
         Args:
-            frame: The answer.
-            now: When it is passed on, s of the machine's monotonic clock.
+            frame: Answer of the tracker.
+            now: Time at which it is passed on, s of the machine's monotonic clock.
         """
         if not frame.tools:
             return []
         number = self._offset + max(tool.frame_number for tool in frame.tools)
-        if (self._anew and number <= self._number) or self._counts_anew(number):
+        if (self._restarted and number <= self._number) or self._count_restarted(number):
             self._offset += self._number + 1 - number
             number = self._number + 1
-        self._anew = False
+        self._restarted = False
         if number > self._number:
             self._number, self._new_at = number, frame.arrived
             return [self._pose(tool, frame, now) for tool in frame.tools]
@@ -69,13 +70,13 @@ class FrameReader:
             return self._refuse("frozen", frame, now)
         return []
 
-    def _counts_anew(self, number: int) -> bool:
-        """Whether the tracker counts from the beginning though nobody has set it up again."""
+    def _count_restarted(self, number: int) -> bool:
+        """Return True if the tracker has restarted its count although it was not set up again."""
         if number >= self._number or (self._behind and number < self._behind[-1]):
             self._behind.clear()
         if number < self._number and (not self._behind or number > self._behind[-1]):
             self._behind.append(number)
-        if len(self._behind) < RESTARTED:
+        if len(self._behind) < FRAMES_TO_RESTART:
             return False
         self._behind.clear()
         return True
@@ -112,12 +113,12 @@ class FrameReader:
 
 
 def reason_of(tool: ToolFrame, system_status: int, max_error: float) -> str | None:
-    """Why the pose of a tool may not be used; None when it may.
+    """Return why the pose of a tool may not be used; None if it may.
 
     Args:
-        tool: As the tracker answered.
-        system_status: What concerns all tools.
-        max_error: Largest fit error, m.
+        tool: Tool in the answer of the tracker.
+        system_status: Status bits that concern all tools.
+        max_error: Largest fit error of a valid pose, m.
     """
     found = (
         ("temperature", system_status & TEMPERATURE),

@@ -1,4 +1,4 @@
-"""The reader process as its parent has it: begun, listened to, and ended when it hangs."""
+"""The reader process from its parent's side: started, read, and ended if it hangs."""
 
 from __future__ import annotations
 
@@ -15,27 +15,33 @@ from pcmrs.errors import DeviceError
 from pcmrs.killing import killed
 
 SETUP_TIME = 35.0
-"""The reader says that the tracker tracks, or why not, within this, s: longer than its own limit."""
+"""Time within which the reader reports that the tracker tracks, or why not, s: longer than the reader's own limit."""
 FRAME_TIME = 2.0
-"""Then it reports something within this, s: longer than its own limit."""
+"""Longest time between two later reports, s: longer than the reader's own limit."""
 CHUNK = 1 << 16
+"""Number of bytes that are read at once."""
 
 MODULE = "pcmrs.devices.ndi.reader"
+"""Module that the reader process runs."""
 
 
-async def reports(job: Job, clock: Clock) -> AsyncGenerator[Ready | Frame, None]:
-    """Everything that a reader with this job reports; it ends with this iterator.
+async def read_reports(job: Job, clock: Clock) -> AsyncGenerator[Ready | Frame, None]:
+    """Start a reader process and yield its reports; the process ends with this iterator.
+
+    Args:
+        job: Address of the tracker, and its tools.
+        clock: Clock of the machine, for timeouts.
 
     Raises:
-        DeviceError: The tracker is not there, refuses, or has ceased to answer.
-        PayloadError: The reader reports what is no report.
+        DeviceError: The tracker is absent, refuses, or has stopped answering.
+        PayloadError: The output of the reader is not a report.
     """
     process = await asyncio.create_subprocess_exec(
         sys.executable, "-m", MODULE, stdin=PIPE, stdout=PIPE, start_new_session=True
     )
     unpacker, limit = Unpacker(), SETUP_TIME
     try:
-        await _give(process, job)
+        await _send_job(process, job)
         while data := await _read(process, clock, limit):
             for report in unpacker.feed(data):
                 if isinstance(report, Failed):
@@ -47,10 +53,10 @@ async def reports(job: Job, clock: Clock) -> AsyncGenerator[Ready | Frame, None]
         await killed(process)
 
 
-async def _give(process: Process, job: Job) -> None:
+async def _send_job(process: Process, job: Job) -> None:
     assert process.stdin is not None
     process.stdin.write(pack(job))
-    with suppress(ConnectionError):  # it has ended, and its end is what is told
+    with suppress(ConnectionError):  # the process has ended, and its end is reported instead
         await process.stdin.drain()
 
 
@@ -67,5 +73,5 @@ def _why_ended(status: int) -> str:
     if status == -signal.SIGALRM:
         return "it does not answer"
     if status == -signal.SIGSEGV:
-        return "an answer was corrupted"  # which `ndicapi` 3.7 does not survive when it is one of BX
+        return "an answer was corrupted"  # `ndicapi` 3.7 crashes on a corrupted answer to BX
     return f"the reader ended with exit status {status}"

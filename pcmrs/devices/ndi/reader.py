@@ -1,8 +1,7 @@
-"""The process that talks to the tracker, for `ndicapi`'s reads have no timeout and its calls hold the interpreter.
+"""The reader process, which talks to the tracker: `ndicapi`'s reads have no timeout, and its calls hold the GIL.
 
-It takes one `Job` on standard input, writes reports to standard output, and ends with whoever holds the other ends.
-A call that does not return is ended by the alarm of the operating system, which needs no interpreter, and so is this
-process.
+It reads one `Job` from standard input, writes reports to standard output, and ends with its parent. A call that does
+not return is ended, with this process, by SIGALRM, which needs no Python interpreter.
 """
 
 from __future__ import annotations
@@ -20,30 +19,33 @@ from pcmrs.clock import SystemClock
 from pcmrs.devices.ndi.wire import Failed, Frame, Job, Ready, Report, ToolFrame, pack, read_job
 
 SETUP_TIME = 8.0
-"""A command that sets the tracker up is answered within this, s: longer than `ndicapi` waits on a serial link, 5."""
+"""Longest wait for the answer to a set-up command, s: longer than the 5 s that `ndicapi` waits on a serial link."""
 CONNECT_TIME = 3.0
-"""A network link is there within this, s."""
+"""Longest wait for a network link, s."""
 ANSWER_TIME = 1.0
-"""It answers within this when it tracks, s."""
+"""Longest wait for an answer while the tracker tracks, s."""
 POLL_TIME = 0.003
-"""Between two questions, s: the most by which the age of a frame is unknown, besides the link."""
+"""Time between two polls, s: the uncertainty of a frame's age, besides the delay of the link."""
 
 BAUDS = {9600: 0, 14400: 1, 19200: 2, 38400: 3, 57600: 4, 115200: 5, 921600: 6}
+"""Code of each baud rate in the command ``COMM``."""
 CHUNK = 64
+"""Number of bytes of a tool definition in one ``PVWR``."""
 ROOM = 1024
+"""Memory of the tracker for a tool definition, bytes."""
 
 Device = object
-"""A link as `ndicapi` has it."""
+"""A link of `ndicapi`."""
 
 
 def main() -> None:
-    """Reads a job and performs it until standard input ends."""
+    """Read a job and perform it until standard input ends."""
     job = read_job(sys.stdin.buffer)
     with suppress(BrokenPipeError):
         try:
             for report in _reports(job):
                 _send(report)
-        except OSError as error:  # what ndicapi raises
+        except OSError as error:  # `ndicapi` raises this
             _send(Failed(str(error)))
 
 
@@ -67,7 +69,7 @@ def _reports(job: Job) -> Iterator[Report]:
 
 @contextmanager
 def _alarm(time: float) -> Iterator[None]:
-    """Ends the process by SIGALRM when what is in it has not ended in `time` s."""
+    """End the process by SIGALRM if the block takes longer than `time` s."""
     signal.setitimer(signal.ITIMER_REAL, time)
     try:
         yield
@@ -82,7 +84,7 @@ def _open(job: Job) -> Device:
             socket.create_connection((host, int(port)), CONNECT_TIME).close()
         except OSError as error:
             raise OSError(f"nothing listens there ({error.strerror or error})") from None
-        device = ndicapy.ndiOpenNetwork(host, int(port))  # which does not say when it has failed
+        device = ndicapy.ndiOpenNetwork(host, int(port))  # does not report a failure, so the port was tried before
         _initialize(device)
         return device
     device = ndicapy.ndiOpen(job.device)
@@ -94,8 +96,8 @@ def _open(job: Job) -> Device:
 
 
 def _initialize(device: Device) -> None:
-    """Brings a tracker that may still be tracking for a process that has gone into its beginning."""
-    with suppress(OSError):  # where it does not track
+    """Reset a tracker that may still be tracking for an earlier process."""
+    with suppress(OSError):  # if it does not track
         _ask(device, "TSTOP:")
     try:
         _ask(device, "INIT:")
@@ -105,7 +107,7 @@ def _initialize(device: Device) -> None:
 
 
 def _load(device: Device, tools: dict[str, bytes]) -> dict[str, int]:
-    """Body to its port handle, with the tool enabled."""
+    """Load and enable the tools, and return the port handle of each body."""
     _ask(device, "PHSR:00")
     for handle in [ndicapy.ndiGetPHSRHandle(device, i) for i in range(ndicapy.ndiGetPHSRNumberOfHandles(device))]:
         _ask(device, f"PHF:{handle:02X}")
@@ -124,7 +126,7 @@ def _load_tool(device: Device, srom: bytes) -> int:
 
 
 def _is_binary(device: Device) -> bool:
-    """Whether the tracker knows ``BX``; an old one does not."""
+    """Return True if the tracker knows ``BX``; an old one does not."""
     try:
         _ask(device, "BX:0001")
     except OSError:
@@ -133,7 +135,7 @@ def _is_binary(device: Device) -> bool:
 
 
 def _ask(device: Device, command: str, time: float = SETUP_TIME) -> str:
-    """Sends a command and returns its answer, that of ``BX`` empty: `ndicapi` has taken it apart by then.
+    """Send a command and return its answer; that of ``BX`` is empty, because `ndicapi` has parsed it already.
 
     Raises:
         OSError: The tracker answers with an error, or the link fails.
@@ -141,7 +143,7 @@ def _ask(device: Device, command: str, time: float = SETUP_TIME) -> str:
     try:
         with _alarm(time):
             return str(ndicapy.ndiCommand(device, command))
-    except UnicodeDecodeError:  # the bytes of BX are no text
+    except UnicodeDecodeError:  # the answer to BX is not text
         return ""
     except OSError as error:
         raise OSError(f"{command.partition(':')[0]} failed: {error}") from None
@@ -159,12 +161,12 @@ def _frame(device: Device, handles: dict[str, int], binary: bool, arrived: float
         port = bytes((handle,))
         numbers = transform(device, port)
         seen = None if isinstance(numbers, str) else numbers
-        tools.append(ToolFrame(body, number(device, port), known_bits(status(device, port)), seen))
-    return Frame(arrived, known_bits(system), tools)
+        tools.append(ToolFrame(body, number(device, port), without_sign_extension(status(device, port)), seen))
+    return Frame(arrived, without_sign_extension(system), tools)
 
 
-def known_bits(status: int) -> int:
-    """What is left of a status word of which `ndicapi` 3.7 extends the sign of each byte that it takes from ``BX``."""
+def without_sign_extension(status: int) -> int:
+    """Return the bits of a status word in which `ndicapi` 3.7 sign-extends each byte of the answer to ``BX``."""
     if status < 1 << 32:
         return status
     return next(status & (1 << bits) - 1 for bits in (8, 16, 24, 32) if status & 1 << bits - 1)

@@ -1,4 +1,4 @@
-"""Tool definitions: the SROM files that tell a tracker how the markers of a tool stand to each other."""
+"""Tool definitions: SROM files with the positions of a tool's markers relative to each other."""
 
 from __future__ import annotations
 
@@ -9,32 +9,32 @@ from pathlib import Path
 from pcmrs.errors import ConfigurationError
 
 SIZE = 752
-"""Bytes of a passive tool's definition."""
+"""Length of a passive tool's definition, bytes."""
 LARGEST = 1024
-"""Bytes that a tracker has room for."""
+"""Longest definition that a tracker can store, bytes."""
 MAGIC = b"NDI"
-"""With which every definition begins."""
+"""First bytes of every definition."""
 
 
 def placeholder(body: str) -> bytes:
-    """A definition for a virtual tracker that says which body it stands for; no real tracker can use it."""
+    """Return a definition for a virtual tracker, which contains the name of the body; no real tracker can use it."""
     return (MAGIC + b"\0PCMRS:" + body.encode("ascii") + b"\0").ljust(SIZE, b"\0")
 
 
 def read_tools(files: Mapping[str, str], hashes: Mapping[str, str]) -> dict[str, bytes]:
-    """Body to the definition of its tool, checked before anything is sent to the tracker.
+    """Read and check the tool definitions, and return them by body.
 
     Args:
-        files: Body to path of its SROM file.
-        hashes: Body to the SHA-256 of that file in hexadecimal digits, where it is to be checked.
+        files: Path of the SROM file by body.
+        hashes: SHA-256 of that file in hexadecimal digits by body; bodies without one are not checked.
 
     Raises:
-        ConfigurationError: A file is missing, is no tool definition, or is another one than was agreed.
+        ConfigurationError: A file is missing, is not a tool definition, or has another hash.
     """
-    strangers = sorted(set(hashes) - set(files))
-    if strangers:
-        text = f"ndi.sha256 names {', '.join(strangers)}, which ndi.tools does not; correct one of them."
-        raise ConfigurationError(text, bodies=strangers)
+    unknown = sorted(set(hashes) - set(files))
+    if unknown:
+        text = f"ndi.sha256 names {', '.join(unknown)}, which ndi.tools does not; correct one of them."
+        raise ConfigurationError(text, bodies=unknown)
     return {body: _read_tool(body, Path(file).expanduser(), hashes.get(body, "")) for body, file in files.items()}
 
 
@@ -47,8 +47,8 @@ def _read_tool(body: str, file: Path, expected: str) -> bytes:
         raise ConfigurationError(text, body=body, file=str(file)) from None
     if not content.startswith(MAGIC) or len(content) > LARGEST:
         text = (
-            f"ndi.tools.{body}: {file} is no tool definition: it has {len(content)} bytes or more and begins with "
-            f"{content[:3]!r}; one begins with {MAGIC!r} and has {LARGEST} bytes at most."
+            f"ndi.tools.{body}: {file} is not a tool definition: it has {len(content)} bytes or more and begins with "
+            f"{content[:3]!r}; a definition begins with {MAGIC!r} and has {LARGEST} bytes at most."
         )
         raise ConfigurationError(text, body=body, file=str(file), size=len(content))
     found = hashlib.sha256(content).hexdigest()

@@ -1,4 +1,4 @@
-"""What the driver and its reader process say to each other: MessagePack behind a length of four bytes."""
+"""Messages between the driver and its reader process: MessagePack behind a length of four bytes."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from typing import BinaryIO
 
 import msgspec
 
-from pcmrs.devices.framing import LENGTH_SIZE, Cutter, framed, length_of
+from pcmrs.devices.framing import LENGTH_SIZE, MessageSplitter, framed, length_of
 from pcmrs.errors import PayloadError
 
 LARGEST = 1 << 20
-"""Bytes of one message; a longer one is no message of ours."""
+"""Limit of the length of one message, bytes."""
 
 
 class Job(msgspec.Struct, frozen=True):
-    """What the reader is to do.
+    """Job of the reader.
 
     Attributes:
         device: ``host:port``, or the path of a serial port.
-        baud: Of the serial port.
-        tools: Body to the definition of its tool.
+        baud: Baud rate of the serial port.
+        tools: Definition of the tool of each body.
     """
 
     device: str
@@ -31,10 +31,10 @@ class ToolFrame(msgspec.Struct, frozen=True, array_like=True):
     """One tool in one frame.
 
     Attributes:
-        body: What the tool is fixed to.
-        frame_number: The tracker's own.
-        status: Bits of the port's status.
-        numbers: Quaternion w x y z, translation and fit error in mm, (8,); None while it is missing.
+        body: Body to which the tool is fixed.
+        frame_number: Frame number of the tracker.
+        status: Status bits of the tool's port.
+        numbers: Quaternion w x y z, translation and fit error in mm, (8,); None while the tool is not visible.
     """
 
     body: str
@@ -44,12 +44,12 @@ class ToolFrame(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Frame(msgspec.Struct, frozen=True, tag="frame"):
-    """All tools as the tracker had them at one question.
+    """All tools in the answer to one poll.
 
     Attributes:
-        arrived: When the answer came, s of the machine's monotonic clock.
-        system_status: Bits of the system's status.
-        tools: Of the job, in its order.
+        arrived: Arrival time of the answer, s of the machine's monotonic clock.
+        system_status: Status bits of the system.
+        tools: Tools in the order of the job.
     """
 
     arrived: float
@@ -61,8 +61,8 @@ class Ready(msgspec.Struct, frozen=True, tag="ready"):
     """The tracker tracks.
 
     Attributes:
-        version: What it says of itself.
-        binary: It answers in single precision, not in text.
+        version: Version text of the tracker.
+        binary: True if it answers in single precision, False if in text.
     """
 
     version: str
@@ -70,7 +70,7 @@ class Ready(msgspec.Struct, frozen=True, tag="ready"):
 
 
 class Failed(msgspec.Struct, frozen=True, tag="failed"):
-    """The reader ends, and why."""
+    """The reader ends for the reason in `text`."""
 
     text: str
 
@@ -82,33 +82,33 @@ _decoder = msgspec.msgpack.Decoder(Report)
 
 
 def pack(message: Job | Report) -> bytes:
-    """The message with its length."""
+    """Return the encoded message with its length in front."""
     return framed(_encoder.encode(message))
 
 
 def read_job(stream: BinaryIO) -> Job:
-    """The job at the beginning of `stream`, and nothing behind it."""
+    """Read the job at the beginning of `stream`, and nothing beyond it."""
     return msgspec.msgpack.decode(stream.read(length_of(stream.read(LENGTH_SIZE))), type=Job)
 
 
 class Unpacker:
-    """Cuts a stream of bytes into reports; survives any split of them."""
+    """Splits a stream of bytes into reports, however the stream is cut into pieces."""
 
     def __init__(self) -> None:
-        self._cutter = Cutter(LARGEST)
+        self._splitter = MessageSplitter(LARGEST)
 
     def feed(self, data: bytes) -> list[Report]:
-        """The reports that `data` completes.
+        """Return the reports that `data` completes.
 
         Raises:
-            PayloadError: This is no report, or a longer one than there can be.
+            PayloadError: A message is not a report, or is longer than the limit.
         """
-        return [_report(body) for body in self._cutter.feed(data)]
+        return [_report(body) for body in self._splitter.feed(data)]
 
 
 def _report(body: bytes) -> Report:
     try:
         report: Report = _decoder.decode(body)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise PayloadError(f"No report of a reader: {error}.") from None
+        raise PayloadError(f"Not a report of a reader: {error}.") from None
     return report

@@ -1,1 +1,1 @@
-"""OpenIGTLink as spoken by PLUS and 3D Slicer: messages, framing, rigid transforms in mm, and tracker frames."""
+"""OpenIGTLink of PLUS and 3D Slicer: messages, framing, rigid transforms in mm, and tracker frames."""

@@ -1,7 +1,4 @@
-"""Tracker frames out of single transforms: those of one stamp belong together.
-
-OpenIGTLink messages out of a TCP stream, however it is cut into segments.
-"""
+"""OpenIGTLink messages from a TCP stream, and tracker frames from single transforms: one time stamp is one frame."""
 
 from __future__ import annotations
 
@@ -18,19 +15,21 @@ from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform
 
 HEADER_BYTES = 58
+"""Length of a header, bytes."""
 MAX_BODY = 1 << 20
-"""Longest body that is read, bytes; a longer one is skipped, whatever it holds."""
+"""Longest body that is read, bytes; a longer one is skipped."""
 CHUNK = 1 << 16
+"""Number of bytes that are skipped at once."""
 
 _SIZE_AND_CRC = struct.Struct(">QQ")
 
 
 class MessageReader:
-    """Reads messages one after the other; a read that is cancelled loses nothing.
+    """Reads messages one after the other; a cancelled read loses nothing.
 
     Args:
-        stream: The bytes.
-        kinds: Types that are read, such as ``TRANSFORM``; all others are skipped.
+        stream: Stream of the connection.
+        kinds: Types of messages that are read, such as ``TRANSFORM``; all others are skipped.
     """
 
     def __init__(self, stream: asyncio.StreamReader, kinds: Collection[str]) -> None:
@@ -40,12 +39,12 @@ class MessageReader:
         self._left_to_skip = 0
 
     async def read(self) -> Any | None:
-        """The next message, as `pyigtl` has it; None for one of another type.
+        """Return the next message as a `pyigtl` message; None for one of another type.
 
         Raises:
             PayloadError: A message is damaged; the next one can be read.
-            ConnectionError: What comes is no OpenIGTLink, so that nothing behind it can be read.
-            asyncio.IncompleteReadError: The other side has closed.
+            ConnectionError: The stream is not OpenIGTLink, so nothing after this can be read.
+            asyncio.IncompleteReadError: The other side has closed the connection.
         """
         if self._left_to_skip:
             await self._skip()
@@ -75,26 +74,27 @@ def _parse(header: bytes) -> dict[str, Any]:
     except UnicodeDecodeError:
         fields = {"header_version": None}
     if fields["header_version"] not in (1, 2):
-        raise ConnectionAbortedError("what came is no OpenIGTLink header of version 1 or 2")
+        raise ConnectionAbortedError("it sent no OpenIGTLink header of version 1 or 2")
     return fields
 
 
 AGREEMENT = 0.5
-"""Clocks agree when the first stamp is no younger than now and no older than this, s."""
+"""Greatest age of the first time stamp if the two clocks agree, s; it must not be in the future."""
 APART = 0.01
-"""By so much two clocks that are kept together may be apart, s: what NTP leaves."""
+"""Greatest difference between two synchronized clocks, s: the error of NTP."""
 
 
-class Frames:
-    """Collects the readings of one stamp; a stamp that does not advance is the same frame.
+class FrameAssembler:
+    """Collects the readings of one time stamp; a time stamp that does not advance belongs to the same frame.
 
-    Stamps are Unix seconds of the server. Where its clock agrees with ours, a frame was captured at its stamp, however
-    late it comes; otherwise `latency` before it arrived. That is decided at the first stamp. After our wall clock was
-    set it is decided anew when a stamp is of the new time; stamps that go on as before keep their meaning.
+    Time stamps are Unix seconds of the server. If its clock agrees with ours, a frame was captured at its time stamp,
+    however late it arrives; otherwise `latency` before it arrived. The first time stamp decides this. After our wall
+    clock was set, it is decided again when a time stamp follows the new time; time stamps that continue as before keep
+    their meaning.
 
     Args:
-        bodies: Name of a transform to the body it is of.
-        latency: From exposure to arrival where the clocks do not agree, s.
+        bodies: Body of each transform, by the name of the transform.
+        latency: Time from exposure to arrival if the clocks do not agree, s.
     """
 
     def __init__(self, bodies: Mapping[str, str], latency: float) -> None:
@@ -105,11 +105,11 @@ class Frames:
 
     @property
     def waiting(self) -> bool:
-        """Whether a frame has begun that lacks bodies."""
+        """True if the present frame still lacks bodies."""
         return bool(self._found)
 
     def restart(self) -> None:
-        """Stamps may begin anew, as those of another connection do; frame numbers go on."""
+        """Accept any next time stamp, as after a new connection; frame numbers continue."""
         self._found: dict[str, Reading] = {}
         self._stamp = -math.inf
         self._arrived = 0.0
@@ -119,22 +119,22 @@ class Frames:
     def take(
         self, found: Mapping[str, Reading], stamp: float, now: float, wall: float, *, whole: bool = False
     ) -> list[list[BodyPose]]:
-        """The frames that are complete now.
+        """Take the readings of a message, and return the frames that are complete now.
 
         Args:
-            found: Transform name to reading; names of no body are left out.
-            stamp: Of the message, Unix seconds.
-            now: Of the monotonic clock, s.
-            wall: Unix seconds.
-            whole: Nothing else will come with this stamp.
+            found: Readings by the name of the transform; names of no body are ignored.
+            stamp: Time stamp of the message, Unix seconds.
+            now: Time of the monotonic clock, s.
+            wall: Time of the wall clock, Unix seconds.
+            whole: True if no other message has this time stamp.
         """
         known = {self._bodies[name]: reading for name, reading in found.items() if name in self._bodies}
-        set_anew = stamp != self._stamp and self._was_set(stamp, now, wall)
-        ready = [self.finish(now)] if self._found and (set_anew or stamp > self._stamp) else []
-        if set_anew:
+        clock_was_set = stamp != self._stamp and self._was_set(stamp, now, wall)
+        ready = [self.finish(now)] if self._found and (clock_was_set or stamp > self._stamp) else []
+        if clock_was_set:
             self.restart()
         if not known or stamp < self._stamp or (stamp == self._stamp and not self._found):
-            return ready  # older than what is out already, or that very frame again
+            return ready  # older than the last frame, or a repetition of it
         if stamp > self._stamp:
             self._begin(stamp, now, wall)
         self._found |= known
@@ -143,13 +143,13 @@ class Frames:
         return ready
 
     def finish(self, now: float) -> list[BodyPose]:
-        """The frame that has begun; a body that did not come with it is not seen."""
+        """Return the present frame; bodies without a reading are not visible in it."""
         self._number += 1
         found, self._found = self._found, {}
         return [self._pose(body, found.get(body, "not_sent"), now) for body in self._bodies.values()]
 
     def _was_set(self, stamp: float, now: float, wall: float) -> bool:
-        """Whether our wall clock is another one than at the first stamp, and this stamp is of that one."""
+        """Return True if our wall clock was set since the first time stamp, and this one follows the new time."""
         moved = abs(now - wall - self._monotonic_from_unix)
         return self._stamp > -math.inf and moved > APART and -APART <= wall - stamp <= AGREEMENT
 

@@ -1,12 +1,10 @@
 """OpenIGTLink messages: those of `pyigtl`, and STATUS, TDATA and STT_TDATA, which it lacks.
 
-From the layouts of the OpenIGTLink protocol, versions 2 and 3 (``igtl_status.h``, ``igtl_tdata.h``). Of `pyigtl` only
-the messages are used. Its connections (0.3.4) put handlers of their own on SIGTERM and SIGINT, lose a header that
-arrives in two segments, take a processor whole once the other side has left, and check no CRC.
+From the layouts of the OpenIGTLink protocol, versions 2 and 3 (``igtl_status.h``, ``igtl_tdata.h``). Only the messages
+of `pyigtl` are used. Its connections (0.3.4) install their own handlers of SIGTERM and SIGINT, lose a header that
+arrives in two segments, use a whole processor after the other side has left, and check no CRC.
 
-Rigid transforms as OpenIGTLink has them: homogeneous matrices in mm, of single precision.
-
-What one message of a PLUS server says of tracked tools.
+Rigid transforms in OpenIGTLink are homogeneous matrices in mm, of single precision.
 """
 
 from __future__ import annotations
@@ -23,16 +21,16 @@ from pcmrs.errors import PayloadError, RefusalError
 from pcmrs.spatial import Floats, Transform
 
 TOLERANCE = 1e-4
-"""Greatest deviation of R R^T from I: what single precision and a chain of products leave, 0.006 degrees."""
+"""Greatest deviation of R R^T from I: the error of single precision and a chain of products, 0.006 degrees."""
 
 
 def rigid(matrix_mm: npt.ArrayLike) -> Transform:
-    """The transform, in m, of a matrix (4, 4) in mm; its rotation is the orthonormal one nearest to the matrix.
+    """Return the transform, in m, of a matrix (4, 4) in mm; its rotation is the orthonormal one nearest to the matrix.
 
-    The polar factor (Higham, Computing the Polar Decomposition, 1986), by singular values.
+    The nearest rotation is the polar factor (Higham, Computing the Polar Decomposition, 1986), by singular values.
 
     Raises:
-        RefusalError: ``not_finite``, ``mirrored``, or ``not_rigid`` with how far it is from a rotation.
+        RefusalError: ``not_finite``, ``mirrored``, or ``not_rigid`` with the deviation from a rotation.
     """
     matrix = np.array(matrix_mm, dtype=float)
     if not np.isfinite(matrix).all():
@@ -49,15 +47,16 @@ def rigid(matrix_mm: npt.ArrayLike) -> Transform:
 
 
 def matrix_mm(transform: Transform) -> Floats:
-    """The homogeneous matrix of a transform, (4, 4), mm."""
+    """Return the homogeneous matrix of a transform, (4, 4), mm."""
     matrix = transform.matrix
     matrix[:3, 3] *= 1e3
     return matrix
 
 
 POINT_BYTES = 136
+"""Length of one point of a POINT message, bytes."""
 MAX_TEXT = 65_535
-"""Bytes of the longest STRING."""
+"""Length of the longest STRING, bytes."""
 
 STATUS_OK = 1
 STATUS_ERROR = 2
@@ -69,7 +68,7 @@ _SIX_DEGREES = 2  # an element's type: position and orientation
 
 
 class StatusMessage(MessageBase):  # type: ignore[misc]  # pyigtl has no types
-    """How the sender fares: a code (1 is well), a short name and a sentence, in ASCII."""
+    """Status of the sender: a code (1 is ok), a short name and a sentence, in ASCII."""
 
     def __init__(self, code: int = STATUS_OK, error_name: str = "", text: str = "", **header: Any) -> None:
         super().__init__(**header)
@@ -86,7 +85,7 @@ class StatusMessage(MessageBase):  # type: ignore[misc]  # pyigtl has no types
 
 
 class TrackingDataMessage(MessageBase):  # type: ignore[misc]
-    """Several poses of one moment: name to homogeneous matrix (4, 4), mm."""
+    """Poses of several tools at one time: homogeneous matrix (4, 4), mm, by name."""
 
     def __init__(self, matrices: Mapping[str, Any] | None = None, **header: Any) -> None:
         super().__init__(**header)
@@ -108,7 +107,7 @@ class TrackingDataMessage(MessageBase):  # type: ignore[misc]
 
 
 class StartTrackingDataMessage(MessageBase):  # type: ignore[misc]
-    """Asks a server for TDATA as fast as it has them; a version 2 header also tells PLUS to send metadata."""
+    """Request for TDATA at the server's full rate; the version 2 header makes PLUS send metadata, too."""
 
     def __init__(self, **header: Any) -> None:
         super().__init__(**header)
@@ -121,7 +120,7 @@ class StartTrackingDataMessage(MessageBase):  # type: ignore[misc]
 
 
 class WholePointMessage(PointMessage):  # type: ignore[misc]
-    """A POINT message whose body holds whole points only; `pyigtl` would drop the rest in silence."""
+    """A POINT message whose body must hold whole points; `pyigtl` drops the rest silently."""
 
     def _unpack_content(self, content: bytes) -> None:
         if len(content) % POINT_BYTES:
@@ -130,7 +129,7 @@ class WholePointMessage(PointMessage):  # type: ignore[misc]
 
 
 class WholeStringMessage(StringMessage):  # type: ignore[misc]
-    """A STRING message that is as long as it says."""
+    """A STRING message whose length must be the one in its body."""
 
     def _unpack_content(self, content: bytes) -> None:
         super()._unpack_content(content)
@@ -148,10 +147,15 @@ _KINDS = {
 
 
 def unpack(header: Mapping[str, Any], crc: int, body: bytes) -> Any:
-    """The message of a parsed header and its body, as `pyigtl` has it.
+    """Decode a message as a `pyigtl` message.
+
+    Args:
+        header: Parsed header of `pyigtl`.
+        crc: CRC in the header.
+        body: Body of the message.
 
     Raises:
-        PayloadError: The CRC is wrong, or the body does not hold what its type promises.
+        PayloadError: The CRC is wrong, or the body does not fit the type of the message.
     """
     kind = header["message_type"]
     if CRC64(body) != crc:
@@ -165,17 +169,17 @@ def unpack(header: Mapping[str, Any], crc: int, body: bytes) -> Any:
 
 
 def as_ascii(text: str) -> bytes:
-    """What a short field can hold of `text`: `pyigtl` fails on other letters, and stock receivers show none."""
+    """Return `text` in ASCII for a short field: `pyigtl` fails on other letters, and stock receivers show none."""
     return text.encode("ascii", "replace")
 
 
 def text_message(text: str, **header: Any) -> Any:
-    """A STRING in ASCII, cut to what it can hold."""
+    """Return a STRING message in ASCII, cut to the longest possible text."""
     return StringMessage(as_ascii(text)[:MAX_TEXT].decode(), **header)
 
 
 def _columns(matrix: Any) -> list[float]:
-    """The upper three rows of a matrix, column by column, as the protocol has them."""
+    """Return the upper three rows of a matrix, column by column, in the order of the protocol."""
     return [float(matrix[row][column]) for column in range(4) for row in range(3)]
 
 
@@ -184,14 +188,14 @@ def _name(field: bytes) -> str:
 
 
 Reading = Transform | str
-"""``tracker_from_body``, or why there is none."""
+"""``tracker_from_body``, or the reason why there is none."""
 
 
 def readings(message: Any) -> dict[str, Reading]:
-    """Name of the transform to what a TRANSFORM or TDATA message says of it.
+    """Return the readings in a TRANSFORM or TDATA message by the name of the transform.
 
-    PLUS tells the status of a tool in the metadata of a version 2 header: ``TransformStatus``, and in TDATA the name
-    followed by ``Status``. Without metadata, an exact identity is the place holder of a tool that was never seen.
+    PLUS reports the status of a tool in the metadata of a version 2 header: ``TransformStatus``, or in TDATA the name
+    followed by ``Status``. Without metadata, an exact identity is the placeholder of a tool that was never seen.
     """
     if message.message_type == "TRANSFORM":
         status = message.metadata.get("TransformStatus", "OK")

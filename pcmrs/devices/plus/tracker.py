@@ -1,4 +1,4 @@
-"""The client of a PLUS server: connects, reads, and connects again."""
+"""Client of a PLUS server: connects, reads, and reconnects."""
 
 from __future__ import annotations
 
@@ -9,42 +9,46 @@ from typing import Any
 import structlog
 
 from pcmrs.clock import Clock
-from pcmrs.devices.plus.frames import Frames, MessageReader
+from pcmrs.devices.plus.frames import FrameAssembler, MessageReader
 from pcmrs.devices.plus.messages import StartTrackingDataMessage, readings
 from pcmrs.devices.stream import Stream
 from pcmrs.errors import PayloadError
 from pcmrs.messages import BodyPose
 
 KINDS = ("TRANSFORM", "TDATA")
+"""Types of messages that are read."""
 CONNECT_WITHIN = 3.0
+"""Longest wait for a connection, s."""
 RETRY_AFTER = 1.0
+"""Pause between two attempts to connect, s."""
 SILENCE = 5.0
-"""A server that has sent nothing for so long is connected anew, s; PLUS keeps a quiet connection alive by STATUS."""
+"""Time without a frame after which the connection is made again, s; PLUS keeps a quiet connection alive by STATUS."""
 TOGETHER_WITHIN = 0.005
-"""The transforms of one frame come back to back; what has not come after so long was left out, s."""
+"""Longest time between two transforms of one frame, s: they are sent back to back, and later ones were left out."""
 LOG_PERIOD = 10.0
+"""Shortest time between two log lines about an absent server, s."""
 
 log = structlog.get_logger(__name__)
 
 
 class PlusTracker:
-    """Implements `pcmrs.devices.protocols.TrackerDriver`; while the server is absent there are no frames.
+    """Implements `pcmrs.devices.protocols.TrackerDriver`; there are no frames while the server is absent.
 
     Args:
-        host: Of the server.
-        port: Of the server.
-        names: Body to the name of its transform into the tracker's frame.
-        latency: From exposure to arrival where the server's clock does not agree with ours, s.
-        clock: Stamps the frames.
+        host: Host name or address of the server.
+        port: TCP port of the server.
+        names: Name of the transform from each body to the tracker frame.
+        latency: Time from exposure to arrival if the server's clock does not agree with ours, s.
+        clock: Clock for the time stamps of the frames.
 
     Attributes:
-        trouble: Why there are no frames; empty while there are.
+        trouble: Reason why there are no frames; empty while there are.
     """
 
     def __init__(self, host: str, port: int, names: Mapping[str, str], latency: float, clock: Clock) -> None:
         self._host, self._port = host, port
         self._clock = clock
-        self._frames = Frames({name: body for body, name in names.items()}, latency)
+        self._frames = FrameAssembler({name: body for body, name in names.items()}, latency)
         self._stream: Stream[Sequence[BodyPose]] = Stream()
         self._next_log = self._last_frame = clock.monotonic()
         self.trouble = f"The PLUS server at {host}:{port} has not been reached yet."
@@ -53,11 +57,11 @@ class PlusTracker:
         return self._stream.read()
 
     def close(self) -> None:
-        """Ends all readers."""
+        """End all readers."""
         self._stream.close()
 
     async def run(self) -> None:
-        """Connects and reads until cancelled, again and again."""
+        """Connect and read until cancelled; reconnect after each failure."""
         while True:
             try:
                 await self._connect_and_read()
@@ -103,7 +107,7 @@ class PlusTracker:
         self._publish(self._frames.take(readings(message), message.timestamp, now, wall, whole=whole))
 
     def _publish(self, frames: Sequence[Sequence[BodyPose]]) -> None:
-        """Hands frames to the readers; a connection of which none can be made is given up."""
+        """Publish frames to the readers; a connection that yields none for `SILENCE` is given up."""
         now = self._clock.monotonic()
         for frame in frames:
             self._last_frame = now
@@ -113,7 +117,7 @@ class PlusTracker:
             raise ConnectionAbortedError("its stamps do not advance, or it sends no transform that plus.names has")
 
     def _complain(self, why: str) -> None:
-        """Keeps what is wrong, and logs it at most once per `LOG_PERIOD`."""
+        """Store the reason of a failure, and log it at most once per `LOG_PERIOD`."""
         do = "Start PlusServer, or set plus.host and plus.port."
         self.trouble = f"The PLUS server at {self._host}:{self._port}: {why}. {do}"
         now = self._clock.monotonic()

@@ -6,7 +6,7 @@ import asyncio
 import socket
 from collections.abc import Callable
 
-from pcmrs.devices.framing import Cutter
+from pcmrs.devices.framing import MessageSplitter
 
 CHUNK = 1 << 16
 BACKLOG = 1 << 18
@@ -29,7 +29,7 @@ class Channel:
         link.setblocking(False)
         self.dropped = 0
         self._link, self._take, self._ended = link, take, ended
-        self._cutter = Cutter()
+        self._cutter = MessageSplitter()
         self._waiting = bytearray()
         self._open = True
         self._loop = asyncio.get_running_loop()

@@ -127,7 +127,7 @@ class Server:
     def _receive(self, body: bytes) -> None:
         match read_by_world(body):
             case Alive(beat):
-                self._deadman.hear(beat)
+                self._deadman.take_beat(beat)
             case Point(setpoint):
                 self.cell.robot.set_point(setpoint)
             case Call() as call:

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.commands import Envelope
 from pcmrs.bus.keys import command_key
 from pcmrs.clock import SystemClock
 from pcmrs.errors import UnknownOutcomeError

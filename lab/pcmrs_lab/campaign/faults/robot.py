@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.commands import Envelope
 from pcmrs.bus.keys import command_key
 from pcmrs.clock import SystemClock
 from pcmrs.messages import JointSetpoint, Verdict

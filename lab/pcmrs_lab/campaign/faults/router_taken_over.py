@@ -8,7 +8,7 @@ from typing import NamedTuple
 import zenoh
 
 from pcmrs.bus.codec import pack, unpack
-from pcmrs.bus.envelope import Envelope
+from pcmrs.bus.commands import Envelope
 from pcmrs.bus.settings import open_session
 from pcmrs.bus.signature import Signer
 from pcmrs.bus.stop import Stopping

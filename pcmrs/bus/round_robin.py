@@ -1,4 +1,7 @@
-"""Requests that only read are served a few at a time, and those who ask take turns: nobody fills the loop with them."""
+"""Round-robin scheduling of requests that only read: a few at a time, in turn over their keys.
+
+So one client with many requests can neither fill the event loop nor keep the others waiting.
+"""
 
 from __future__ import annotations
 
@@ -9,23 +12,24 @@ from collections.abc import Callable
 from typing import Final
 
 AT_ONCE: Final = 4
-"""Requests that are served at the same time."""
+"""Number of requests that are served at the same time."""
 WAITING: Final = 64
-"""Requests on one key that wait; one more is refused. Where a key names a user, that is for each user."""
+"""Number of requests on one key that may wait; one more is refused. A key that names a user counts for that user."""
 KEYS: Final = 256
-"""Keys on which requests wait; on one more they are refused."""
+"""Number of keys on which requests may wait; on one more key they are refused."""
 
 Start = Callable[[], asyncio.Task[None]]
+"""Starts to serve a request and returns its task."""
 
 
-class Turns:
+class RoundRobin:
     """Starts requests in the event loop, those of all keys in turn.
 
     Args:
-        loop: Where they are served.
+        loop: Event loop that serves the requests.
 
     Attributes:
-        refused: Requests that found no place.
+        refused: Number of requests that were refused.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -38,12 +42,20 @@ class Turns:
 
     @property
     def waiting(self) -> int:
-        """Requests that wait for their turn."""
+        """Number of requests that wait for their turn."""
         with self._lock:
             return sum(map(len, self._waiting.values()))
 
     def post(self, key: str, start: Start) -> bool:
-        """Queues a request, from any thread; returns False, and forgets it, when its key has too many waiting."""
+        """Queue a request, from any thread.
+
+        Args:
+            key: Absolute key of the request.
+            start: Called in the event loop when it is the request's turn.
+
+        Returns:
+            False if too many requests wait; this one is dropped then.
+        """
         with self._lock:
             full = key not in self._waiting and len(self._waiting) >= KEYS
             if self._closed or full or len(self._waiting.get(key, ())) >= WAITING:
@@ -55,7 +67,7 @@ class Turns:
             return True
 
     def close(self) -> None:
-        """Forgets what waits and takes nothing more."""
+        """Drop the waiting requests and accept no more."""
         with self._lock:
             self._closed = True
             self._waiting.clear()
