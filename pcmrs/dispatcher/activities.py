@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Iterable
 from typing import Any, Generic
 
 import structlog
@@ -25,7 +25,6 @@ class ActivityTask(Generic[C, D]):
         context: What it is performed with.
         spec: How it is declared.
         act: What its function sees.
-        tell: Makes an event known and durable.
 
     Attributes:
         task: Attends to it; the result is whether the robot stands, or a motion moves it.
@@ -35,13 +34,7 @@ class ActivityTask(Generic[C, D]):
         quiet: It does nothing any more, and where it moved the robot and no motion takes over, that has been held.
     """
 
-    def __init__(
-        self,
-        context: ExecutionContext[C, D],
-        spec: ActivitySpec,
-        act: Activity[C, D],
-        tell: Callable[[DeviceEvent], Awaitable[None]],
-    ) -> None:
+    def __init__(self, context: ExecutionContext[C, D], spec: ActivitySpec, act: Activity[C, D]) -> None:
         self.spec = spec
         self.act = act
         self.task: asyncio.Task[bool] | None = None
@@ -50,7 +43,7 @@ class ActivityTask(Generic[C, D]):
         self.left: asyncio.Future[Verdict] | None = None
         self.quiet = asyncio.Event()
         self._context = context
-        self._tell = tell
+        self._coordinator = context.coordinator
         self._function: asyncio.Task[Exception | None] | None = None
         self._begun = False
 
@@ -87,13 +80,14 @@ class ActivityTask(Generic[C, D]):
         if not self._begun:
             return None
         how = danger.text if danger is not None else "as it was told to."
-        return self._tell(self._event(ACTIVITY_ENDED, f"{self.act.name} has ended: {how}"))
+        return self._coordinator.announce(self._event(ACTIVITY_ENDED, f"{self.act.name} has ended: {how}"))
 
     async def _perform(self) -> Reason | None:
         """Performs its function as soon as its beginning is durable."""
         act = self.act
         self._begun = True
-        await self._tell(self._event(ACTIVITY_STARTED, f"{act.name} begins: {act.branch} is {act.state}."))
+        started = self._event(ACTIVITY_STARTED, f"{act.name} begins: {act.branch} is {act.state}.")
+        await self._coordinator.announce(started)
         if self.ending:
             return None
         self._function = self._context.tasks.spawn(self._within())
@@ -143,26 +137,11 @@ class Activities(Generic[C, D]):
 
     Args:
         context: What they are performed with.
-        submit: Decides on a command.
-        stop: Stops everything, and submits what follows at once; returns whether the robot has confirmed that it
-            stands.
-        tell: Makes an event known and durable.
-        broken: Ends the dispatcher for safety.
     """
 
-    def __init__(
-        self,
-        context: ExecutionContext[C, D],
-        submit: Callable[[Command], asyncio.Future[Verdict]],
-        stop: Callable[[str, Reason, Callable[[], list[asyncio.Future[Verdict]]]], Awaitable[bool]],
-        tell: Callable[[DeviceEvent], Awaitable[None]],
-        broken: Callable[[BaseException], Reason],
-    ) -> None:
+    def __init__(self, context: ExecutionContext[C, D]) -> None:
         self._context = context
-        self._submit = submit
-        self._stop = stop
-        self._tell = tell
-        self._broken = broken
+        self._coordinator = context.coordinator
         branches = context.workflow.blueprint.branches
         self._declared = {name: branch.activities for name, branch in branches.items() if branch.activities}
         self._current: dict[str, ActivityTask[C, D]] = {}
@@ -232,11 +211,11 @@ class Activities(Generic[C, D]):
             clock=context.clock,
             _data=lambda: procedure.data,
             _states=procedure.joint,
-            _submit=self._submit,
-            _show=context.show,
+            _submit=self._coordinator.admit,
+            _show=self._coordinator.publish_snapshot,
         )
         before = [each for each in self._tasks if each.act.branch == branch]
-        activity_task = ActivityTask(context, spec, act, self._tell)
+        activity_task = ActivityTask(context, spec, act)
         self._current[branch] = activity_task
         self._tasks.append(activity_task)
         activity_task.task = context.tasks.spawn(self._attend(activity_task, before))
@@ -257,7 +236,7 @@ class Activities(Generic[C, D]):
         if danger is None or activity_task.stopped:  # Stop waits for what this returns, so it must not be waited for
             stands, told = danger is None, activity_task.tell_end(danger)
         else:
-            stands = await self._stop(activity_task.act.source, danger, tell_and_leave)
+            stands = await self._coordinator.stop(activity_task.act.source, danger, tell_and_leave)
         if told is not None:
             await told
         await self._leave(activity_task)
@@ -272,7 +251,8 @@ class Activities(Generic[C, D]):
         await asyncio.wait(submitted)
         if self._current.get(act.branch) is activity_task:
             ended = activity_task.spec.ended
-            self._broken(PcmrsError(f"{act.branch} is {act.state} without {act.name}: {ended} has not led out of it."))
+            text = f"{act.branch} is {act.state} without {act.name}: {ended} has not led out of it."
+            self._coordinator.fail_for(PcmrsError(text))
 
     def _submit_ended(self, activity_task: ActivityTask[C, D]) -> list[asyncio.Future[Verdict]]:
         """Submits its `ended` where the branch is still in its state.
@@ -282,5 +262,5 @@ class Activities(Generic[C, D]):
         act = activity_task.act
         if self._closed or self._current.get(act.branch) is not activity_task:
             return []
-        activity_task.left = self._submit(act.command_to(act.branch, activity_task.spec.ended, {}))
+        activity_task.left = self._coordinator.admit(act.command_to(act.branch, activity_task.spec.ended, {}))
         return [activity_task.left]

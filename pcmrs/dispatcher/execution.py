@@ -12,7 +12,9 @@ from typing import Generic, Literal, Protocol
 import structlog
 
 from pcmrs.clock import Clock
-from pcmrs.dispatcher.locks import PendingCommand
+from pcmrs.dispatcher.coordinator import Coordinator
+from pcmrs.dispatcher.listeners import Listeners
+from pcmrs.dispatcher.locks import LockManager, PendingCommand
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.dispatcher.stops import Hold
@@ -37,7 +39,9 @@ class ExecutionContext(Generic[C, D]):
         clock: The cell's clock.
         hold: Holds the robot.
         tasks: What is under way.
-        show: Publishes a snapshot.
+        locks: Running and waiting commands.
+        listeners: Those who listen to the dispatcher.
+        coordinator: The dispatcher.
         release: Releases what Stop has latched; see `Dispatcher`.
     """
 
@@ -47,7 +51,9 @@ class ExecutionContext(Generic[C, D]):
     clock: Clock
     hold: Hold
     tasks: Tasks
-    show: Callable[[], None]
+    locks: LockManager
+    listeners: Listeners
+    coordinator: Coordinator[C, D]
     release: Callable[[bool], Awaitable[Sequence[str]]] | None
 
 
@@ -164,18 +170,15 @@ class Checks(Generic[C, D]):
     Args:
         context: What operations are performed with.
         planner: Asks checks that plan a motion; None to ask all of them here, in the loop.
-        objection: Why a command is not allowed now, if it is not: latch, lease, failure and states.
     """
 
     def __init__(
         self,
         context: ExecutionContext[C, D],
         planner: Planner[C, D] | None,
-        objection: Callable[[PendingCommand], Reason | None],
     ) -> None:
         self._context = context
         self._planner = planner
-        self._objection = objection
         self._registry = context.workflow.registry
 
     def take_time(self, spec: OperationSpec) -> bool:
@@ -198,7 +201,7 @@ class Checks(Generic[C, D]):
             return run, self.ask_at_once(pending.spec, run)
         for _ in range(MOST_PLANS):
             refused = pending.stopped or await self._plan(pending, run)
-            objection = pending.stopped or self._objection(pending)
+            objection = pending.stopped or self._context.coordinator.objection(pending)
             if objection is not None or self._still_true(run):
                 return run, objection or refused
             run = run_of()

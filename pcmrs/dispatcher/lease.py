@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Final
 
 from pcmrs.clock import Clock
-from pcmrs.dispatcher.admission import EVENT_SOURCES
+from pcmrs.dispatcher.command_checks import EVENT_SOURCES
 from pcmrs.messages import Command, DeviceEvent, LeaseState, Reason
 from pcmrs.messages.identity import HOLDING, LOCAL
 

@@ -6,8 +6,9 @@ import asyncio
 from typing import Generic
 
 from pcmrs.dispatcher.activities import Activities
-from pcmrs.dispatcher.admission import check_in_time
-from pcmrs.dispatcher.decisions import CompletedCommand, Decisions
+from pcmrs.dispatcher.command_checks import check_in_time
+from pcmrs.dispatcher.coordinator import CompletedCommand
+from pcmrs.dispatcher.decisions import Decisions
 from pcmrs.dispatcher.execution import (
     Checks,
     ExecutionContext,
@@ -18,7 +19,7 @@ from pcmrs.dispatcher.execution import (
     take_steps,
     take_steps_at_once,
 )
-from pcmrs.dispatcher.locks import LockManager, Locks, PendingCommand
+from pcmrs.dispatcher.locks import Locks, PendingCommand
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.errors import PcmrsError, RefusalError, UnknownOutcomeError
@@ -32,7 +33,6 @@ class Performer(Generic[C, D]):
 
     Args:
         context: What they are performed with.
-        lock_manager: Where others run and wait.
         decisions: Where they are concluded.
         recorder: Where intents are journalled.
         activities: What gives way to a motion.
@@ -42,14 +42,13 @@ class Performer(Generic[C, D]):
     def __init__(
         self,
         context: ExecutionContext[C, D],
-        lock_manager: LockManager,
         decisions: Decisions[C, D],
         recorder: Recorder,
         activities: Activities[C, D],
         checks: Checks[C, D],
     ) -> None:
         self._context = context
-        self._locks = lock_manager
+        self._locks = context.locks
         self._decisions = decisions
         self._recorder = recorder
         self._activities = activities
@@ -142,7 +141,7 @@ class Performer(Generic[C, D]):
             pending.end_steps()
             return take_steps_at_once(self._registry, pending.spec, run)
         try:
-            self._context.show()
+            self._context.coordinator.publish_snapshot()
             failpoint("dispatcher.before_intent")
             await asyncio.shield(self._recorder.intent(pending.command, run.states))
             failpoint("dispatcher.after_intent")
@@ -192,7 +191,7 @@ class Performer(Generic[C, D]):
     def _run_of(self, pending: PendingCommand) -> Run[C, D]:
         def show(fraction: float) -> None:
             pending.progress = fraction
-            self._context.show()
+            self._context.coordinator.publish_snapshot()
 
         context = self._context
         states, data = context.procedure.joint(), context.procedure.data

@@ -14,6 +14,8 @@ from typing import Any, Final
 import structlog
 
 from pcmrs.clock import Clock
+from pcmrs.dispatcher.coordinator import Coordinator
+from pcmrs.dispatcher.events import pressed_again
 from pcmrs.dispatcher.tasks import Tasks
 from pcmrs.messages import Command, Reason, StopState
 
@@ -156,11 +158,11 @@ class Presses:
     """The Stops under way, by who has pressed.
 
     Args:
-        joined: Called with a Stop that others have joined, once it is not under way any more.
+        coordinator: The dispatcher, which announces a Stop that others have joined once it is not under way any more.
     """
 
-    def __init__(self, joined: Callable[[StopUnderWay], object]) -> None:
-        self._joined = joined
+    def __init__(self, coordinator: Coordinator[Any, Any]) -> None:
+        self._coordinator = coordinator
         self._under_way: dict[str, StopUnderWay] = {}
 
     def find(self, source: str) -> StopUnderWay | None:
@@ -180,7 +182,7 @@ class Presses:
         if self._under_way.get(stop.source) is stop:
             del self._under_way[stop.source]
         if stop.joined:
-            self._joined(stop)
+            self._coordinator.announce_later(pressed_again(stop.source, stop.number, stop.joined))
 
 
 def _kind(source: str) -> str:

@@ -83,3 +83,9 @@ def _check_same(command: Command, asked: bytes, before: bytes) -> None:
             f"{command.branch}.{command.operation} now: give every command an id of its own."
         )
         raise RefusalError("id_reused", text, id=command.id)
+
+
+async def wait_for_verdicts(verdicts: list[asyncio.Future[Verdict]]) -> None:
+    """Return when all verdicts are given; cancelling the waiter does not cancel them."""
+    if verdicts:
+        await asyncio.wait(verdicts)

@@ -11,7 +11,7 @@ import msgspec
 
 from pcmrs.authoring.trial.tour import MAX_JOINT_STATES, Move, plan_tour
 from pcmrs.dispatcher import Dispatcher, ProcedureData
-from pcmrs.dispatcher.admission import is_event
+from pcmrs.dispatcher.command_checks import is_event
 from pcmrs.fsm.behaviour import joint_of
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.journal import Journal
