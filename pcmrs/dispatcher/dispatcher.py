@@ -21,7 +21,7 @@ from pcmrs.dispatcher.events import SHUTDOWN
 from pcmrs.dispatcher.execution import Checks, ExecutionContext, Planner, performing
 from pcmrs.dispatcher.follow_up import FollowUp
 from pcmrs.dispatcher.lease import Lease
-from pcmrs.dispatcher.listeners import Listeners
+from pcmrs.dispatcher.listeners import DispatcherListener, Listeners
 from pcmrs.dispatcher.locks import LockManager, PendingCommand
 from pcmrs.dispatcher.performer import Performer
 from pcmrs.dispatcher.procedure import Procedure
@@ -50,7 +50,6 @@ class Dispatcher(Generic[C, D]):
         recorder: The journal.
         hold: Holds the robot, latches it if its argument is true, and returns when the robot stands still; raises if
             that is not confirmed.
-        publish: Called in the event loop with every new snapshot, verdict and device event.
         release: Ends the latch of the devices for an operation that acknowledges a Stop, and returns the names of
             those that stay latched. Its argument is true if Stop is latched now. It raises if the robot does not
             stand. None for devices that Stop does not latch.
@@ -69,7 +68,6 @@ class Dispatcher(Generic[C, D]):
         clock: Clock,
         recorder: Recorder,
         hold: Callable[[bool], Awaitable[object]],
-        publish: Callable[[Snapshot | Verdict | DeviceEvent], None],
         *,
         release: Callable[[bool], Awaitable[Sequence[str]]] | None = None,
         lease_required: bool = False,
@@ -83,7 +81,7 @@ class Dispatcher(Generic[C, D]):
             rejections.attach(self)
         self._tasks = Tasks(self.fail_for)
         self._locks = LockManager(workflow.blueprint.revokers)
-        self._listeners = Listeners(publish)
+        self._listeners = Listeners()
         self._stops = Stops(clock)
         self._outcomes = PendingOutcomes(workflow.blueprint)
         context = ExecutionContext(
@@ -115,7 +113,7 @@ class Dispatcher(Generic[C, D]):
             context, self._admission, self._stop_control, self._recovery, self._outcomes, activities
         )
 
-    # -- state -------------------------------------------------------------------------------------------
+    # -- state and listeners -------------------------------------------------------------------------------------------
 
     def snapshot(self) -> Snapshot:
         """Return the joint state of all branches, with running operations and activities."""
@@ -152,6 +150,10 @@ class Dispatcher(Generic[C, D]):
     def idle(self) -> bool:
         """True if nothing moves the robot, nor brakes it after a Stop: then its joints must not move."""
         return self._stops.standing and not self._admission.moving
+
+    def add_listener(self, listener: DispatcherListener) -> None:
+        """Notify a listener, too, from now on."""
+        self._listeners.add(listener)
 
     # -- commands and events -------------------------------------------------------------------------------
 
@@ -290,24 +292,6 @@ class Dispatcher(Generic[C, D]):
             self._rejections.report()
         await self.stop(SHUTDOWN)
         await self._tasks.wait()
-
-    # -- listeners -----------------------------------------------------------------------------------------
-
-    def on_stop(self, callback: Callable[[], None]) -> None:
-        """Has `callback` called synchronously at every stop, whatever way it came."""
-        self._listeners.on_stop.append(callback)
-
-    def on_break(self, callback: Callable[[], None]) -> None:
-        """Has `callback` called when the dispatcher accepts nothing any more; see `broken`."""
-        self._listeners.on_failure.append(callback)
-
-    def on_accepted(self, callback: Callable[[Command], None]) -> None:
-        """Has `callback` called with every command that was accepted, as soon as it is committed."""
-        self._listeners.on_accepted.append(callback)
-
-    def on_publish(self, callback: Callable[[Snapshot | Verdict | DeviceEvent], None]) -> None:
-        """Has `callback` called, too, with every new snapshot, verdict and device event."""
-        self._listeners.on_publish.append(callback)
 
     # -- `Coordinator`, for its parts --------------------------------------------------------------------------
 

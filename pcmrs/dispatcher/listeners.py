@@ -1,4 +1,4 @@
-"""Those who listen to a dispatcher."""
+"""Listeners of a dispatcher: notified at once, and never able to break it."""
 
 from __future__ import annotations
 
@@ -8,36 +8,61 @@ from collections.abc import Callable
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
 
 
+class DispatcherListener:
+    """Receives notifications of a dispatcher, synchronously in its event loop.
+
+    A subclass overrides what it needs. If it raises, the loop's exception handler gets the error, and everything else
+    goes on.
+    """
+
+    def on_stop(self) -> None:
+        """Handle a Stop, whoever or whatever has stopped; its latch is set already."""
+
+    def on_failure(self) -> None:
+        """Handle a failure after which the dispatcher accepts nothing any more; see `Dispatcher.broken`."""
+
+    def on_accepted(self, command: Command) -> None:
+        """Handle a command that was accepted, as soon as it is committed."""
+
+    def on_publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+        """Handle a new snapshot, verdict or device event."""
+
+
 class Listeners:
-    """Calls everybody who listens, in the order in which they were added."""
+    """Notifies all listeners, in the order in which they were added."""
 
-    def __init__(self, publish: Callable[[Snapshot | Verdict | DeviceEvent], None]) -> None:
-        self.on_publish = [publish]
-        self.on_failure: list[Callable[[], None]] = []
-        self.on_stop: list[Callable[[], None]] = []
-        self.on_accepted: list[Callable[[Command], None]] = []
+    def __init__(self) -> None:
+        self._listeners: list[DispatcherListener] = []
 
-    def publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
-        for publish in self.on_publish:
-            _guarded(publish, message)
+    def add(self, listener: DispatcherListener) -> None:
+        """Add a listener."""
+        self._listeners.append(listener)
 
     def notify_stop(self) -> None:
-        for callback in self.on_stop:
-            _guarded(callback)
+        """Notify all of a Stop."""
+        for listener in self._listeners:
+            _guarded(listener.on_stop)
 
     def notify_failure(self) -> None:
-        for callback in self.on_failure:
-            _guarded(callback)
+        """Notify all of a failure."""
+        for listener in self._listeners:
+            _guarded(listener.on_failure)
 
     def notify_accepted(self, command: Command) -> None:
-        for callback in self.on_accepted:
-            _guarded(callback, command)
+        """Notify all of an accepted command."""
+        for listener in self._listeners:
+            _guarded(listener.on_accepted, command)
+
+    def publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+        """Hand a message to all."""
+        for listener in self._listeners:
+            _guarded(listener.on_publish, message)
 
 
-def _guarded(callback: Callable[..., object], *arguments: object) -> None:
-    """Calls somebody who watches: what fails there is reported by the loop, and keeps nobody from stopping."""
+def _guarded(notify: Callable[..., object], *arguments: object) -> None:
+    """Notifies one listener: the loop reports its failure, which keeps nobody from stopping."""
     try:
-        callback(*arguments)
+        notify(*arguments)
     except Exception as error:
-        context = {"message": f"{callback} has failed", "exception": error}
+        context = {"message": f"{notify} has failed", "exception": error}
         asyncio.get_running_loop().call_exception_handler(context)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from pcmrs.clock import Clock
+from pcmrs.dispatcher import DispatcherListener
 from pcmrs.errors import PayloadError, PcmrsError, RefusalError
 from pcmrs.gateway.auth.admission import NOT_KEPT, Admission
 from pcmrs.gateway.auth.peers import (
@@ -58,7 +59,7 @@ class Counters:
         return {f"gateway.{name}": many for name, many in (own | self.of_peers).items()}
 
 
-class Intake:
+class Intake(DispatcherListener):
     """Checks what arrives on any link and hands it to the sender's session.
 
     Args:
@@ -131,8 +132,8 @@ class Intake:
         self._count(reason)
         self.refusals.add(source_of(link, peer), reason, str(error))
 
-    def halt(self) -> None:
-        """Lets nothing that any peer sent before now begin, as Stop demands."""
+    def on_stop(self) -> None:
+        """Reject the commands of all peers that were sent before this Stop and have not begun."""
         if self._admission is not None:
             self._admission.halt()
         for session in self._sessions.values():

@@ -79,11 +79,9 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
             admission = _open_admission(stack, core, config, clock, folder / COUNTERS, refusals, tasks)
         services = Services(uuid4().hex, core, clock, streams, records, refusals)
         intake = Intake(services, jobs, config.unsigned_peers, admission)
-        core.on_stop(intake.halt)
+        core.add_listener(intake)
         if config.markers.enabled:
-            markers = Markers(config.markers.stream, core.snapshot())
-            core.on_publish(markers.show)
-            core.on_stop(markers.stop)
+            core.add_listener(Markers(config.markers.stream, core.snapshot()))
         addresses = {
             name: await _open_udp(stack, UdpLink(name, link, intake), config.host, link)
             for name, link in config.links().items()

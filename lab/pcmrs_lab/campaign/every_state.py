@@ -67,7 +67,7 @@ async def _walk_stretch(
     script, clock = Script(), LeapingClock()
     tag = BlueprintTag(id=runs.id, version=runs.version, hash=runs.hash)
     recorder = JournalRecorder(journal, clock, uuid.uuid4().hex, tag)
-    dispatcher = Dispatcher(scripted(runs, script, outside=True), None, clock, recorder, _hold, lambda _: None)
+    dispatcher = Dispatcher(scripted(runs, script, outside=True), None, clock, recorder, _hold)
     for move in filter(_needed, moves):
         script.move = move
         before = _shape(dispatcher)

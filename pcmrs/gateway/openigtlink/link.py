@@ -11,6 +11,7 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.devices.plus.frames import MessageReader
+from pcmrs.dispatcher import DispatcherListener
 from pcmrs.errors import PayloadError
 from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.intake import Intake, source_of
@@ -32,7 +33,7 @@ SEND_BUFFER = 1 << 16
 log = structlog.get_logger(__name__)
 
 
-class OpenIgtLink:
+class OpenIgtLink(DispatcherListener):
     """Serves its peers until its tasks are closed.
 
     Args:
@@ -59,7 +60,7 @@ class OpenIgtLink:
         self._exposed = False
         self._feed = Feed(core, clock, together=self._config.poses == "TDATA")
         self._ticks = PeriodicTask(kernel_beats, self._config.rate_hz, self._tick, tasks)
-        core.on_stop(self._halt)
+        core.add_listener(self)
 
     @property
     def dropped(self) -> int:
@@ -89,7 +90,8 @@ class OpenIgtLink:
     def _tick(self) -> None:
         self._feed.send(self._peers.values())
 
-    def _halt(self) -> None:
+    def on_stop(self) -> None:
+        """Halt the pending commands of all peers."""
         for peer in self._peers.values():
             peer.halt()
 

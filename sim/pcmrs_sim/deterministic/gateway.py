@@ -38,7 +38,7 @@ class SimulatedGateway:
         records = Records(core, clock, folder, self._tasks)
         refusals = RejectionLog(core, clock, self._tasks)
         self._intake = Intake(Services(uuid4().hex, core, clock, streams, records, refusals), self._jobs, (HOST,))
-        core.on_stop(self._intake.halt)
+        core.add_listener(self._intake)
 
     def receive(
         self, port: int, data: bytes, answer: Callable[[str], None], acknowledge: Callable[[str], None] | None
