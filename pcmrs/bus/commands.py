@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Awaitable, Callable
-from typing import Protocol
+from collections.abc import Callable, Coroutine
+from typing import Any, Protocol
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.bucket import TokenBucket
 from pcmrs.bus.bridge import ARRIVED
 from pcmrs.bus.codec import busy
@@ -26,7 +26,7 @@ TOLD_HZ, TOLD_AT_ONCE = 10.0, 256
 class Submit(Protocol):
     """`Dispatcher.submit`."""
 
-    def __call__(self, command: Command, /, *, arrived: float) -> Awaitable[Verdict]:
+    def __call__(self, command: Command, /, *, arrived: float) -> Coroutine[Any, Any, Verdict]:
         """Decide on a command.
 
         Args:
@@ -51,7 +51,7 @@ class CommandEdge:
         self._submit = submit
         self._refused = refused
         self._lane = lane
-        self._submitted: set[asyncio.Task[Verdict]] = set()
+        self._submitted = BackgroundTasks()
         self._told = TokenBucket(TOLD_HZ, TOLD_AT_ONCE, SystemClock())
         self._ends = (
             bus.serve(_COMMANDS, Envelope, self._answer, refuse=self._refusal),
@@ -84,9 +84,7 @@ class CommandEdge:
         """Takes no more commands, gives up waiting for the verdicts on puts, and closes the lane of Stop."""
         for end in self._ends:
             await end()
-        for task in self._submitted:
-            task.cancel()
-        await asyncio.gather(*self._submitted, return_exceptions=True)
+        await self._submitted.close()
         await self._lane.close()
 
     async def _answer(self, key: str, envelope: Envelope) -> Verdict:
@@ -103,14 +101,9 @@ class CommandEdge:
             self._refuse(key, error)
         else:
             if len(self._submitted) < ANSWERS:
-                self._spawn(command)
+                self._submitted.spawn(self._submit(command, arrived=ARRIVED.get()))
             else:
                 self._refuse(key, busy(ANSWERS))
-
-    def _spawn(self, command: Command) -> None:
-        task = asyncio.ensure_future(self._submit(command, arrived=ARRIVED.get()))
-        self._submitted.add(task)
-        task.add_done_callback(self._submitted.discard)
 
     def _refuse(self, key: str, error: PcmrsError) -> None:
         """May run in any thread."""

@@ -10,8 +10,11 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Container, Iterable, Sequence
 from functools import partial
-from typing import Generic
+from typing import Any, Generic
 
+import structlog
+
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.activities import Activities
 from pcmrs.dispatcher.admission import CommandAdmission
@@ -30,11 +33,12 @@ from pcmrs.dispatcher.recovery import FailureRecovery, PendingOutcomes, Reconcil
 from pcmrs.dispatcher.run import C, D
 from pcmrs.dispatcher.stop_control import StopControl
 from pcmrs.dispatcher.stops import Hold, Stops, StopUnderWay
-from pcmrs.dispatcher.tasks import Tasks
 from pcmrs.dispatcher.verdict_cache import VerdictCache, wait_for_verdicts
 from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import ReentrancyError
 from pcmrs.messages import Command, DeviceEvent, DryRunResult, Reason, Snapshot, UnknownOutcome, Verdict
+
+log = structlog.get_logger(__name__)
 
 ENDING = "ending"
 """Code of the reason why a dispatcher that is being closed accepts nothing more: no failure."""
@@ -79,7 +83,7 @@ class Dispatcher(Generic[C, D]):
         self._rejections = rejections
         if rejections is not None:
             rejections.attach(self)
-        self._tasks = Tasks(self.fail_for)
+        self._tasks = BackgroundTasks(self._on_task_failure)
         self._locks = LockManager(workflow.blueprint.revokers)
         self._listeners = Listeners()
         self._stops = Stops(clock)
@@ -325,3 +329,7 @@ class Dispatcher(Generic[C, D]):
 
     def record(self, event: DeviceEvent) -> QueuedRow:
         return QueuedRow(partial(self._recorder.event, event, self.procedure.promised()), self.fail_for)
+
+    def _on_task_failure(self, _task: asyncio.Task[Any], error: BaseException) -> None:
+        log.error("dispatcher_task_failed", exc_info=error)
+        self.fail_for(error)

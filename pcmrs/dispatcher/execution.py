@@ -11,6 +11,7 @@ from typing import Generic, Literal, Protocol
 
 import structlog
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.coordinator import Coordinator
 from pcmrs.dispatcher.listeners import Listeners
@@ -18,7 +19,6 @@ from pcmrs.dispatcher.locks import LockManager, PendingCommand
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.dispatcher.stops import Hold
-from pcmrs.dispatcher.tasks import Tasks
 from pcmrs.dispatcher.workflow import Registry, Workflow
 from pcmrs.errors import DeviceError, PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import START_OUTCOME, Change, Closure, OperationSpec
@@ -50,7 +50,7 @@ class ExecutionContext(Generic[C, D]):
     cell: C
     clock: Clock
     hold: Hold
-    tasks: Tasks
+    tasks: BackgroundTasks
     locks: LockManager
     listeners: Listeners
     coordinator: Coordinator[C, D]

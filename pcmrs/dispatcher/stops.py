@@ -13,10 +13,10 @@ from typing import Any, Final
 
 import structlog
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.coordinator import Coordinator
 from pcmrs.dispatcher.events import pressed_again
-from pcmrs.dispatcher.tasks import Tasks
 from pcmrs.messages import Command, Reason, StopState
 
 LOCAL = "local"
@@ -205,7 +205,7 @@ class Hold:
         tasks: Where a hold goes on when those who asked for it are cancelled.
     """
 
-    def __init__(self, hold: Callable[[bool], Awaitable[object]], tasks: Tasks) -> None:
+    def __init__(self, hold: Callable[[bool], Awaitable[object]], tasks: BackgroundTasks) -> None:
         self._hold = hold
         self._tasks = tasks
         self._stopping: asyncio.Task[bool] | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.dispatcher import DispatcherListener
 from pcmrs.errors import PayloadError, PcmrsError, RefusalError
@@ -25,7 +26,6 @@ from pcmrs.gateway.handlers import CommandHandlers, PlanLock, Services
 from pcmrs.gateway.outcome import OutcomeCache
 from pcmrs.gateway.session import QUEUE_FULL, ReplyChannel, Session
 from pcmrs.gateway.signing import Signed, split
-from pcmrs.gateway.tasks import Tasks
 from pcmrs.messages.identity import ON_SITE, Principal
 
 MAX_SESSIONS = 256
@@ -76,7 +76,7 @@ class Intake(DispatcherListener):
     def __init__(
         self,
         services: Services,
-        tasks: Tasks,
+        tasks: BackgroundTasks,
         unsigned_peers: tuple[str, ...],
         admission: Admission | None = None,
     ) -> None:

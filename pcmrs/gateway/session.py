@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import structlog
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.gateway.commands import Action, Second
 from pcmrs.gateway.grammar import Request
 from pcmrs.gateway.handlers import CommandHandlers, Job
 from pcmrs.gateway.outcome import NO_DATA, Outcome, OutcomeCache
-from pcmrs.gateway.tasks import Tasks
 
 ACKNOWLEDGEMENT = "ack"
 SECOND_WITHIN = 0.35
@@ -85,7 +85,7 @@ class Session:
         self,
         actions: CommandHandlers,
         clock: Clock,
-        tasks: Tasks,
+        tasks: BackgroundTasks,
         memory: OutcomeCache,
         on_overflow: Callable[[], None],
     ) -> None:

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.devices.lsl.markers import MarkerOutlet
 from pcmrs.dispatcher import DispatcherListener
 from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.grammar import TOOL_POINTS_PREFIX
-from pcmrs.gateway.periodic_timer import Beats
+from pcmrs.gateway.periodic_timer import Beats, PeriodicTask
 from pcmrs.gateway.settings import GatewayConfig
-from pcmrs.gateway.tasks import PeriodicTask, Tasks
 from pcmrs.messages import DeviceEvent, Snapshot, Verdict
 from pcmrs.spatial import Floats, Transform
 
@@ -34,7 +34,7 @@ class Streams:
         tasks: Owns the running streams.
     """
 
-    def __init__(self, core: Core, beats: Beats, config: GatewayConfig, send: Send, tasks: Tasks) -> None:
+    def __init__(self, core: Core, beats: Beats, config: GatewayConfig, send: Send, tasks: BackgroundTasks) -> None:
         self._core = core
         self._config = config
         self._send = send

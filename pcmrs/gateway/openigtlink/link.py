@@ -9,6 +9,7 @@ from contextlib import suppress
 
 import structlog
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.devices.plus.frames import MessageReader
 from pcmrs.dispatcher import DispatcherListener
@@ -18,9 +19,8 @@ from pcmrs.gateway.intake import Intake, source_of
 from pcmrs.gateway.openigtlink.feed import Feed
 from pcmrs.gateway.openigtlink.peer import KINDS, Peer
 from pcmrs.gateway.openigtlink.planner import Answer, Planner
-from pcmrs.gateway.periodic_timer import kernel_beats
+from pcmrs.gateway.periodic_timer import PeriodicTask, kernel_beats
 from pcmrs.gateway.settings import GatewayConfig
-from pcmrs.gateway.tasks import PeriodicTask, Tasks
 from pcmrs.hosts import is_loopback
 
 LINK = "openigtlink"
@@ -46,7 +46,13 @@ class OpenIgtLink(DispatcherListener):
     """
 
     def __init__(
-        self, core: Core, config: GatewayConfig, clock: Clock, intake: Intake, tasks: Tasks, jobs: Tasks
+        self,
+        core: Core,
+        config: GatewayConfig,
+        clock: Clock,
+        intake: Intake,
+        tasks: BackgroundTasks,
+        jobs: BackgroundTasks,
     ) -> None:
         self._core = core
         self._gateway = config
