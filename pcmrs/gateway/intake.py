@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.dispatcher import DispatcherListener
+from pcmrs.dispatcher.verdict_cache import CommandCache
 from pcmrs.errors import PayloadError, PcmrsError, RefusalError
 from pcmrs.gateway.auth.admission import NOT_KEPT, Admission
 from pcmrs.gateway.auth.peers import (
@@ -23,7 +25,7 @@ from pcmrs.gateway.auth.peers import (
 from pcmrs.gateway.commands import COMMANDS, Action
 from pcmrs.gateway.grammar import Request, parse, parse_tool_points
 from pcmrs.gateway.handlers import CommandHandlers, PlanLock, Services
-from pcmrs.gateway.outcome import OutcomeCache
+from pcmrs.gateway.outcome import Outcome
 from pcmrs.gateway.session import QUEUE_FULL, ReplyChannel, Session
 from pcmrs.gateway.signing import Signed, split
 from pcmrs.messages.identity import ON_SITE, Principal
@@ -88,7 +90,7 @@ class Intake(DispatcherListener):
         self._admission = admission
         self._sessions: dict[str, Session] = {}
         self._locks: dict[str, PlanLock] = {}
-        self._memory = OutcomeCache()
+        self._outcomes: CommandCache[asyncio.Future[Outcome]] = CommandCache()
         self._clock: Clock = services.clock
 
     def receive(
@@ -193,7 +195,7 @@ class Intake(DispatcherListener):
             if oldest_idle is not None:
                 del self._sessions[oldest_idle]
         actions = CommandHandlers(source, asker, self._services, self.lock(holder))
-        return Session(actions, self._clock, self._tasks, self._memory, self._count_overflow)
+        return Session(actions, self._clock, self._tasks, self._outcomes, self._count_overflow)
 
     def _count(self, reason: str) -> None:
         if reason in self.counters.of_peers:
