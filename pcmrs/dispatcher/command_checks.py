@@ -1,4 +1,4 @@
-"""What can be said of a command before any state is looked at."""
+"""Checks of a command that need no state: operation, role, age and arguments."""
 
 from __future__ import annotations
 
@@ -16,16 +16,20 @@ from pcmrs.messages import Command
 EVENT_SOURCES = ("device:", "detector:", "timer:", "operation:", "activity:")
 
 CHECKS_BEGIN_WITHIN = 0.1
-"""The checks of what moves or acts on the patient begin so soon after it has arrived, s of the event loop's clock."""
+"""Limit from the arrival of a command that moves or acts on the patient to its checks, s of the event loop's clock."""
 CLOCK_TOLERANCE = 5.0
-"""A sender's wall clock may be so far ahead of ours, s."""
+"""Limit by which a sender's wall clock may be ahead of ours, s."""
 
 
 def find_operation(workflow: Workflow[Any, Any], command: Command) -> OperationSpec:
-    """The operation a command names.
+    """Return the operation that a command names.
+
+    Args:
+        workflow: The procedure.
+        command: The command.
 
     Raises:
-        RefusalError: There is no such branch or operation, or users may not ask for it.
+        RefusalError: There is no such branch or operation, or users may not request it.
     """
     branch = workflow.blueprint.branches.get(command.branch)
     if branch is None:
@@ -47,13 +51,22 @@ def find_operation(workflow: Workflow[Any, Any], command: Command) -> OperationS
 
 
 def is_event(blueprint: Blueprint, command: Command) -> bool:
-    """Whether the daemon itself asks for an operation that says what has happened already."""
+    """Return whether the daemon itself calls an event operation, which reports what has happened already.
+
+    Args:
+        blueprint: The workflow.
+        command: The command.
+    """
     spec = blueprint.find(command.branch, command.operation)
     return spec is not None and spec.event and command.source.startswith(EVENT_SOURCES)
 
 
 def check_role(command: Command, spec: OperationSpec) -> None:
-    """Refuses what the role of whoever asks does not allow, whatever an edge or a router has let through.
+    """Refuse an operation that the role does not allow, whatever an edge or a router has let through.
+
+    Args:
+        command: The command, with its role.
+        spec: The operation.
 
     Raises:
         RefusalError: ``role_not_allowed``.
@@ -67,7 +80,12 @@ def check_role(command: Command, spec: OperationSpec) -> None:
 
 
 def read_payload(workflow: Workflow[Any, Any], command: Command, spec: OperationSpec) -> msgspec.Struct:
-    """The command's arguments as the operation's payload type, without the Stop that an acknowledgement names.
+    """Return the arguments as the operation's payload type, without the Stop that an acknowledgement names.
+
+    Args:
+        workflow: The procedure, with its payload types.
+        command: The command.
+        spec: Its operation.
 
     Raises:
         RefusalError: They do not fit the type, or a number is not finite.
@@ -89,10 +107,14 @@ def read_payload(workflow: Workflow[Any, Any], command: Command, spec: Operation
 
 
 def check_fresh(clock: Clock, command: Command) -> None:
-    """Refuses a command that arrives later than its sender wanted, or of which nobody can say whether it does.
+    """Refuse a command that arrives later than its sender wanted, or whose age is unknown.
+
+    Args:
+        clock: The cell's clock.
+        command: The command.
 
     Raises:
-        RefusalError: ``expired``: it is older than its `ttl`, or was sent in the future. ``bad_arguments``:
+        RefusalError: ``expired``: the command is older than its `ttl`, or was sent in the future. ``bad_arguments``:
             its `ttl` is no limit.
     """
     sent, ttl = command.sent, command.ttl
@@ -106,16 +128,16 @@ def check_fresh(clock: Clock, command: Command) -> None:
         text = f"The command was sent {-age:.3f} s in the future, more than {CLOCK_TOLERANCE:g} s: set its clock."
         raise RefusalError("expired", text, age=age, limit=CLOCK_TOLERANCE)
     if ttl is not None and age > ttl:
-        text = f"The command is {age:.3f} s old; its sender set a limit of {ttl:.3f} s. Send it anew."
+        text = f"The command is {age:.3f} s old; its sender set a limit of {ttl:.3f} s. Send it again."
         raise RefusalError("expired", text, age=age, limit=ttl)
 
 
 def check_in_time(name: str, age: float) -> None:
-    """Refuses what moves or acts, and comes to be looked at when who asked may not expect it any more.
+    """Refuse a command that moves or acts if its checks are late: its sender may not expect it any more.
 
     Args:
         name: Branch and operation.
-        age: Since it arrived, s.
+        age: Time since its arrival, s.
 
     Raises:
         RefusalError: ``expired``.

@@ -60,13 +60,24 @@ class Coordinator(Protocol[C, D]):
         """Return why a pending command is not allowed now: failure, latch, lease or states; None if it is."""
 
     async def stop(self, source: str, reason: Reason | None = None, then: Submission = list) -> bool:
-        """Stop everything; see `Dispatcher.stop`."""
+        """Stop everything; see `Dispatcher.stop`.
+
+        Args:
+            source: Who stops.
+            reason: Why; by default that `source` has requested it.
+            then: Submits the operations that follow from a danger event.
+        """
 
     def fail_for(self, error: BaseException) -> Reason:
         """Fail-stop because of an error; return why nothing is accepted any more."""
 
     def on_completed(self, completed: CompletedCommand[C, D], verdict: Verdict) -> None:
-        """Handle a command whose verdict has been given."""
+        """Handle a command whose verdict has been given.
+
+        Args:
+            completed: The completed command.
+            verdict: The verdict on it.
+        """
 
     def publish_verdict(self, verdict: Verdict) -> None:
         """Publish a verdict, and before it the snapshot unless the command was rejected."""

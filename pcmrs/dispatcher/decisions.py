@@ -1,4 +1,4 @@
-"""From how a command ended to its verdict: journalled, committed, answered, then published.
+"""From completed command to verdict: journalled, committed, answered, then published.
 
 The journal takes a limited number of rejections of each user. A rejection beyond the limit is answered like any other,
 but leaves no row: one row says how many there were. Accepted commands are not counted.
@@ -26,14 +26,14 @@ from pcmrs.messages import Command, Decision, DeviceEvent, Reason, Verdict
 from pcmrs.messages.identity import PEOPLE
 
 RATE_HZ: Final = 10.0
-"""Rejections of one user per second that get a row each, in the long run."""
+"""Long-term rate of one user's rejections that get a row each, Hz."""
 BURST: Final = 1000
-"""Rejections of one user that get a row at once."""
+"""Number of one user's rejections that may get a row at once."""
 USERS: Final = 16
-"""Users with a limit of their own; the others share one."""
+"""Number of users with their own limit; the others share one."""
 OTHERS: Final = "others"
 PERIOD: Final = 10.0
-"""Rejections without a row are counted in one after so long, s."""
+"""Period after which one row counts the rejections without a row, s."""
 TOO_MANY: Final = "too_many_rejections"
 DROPPED: Final = "rejections_dropped"
 
@@ -42,7 +42,7 @@ class Rejections:
     """Decides which rejections get a row.
 
     Args:
-        clock: The machine's.
+        clock: Clock of the machine.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -57,7 +57,12 @@ class Rejections:
         self._coordinator = coordinator
 
     def limit(self, command: Command, reason: Reason) -> Reason | None:
-        """Why a rejection for `reason` gets no row; None where it gets one."""
+        """Return why a rejection gets no row; None if it gets one.
+
+        Args:
+            command: The rejected command.
+            reason: Reason of the rejection.
+        """
         if command.role not in PEOPLE:
             return None
         known = command.user in self._buckets or len(self._buckets) < USERS
@@ -94,18 +99,18 @@ JOURNAL = JournalError.code
 
 
 class Decisions(Generic[C, D]):
-    """Makes completed commands durable and true, one after the other.
+    """Makes completed commands durable and commits them, one after the other.
 
     Args:
-        procedure: Where they are committed.
-        recorder: Where they are journalled.
-        verdict_cache: Where those who asked wait.
+        procedure: The procedure that they change.
+        recorder: The journal.
+        verdict_cache: Verdicts that requesters wait for.
         coordinator: The dispatcher. It gets each completed command once its verdict is given, and fails when one
             cannot be journalled or committed.
-        rejections: Says which rejections get no row; None where all get one.
+        rejections: Decides which rejections get no row; None if all get one.
 
     Attributes:
-        unconfirmed: Those that could not be brought to their end; only the disk knows whether they are journalled.
+        unconfirmed: Commands that could not be concluded; only the disk knows whether they are journalled.
     """
 
     def __init__(
@@ -124,9 +129,9 @@ class Decisions(Generic[C, D]):
         self.unconfirmed: list[CompletedCommand[C, D]] = []
 
     def conclude(self, completed: CompletedCommand[C, D]) -> None:
-        """Journals a decision; as soon as that is durable, it is committed and answered.
+        """Journal a decision; as soon as it is durable, commit and answer it.
 
-        An event that is rejected changes nothing, and what a device has reported has a row of its own: it leaves none.
+        A rejected event leaves no row: it changes nothing, and the report of the device has its own row.
         """
         procedure, rejected = self._procedure, completed.decision == "rejected"
         if rejected and is_event(procedure.blueprint, completed.command):
@@ -169,12 +174,17 @@ class Decisions(Generic[C, D]):
         self.conclude(CompletedCommand(command, verdict, "rejected", reason))
 
     def answer_unrecorded(self, completed: CompletedCommand[C, D]) -> None:
-        """Answers what changes nothing that a later decision could rest on."""
+        """Answer a command without a row, since it changes nothing that a later decision could rest on."""
         verdict = self._verdict(completed, completed.decision, completed.reason, self._procedure.joint())
         self._verdict_cache.settle(completed.verdict, verdict)
 
     def break_off(self, completed: CompletedCommand[C, D], error: BaseException) -> None:
-        """Answers a command that the dispatcher itself could not bring to its end."""
+        """Fail because of a command that the dispatcher could not conclude, and answer it.
+
+        Args:
+            completed: The command.
+            error: The error of the program or the journal.
+        """
         log.error("dispatcher_broken", command=completed.command.id, exc_info=error)
         reason = self._coordinator.fail_for(error)
         decision: Decision = "rejected" if completed.decision == "rejected" else "unknown"
@@ -185,16 +195,20 @@ class Decisions(Generic[C, D]):
             self.unconfirmed.append(completed)
 
     def commit_recorded(self, completed: CompletedCommand[C, D], recorded: Verdict) -> None:
-        """Commits what is durable after all, while nothing else is being journalled; Stop's latch stays.
+        """Commit a command that is durable after all, while nothing else is being journalled; Stop's latch stays.
+
+        Args:
+            completed: The command.
+            recorded: The verdict that the journal has.
 
         Raises:
-            BlueprintError: Memory is not to be trusted.
+            BlueprintError: The states in memory are not to be trusted.
         """
         self._procedure.commit(recorded.sequence, completed.change, completed.changes, unlatch=False)
         self._procedure.forget_promises()
 
     def _only_answer(self, completed: CompletedCommand[C, D], reason: Reason) -> None:
-        """Rejects a command without a row; it is decided anew when it is repeated."""
+        """Rejects a command without a row; it is decided again when it is repeated."""
         self._answer(completed, self._verdict(completed, "rejected", reason, self._procedure.joint()))
         self._verdict_cache.forget(completed.command)
 
@@ -245,7 +259,7 @@ class Decisions(Generic[C, D]):
 
 
 def reason_for(error: BaseException) -> Reason:
-    """Why nothing is accepted any more after `error`."""
+    """Return why nothing is accepted any more after `error`."""
     code = error.code if isinstance(error, PcmrsError) else "internal_error"
-    way = "If it does not go on by itself as soon as the journal can be written again: " if code == JOURNAL else ""
-    return Reason(code=code, text=f"The dispatcher has stopped for safety: {error} {way}Restart the daemon.")
+    hint = "If it does not resume by itself when the journal can be written again: " if code == JOURNAL else ""
+    return Reason(code=code, text=f"The dispatcher has stopped for safety: {error} {hint}Restart the daemon.")

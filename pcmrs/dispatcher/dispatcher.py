@@ -244,9 +244,14 @@ class Dispatcher(Generic[C, D]):
         return await asyncio.shield(self.begin_stop(source, reason, then))
 
     def begin_stop(self, source: str, reason: Reason | None = None, then: Submission = list) -> asyncio.Task[bool]:
-        """Begin to stop everything; see `stop`, also for the arguments.
+        """Begin to stop everything; see `stop`.
 
         When this returns, the Stop has its number, the latch is set and the holds are on their way.
+
+        Args:
+            source: Who stops.
+            reason: Why; by default that `source` has requested it.
+            then: Submits the operations that follow from a danger event, before anything is awaited.
 
         Returns:
             A task. Its result is whether the robot has confirmed that it stands.

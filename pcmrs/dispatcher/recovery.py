@@ -33,17 +33,17 @@ ENDING_TIME = 10.0
 
 
 class PendingOutcomes:
-    """What has ended `unknown` and has not been settled since.
+    """Outcomes that are `unknown` and have not been settled since.
 
-    A motion is settled by an operation of its branch that looks: accepted, and with steps of its own, such as
-    `placement.locate`. Everything else is settled by an operation that acknowledges a Stop; where it does not act on
-    the patient, also by an operation of its branch, as a connection is by connecting.
+    A motion is settled by an accepted operation of its branch that has steps, such as `placement.locate`. Everything
+    else is settled by an operation that acknowledges a Stop; if it does not act on the patient, also by an operation of
+    its branch: an unfinished connection is settled by reconnecting.
 
     Of several unknown outcomes of one operation the newest is kept: the operator has to look once.
 
     Args:
         blueprint: The workflow.
-        earlier: What is unsettled already.
+        earlier: Outcomes that are unsettled already.
     """
 
     def __init__(self, blueprint: Blueprint, earlier: Iterable[UnknownOutcome] = ()) -> None:
@@ -51,16 +51,22 @@ class PendingOutcomes:
         self._outcomes = {(each.branch, each.operation): each for each in earlier}
 
     def shown(self) -> list[UnknownOutcome]:
-        """All of them, in the order in which they came."""
+        """Return all of them, in order of arrival."""
         return list(self._outcomes.values())
 
     def add(self, outcome: UnknownOutcome) -> None:
-        """One more."""
+        """Add an outcome, in place of an earlier one of the same operation."""
         self._outcomes.pop((outcome.branch, outcome.operation), None)
         self._outcomes[outcome.branch, outcome.operation] = outcome
 
     def follow(self, command: Command, verdict: Verdict, now: float) -> None:
-        """A verdict has been given at `now`, Unix s: adds what is unknown, drops what an accepted operation settles."""
+        """Add an unknown outcome, or drop those that an accepted operation settles.
+
+        Args:
+            command: The command.
+            verdict: The verdict on it.
+            now: Time of the verdict, Unix s.
+        """
         if verdict.decision == "accepted":
             self.settle_by(command.branch, command.operation)
         elif verdict.decision == "unknown":
@@ -75,13 +81,23 @@ class PendingOutcomes:
             )
 
     def withdraw(self, source: str, command: str) -> None:
-        """The outcome of a command has become known."""
+        """Drop the outcome of a command, since it has become known.
+
+        Args:
+            source: Source of the command.
+            command: Its id.
+        """
         self._outcomes = {
             key: each for key, each in self._outcomes.items() if (each.source, each.command) != (source, command)
         }
 
     def settle_by(self, branch: str, operation: str) -> None:
-        """An operation has been accepted: drops what that settles."""
+        """Drop the outcomes that an accepted operation settles.
+
+        Args:
+            branch: Branch of the operation.
+            operation: Its name.
+        """
         by = self._blueprint.find(branch, operation)
         if by is not None:
             self._outcomes = {key: each for key, each in self._outcomes.items() if not self._settles(branch, by, each)}
@@ -94,17 +110,17 @@ class PendingOutcomes:
         return by.unlatches or (looks and not (of is not None and of.affects_patient))
 
 
-LOST = Reason(code=JOURNAL, text="The journal failed while it ran; nobody knows how it ended.")
+LOST = Reason(code=JOURNAL, text="The journal failed while it ran; its outcome is unknown.")
 
 
 class Reconciliation(Generic[C, D]):
-    """Used while nothing runs and nothing is accepted.
+    """Makes memory agree with the disk, while nothing runs and nothing is accepted.
 
     Args:
-        procedure: Where is committed what the disk has.
+        procedure: The procedure.
         verdict_cache: Gets the verdicts that count.
-        decisions: Has what is doubtful.
-        outcomes: Drops what has become known.
+        decisions: Has the unconfirmed commands.
+        outcomes: Unknown outcomes.
         activities: Follow the commits.
     """
 
@@ -123,13 +139,13 @@ class Reconciliation(Generic[C, D]):
         self._activities = activities
 
     async def of_all(self, begun: Container[tuple[str, str]]) -> AsyncIterator[Verdict]:
-        """Settles one after the other what is doubtful, and yields the verdicts that count instead.
+        """Settle the unconfirmed commands one after the other, and yield the verdicts that count instead.
 
         Args:
             begun: Source and id of the commands of which the journal has the intent and no outcome.
 
         Raises:
-            JournalError: The journal cannot be read or written; what is left stays doubtful.
+            JournalError: The journal cannot be read or written; the remaining commands stay unconfirmed.
         """
         self._procedure.forget_promises()
         waiting, self._decisions.unconfirmed = self._decisions.unconfirmed, []
@@ -166,7 +182,7 @@ class Reconciliation(Generic[C, D]):
         return recorded
 
     def _unknown(self, command: Command, verdict: asyncio.Future[Verdict]) -> CompletedCommand[C, D]:
-        """With the state that its operation declares for what nobody knows."""
+        """Completed as unknown, with the state that its operation declares for that."""
         closure = self._procedure.ask(command.branch, command.operation)
         change = closure.unknown if isinstance(closure, Closure) else None
         return CompletedCommand(command, verdict, "unknown", LOST, change=change)
