@@ -163,7 +163,7 @@ class Activity(Generic[C, D]):
         return self._submit(self.command_to(branch, operation, arguments))
 
     def show(self, **values: Any) -> None:
-        """Show values in the snapshot, besides earlier ones; each change is published, so make only a few per second."""
+        """Show values in the snapshot, besides earlier ones; each change is published: a few per second."""
         shown = self.values | values
         if shown != self.values:
             self.values = shown
