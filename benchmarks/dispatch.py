@@ -36,14 +36,14 @@ from pcmrs.cli.log import log_to_stderr
 from pcmrs.clock import SystemClock
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.remote import RemotePointer, RemoteRobot
-from pcmrs.dispatcher import Dispatcher
+from pcmrs.dispatcher import Dispatcher, DispatcherListener
 from pcmrs.gateway.grammar import format_command
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from pcmrs.journal import Journal
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.messages import BlueprintTag
+from pcmrs.messages import BlueprintTag, DeviceEvent, Snapshot, Verdict
 from pcmrs.service.gateway_adapter import GatewayAdapter
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.restart.recorder import JournalRecorder
@@ -66,6 +66,16 @@ class Echo(asyncio.DatagramProtocol):
         self.transport.sendto(data, address)
 
 
+class Shown(DispatcherListener):
+    """Puts the messages of a dispatcher on the bus, as the daemon does."""
+
+    def __init__(self, publishing: Publishing) -> None:
+        self._publishing = publishing
+
+    def on_publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+        self._publishing.publish(message)
+
+
 async def nothing_to_hold(_latch: bool) -> None:
     """There is no arm: the Stop with which the dispatcher ends need not wait for one."""
 
@@ -85,7 +95,8 @@ async def opened(endpoint: str, folder: Path, durable: bool) -> AsyncIterator[di
     poses, arm = PoseFeed(clock, 0.2), ArmModel(ARMS["iiwa14"])
     cell = Cell(robot, pointer, poses, arm, clock, settings, read_surface(settings))
     recorder = JournalRecorder(journal, clock, "benchmark", tag)
-    dispatcher = Dispatcher(workflow, cell, clock, recorder, nothing_to_hold, Publishing(bus).publish)
+    dispatcher = Dispatcher(workflow, cell, clock, recorder, nothing_to_hold)
+    dispatcher.add_listener(Shown(Publishing(bus)))
     edge = await CommandEdge.open(bus, dispatcher.submit, lambda *_: None, lambda _source, _presses: None)
 
     async def echo_query(_key: str, request: Envelope) -> Envelope:

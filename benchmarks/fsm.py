@@ -227,7 +227,7 @@ def dispatching(recorder: Any) -> AsyncSend:
     workflow: Workflow[Any, Any] = Workflow(
         blueprint, Registry(), ProcedureData(), lambda data, _states, _effects: data
     )
-    dispatcher = Dispatcher(workflow, None, SystemClock(), recorder, hold, lambda _message: None)
+    dispatcher = Dispatcher(workflow, None, SystemClock(), recorder, hold)
     number = 0
 
     async def send(branch: str, event: str) -> object:

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from stop_found import BREATHING, LATCHED, STANDSTILL, Braking, Found, farthest
 
+from pcmrs.dispatcher import DispatcherListener
 from pcmrs.journal import JournalReader
 from pcmrs.messages import Command, DeviceEvent, HeadMotion, JointState, Snapshot, Verdict
 from pcmrs.simulated_time.loop import SimulatedLoop
@@ -108,7 +109,7 @@ class _Robot:
         return state
 
 
-class _Cell:
+class _Cell(DispatcherListener):
     """One cell, and what is seen of the present Stop.
 
     Args:
@@ -143,9 +144,9 @@ class _Cell:
     def observe(self, dispatcher: ProcedureDispatcher, reader: JournalReader) -> None:
         """A run of the daemon begins."""
         self._witness.observe(dispatcher, reader)
-        dispatcher.on_publish(self._published)
+        dispatcher.add_listener(self)
 
-    def _published(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+    def on_publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
         if not isinstance(message, Snapshot) or message.stop.number <= self._number:
             return
         if message.latched and self.latched is None:

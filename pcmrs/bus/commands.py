@@ -5,13 +5,13 @@ Commands go to the dispatcher. Stop has its own lane (`pcmrs.bus.stop`).
 
 from __future__ import annotations
 
-import asyncio
 import uuid
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Coroutine
 from typing import Annotated, Any, ClassVar, Protocol
 
 from msgspec import Meta, field
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.bucket import TokenBucket
 from pcmrs.bus.bridge import ARRIVED
 from pcmrs.bus.codec import busy, reason_from
@@ -50,7 +50,7 @@ class Envelope(Message, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class Submit(Protocol):
     """Signature of `Dispatcher.submit`."""
 
-    def __call__(self, command: Command, /, *, arrived: float) -> Awaitable[Verdict]:
+    def __call__(self, command: Command, /, *, arrived: float) -> Coroutine[Any, Any, Verdict]:
         """Decide on a command.
 
         Args:
@@ -76,7 +76,7 @@ class CommandEdge:
         self._submit = submit
         self._refused = refused
         self._lane = lane
-        self._submitted: set[asyncio.Task[Verdict]] = set()
+        self._submitted = BackgroundTasks()
         self._reports = TokenBucket(REPORTED_HZ, REPORTED_AT_ONCE, SystemClock())
         self._ends = (
             bus.serve(_COMMANDS, Envelope, self._answer, refuse=self._refusal),
@@ -109,9 +109,7 @@ class CommandEdge:
         """Stop taking commands, cancel the wait for verdicts on puts, and close the lane of Stop."""
         for end in self._ends:
             await end()
-        for task in self._submitted:
-            task.cancel()
-        await asyncio.gather(*self._submitted, return_exceptions=True)
+        await self._submitted.close()
         await self._lane.close()
 
     async def _answer(self, key: str, envelope: Envelope) -> Verdict:
@@ -128,14 +126,9 @@ class CommandEdge:
             self._refuse(key, error)
         else:
             if len(self._submitted) < ANSWERS:
-                self._spawn(command)
+                self._submitted.spawn(self._submit(command, arrived=ARRIVED.get()))
             else:
                 self._refuse(key, busy(ANSWERS))
-
-    def _spawn(self, command: Command) -> None:
-        task = asyncio.ensure_future(self._submit(command, arrived=ARRIVED.get()))
-        self._submitted.add(task)
-        task.add_done_callback(self._submitted.discard)
 
     def _refuse(self, key: str, error: PcmrsError) -> None:
         """May run in any thread."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, Generic, TypeVar
 import msgspec
 import zenoh
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.bus.bridge import CAPACITY, Call
 from pcmrs.bus.codec import busy, is_text, pack, pack_text, reason_from, unpack
 from pcmrs.bus.keys import named_in
@@ -46,7 +47,7 @@ class Service(Generic[T]):
         refuse: Returns the reply to a malformed, excess or unsigned request; None for an error reply.
         post: Runs a call in the event loop, or returns False if too many wait.
         turns: Starts requests that only read, in turn; None to start each request as it arrives.
-        tasks: Set of the running answers.
+        tasks: Owner of the running answers.
         pool: Threads that send replies, because a link with a full queue blocks its sender.
         seal: Seal of requests and replies on this key; None where they are not sealed.
         verifier: Verifier of requests on this key; None where they are not signed.
@@ -59,7 +60,7 @@ class Service(Generic[T]):
     refuse: Refuse | None
     post: Callable[[Call], bool]
     turns: RoundRobin | None
-    tasks: set[asyncio.Task[None]]
+    tasks: BackgroundTasks
     pool: Executor
     seal: Seal | None = None
     verifier: SignatureVerifier | None = None
@@ -110,10 +111,7 @@ class Service(Generic[T]):
             self.pool.submit(self._send, query, key, self._refusal(key, error))
 
     def _serve(self, query: zenoh.Query, key: str) -> asyncio.Task[None]:
-        task = asyncio.create_task(self._answer(query, key))
-        self.tasks.add(task)
-        task.add_done_callback(self.tasks.discard)
-        return task
+        return self.tasks.spawn(self._answer(query, key))
 
     async def _answer(self, query: zenoh.Query, key: str) -> None:
         try:

@@ -14,6 +14,7 @@ import msgspec
 import zenoh
 from zenoh import Locality, ext
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.bus.bridge import CAPACITY, Bridge
 from pcmrs.bus.codec import busy, pack, unpack
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
@@ -74,7 +75,7 @@ class Bus:
         self._declaring = threading.Lock()
         self._receivers: list[Any] = []
         self._tokens: list[zenoh.LivelinessToken] = []
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = BackgroundTasks()
 
     @classmethod
     async def open(cls, settings: BusSettings, seal: Seal | None = None) -> Bus:
@@ -326,9 +327,7 @@ class Bus:
         self._turns.close()
         receivers, self._receivers = self._receivers, []
         await self._in_pool(_undeclare, receivers)
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._tasks.close()
         await self._in_pool(_undeclare, [*self._tokens, *self._publishers.values()])
         await self._in_pool(self._session.close)
         for sender in self._senders.values():

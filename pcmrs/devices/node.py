@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import uuid
 from collections import Counter
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from functools import partial
 from math import inf
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import msgspec
 import structlog
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.devices.calls import call_method, methods_of
 from pcmrs.devices.deadman import (
@@ -108,7 +109,7 @@ class DeviceNode:
         self._held_up_at = self._reported_held_up_at = -inf
         self._last_data: dict[str, float] = {}
         self._frame_sessions = FrameSessions()
-        self._holds: set[asyncio.Task[None]] = set()
+        self._holds = BackgroundTasks()
 
     async def run(self) -> None:
         """Serve until cancelled."""
@@ -133,9 +134,9 @@ class DeviceNode:
 
     def stop(self, source: str) -> None:
         """Make all devices safe at once, without the daemon; called by the lane of Stop."""
-        self._spawn(self.make_safe(f"stop by {source}"))
+        self._holds.spawn(self.make_safe(f"stop by {source}"))
 
-    def make_safe(self, why: str) -> Awaitable[None]:
+    def make_safe(self, why: str) -> Coroutine[Any, Any, None]:
         """Hold the robot and disarm the stimulator of this node; a failure to confirm that is logged.
 
         The gates are shut when this returns: the caller awaits only that the devices are at rest.
@@ -155,11 +156,6 @@ class DeviceNode:
         with self._standstill.moving():
             state: JointState = await self._devices["robot"].hold()
         return state
-
-    def _spawn(self, work: Awaitable[None]) -> None:
-        task = asyncio.ensure_future(work)
-        self._holds.add(task)
-        task.add_done_callback(self._holds.discard)
 
     async def _confirm(self, action: str, act: Callable[[], Awaitable[object]], why: str) -> None:
         try:
@@ -223,7 +219,7 @@ class DeviceNode:
         if beat.session == self._deadman.session and any(
             gate.state.daemon not in ("", beat.session) for gate in self._gates.values()
         ):
-            self._spawn(self.make_safe("another daemon has started"))
+            self._holds.spawn(self.make_safe("another daemon has started"))
             for gate in self._gates.values():
                 gate.forget_daemon()
 
@@ -344,7 +340,7 @@ class DeviceNode:
             self._last_data["robot"] = self._clock.monotonic()
             self._link.publish("state/joints", state)
             if (moved := self._standstill.take(state)) is not None:
-                self._spawn(self.make_safe(moved.text))
+                self._holds.spawn(self.make_safe(moved.text))
                 self._link.publish("dev/robot/event", moved)
 
     async def _publish_events(self, name: str, device: RobotDriver | StimulatorDriver) -> None:

@@ -1,6 +1,7 @@
 """Dispatcher-State/Flag/Operation: commands in, decisions out, operations performed in between."""
 
 from pcmrs.dispatcher.dispatcher import Dispatcher
+from pcmrs.dispatcher.listeners import DispatcherListener
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.run import Activity, ProcedureData, Run
@@ -9,6 +10,7 @@ from pcmrs.dispatcher.workflow import NoArguments, Registry, Workflow
 __all__ = [
     "Activity",
     "Dispatcher",
+    "DispatcherListener",
     "NoArguments",
     "Procedure",
     "ProcedureData",

@@ -1,138 +1,271 @@
-"""What can be said of a command before any state is looked at."""
+"""From command to pending command: it starts, waits or is rejected; waiting commands are admitted again."""
 
 from __future__ import annotations
 
-import math
-from typing import Any
+import asyncio
+import uuid
+from typing import Generic
 
-import msgspec
-
-from pcmrs.clock import Clock
-from pcmrs.dispatcher.workflow import Workflow
-from pcmrs.errors import RefusalError
-from pcmrs.fsm import Blueprint, OperationSpec
-from pcmrs.messages import Command
-
-EVENT_SOURCES = ("device:", "detector:", "timer:", "operation:", "activity:")
-
-CHECKS_BEGIN_WITHIN = 0.1
-"""The checks of what moves or acts on the patient begin so soon after it has arrived, s of the event loop's clock."""
-CLOCK_TOLERANCE = 5.0
-"""A sender's wall clock may be so far ahead of ours, s."""
-
-
-def find_operation(workflow: Workflow[Any, Any], command: Command) -> OperationSpec:
-    """The operation a command names.
-
-    Raises:
-        RefusalError: There is no such branch or operation, or users may not ask for it.
-    """
-    branch = workflow.blueprint.branches.get(command.branch)
-    if branch is None:
-        known = list(workflow.blueprint.branches)
-        text = f"There is no branch {command.branch!r}; the branches are {', '.join(known)}."
-        raise RefusalError("unknown_branch", text, branch=command.branch, known=known)
-    spec = branch.operations.get(command.operation)
-    if spec is None:
-        known = list(branch.operations)
-        text = f"{command.branch} has no operation {command.operation!r}; it has {', '.join(known)}."
-        raise RefusalError("unknown_operation", text, operation=command.operation, known=known)
-    if spec.iio:
-        text = f"{command.branch}.{command.operation} is called by a child branch only, never from outside."
-        raise RefusalError("internal_operation", text, operation=command.operation)
-    if spec.event and not command.source.startswith(EVENT_SOURCES):
-        text = f"{command.branch}.{command.operation} is called by a device, detector or timer only."
-        raise RefusalError("event_operation", text, operation=command.operation, source=command.source)
-    return spec
+from pcmrs.dispatcher.activities import Activities
+from pcmrs.dispatcher.command_checks import (
+    CHECKS_BEGIN_WITHIN,
+    EVENT_SOURCES,
+    check_fresh,
+    check_role,
+    find_operation,
+    read_payload,
+)
+from pcmrs.dispatcher.coordinator import CompletedCommand
+from pcmrs.dispatcher.decisions import Decisions
+from pcmrs.dispatcher.events import DAEMON
+from pcmrs.dispatcher.execution import ExecutionContext, reason_of
+from pcmrs.dispatcher.lease import LEASE, RENEW, TAKEN, Lease
+from pcmrs.dispatcher.locks import PendingCommand, locks_for
+from pcmrs.dispatcher.performer import Performer
+from pcmrs.dispatcher.run import C, D
+from pcmrs.dispatcher.stops import Stops
+from pcmrs.dispatcher.verdict_cache import VerdictCache
+from pcmrs.errors import JournalError, PcmrsError, RefusalError
+from pcmrs.fsm import Closure, Denial
+from pcmrs.messages import Command, DeviceEvent, DryRunResult, Reason, Verdict
 
 
-def is_event(blueprint: Blueprint, command: Command) -> bool:
-    """Whether the daemon itself asks for an operation that says what has happened already."""
-    spec = blueprint.find(command.branch, command.operation)
-    return spec is not None and spec.event and command.source.startswith(EVENT_SOURCES)
-
-
-def check_role(command: Command, spec: OperationSpec) -> None:
-    """Refuses what the role of whoever asks does not allow, whatever an edge or a router has let through.
-
-    Raises:
-        RefusalError: ``role_not_allowed``.
-    """
-    if command.source.startswith(EVENT_SOURCES):
-        return
-    allowed = spec.askers
-    if command.role not in allowed:
-        text = f"A {command.role} may not ask for {command.branch}.{command.operation}: {' or '.join(allowed)} may."
-        raise RefusalError("role_not_allowed", text, user=command.user, role=command.role, allowed=allowed)
-
-
-def read_payload(workflow: Workflow[Any, Any], command: Command, spec: OperationSpec) -> msgspec.Struct:
-    """The command's arguments as the operation's payload type, without the Stop that an acknowledgement names.
-
-    Raises:
-        RefusalError: They do not fit the type, or a number is not finite.
-    """
-    kind = workflow.registry.payloads[spec.payload]
-    what = f"{command.branch}.{command.operation}"
-    arguments = dict(command.arguments)
-    try:
-        if spec.unlatches:
-            msgspec.convert(arguments.pop("stop", None), int | None)
-        payload: msgspec.Struct = msgspec.convert(arguments, kind)
-    except msgspec.ValidationError as error:
-        raise RefusalError("bad_arguments", f"{what}: {error}.", arguments=list(command.arguments)) from error
-    for path, value in _numbers(command.arguments, ""):
-        if not math.isfinite(value):
-            text = f"{what}: {path[1:]} is {value}; every number must be finite."
-            raise RefusalError("bad_arguments", text, argument=path[1:], value=str(value))
-    return payload
-
-
-def check_fresh(clock: Clock, command: Command) -> None:
-    """Refuses a command that arrives later than its sender wanted, or of which nobody can say whether it does.
-
-    Raises:
-        RefusalError: ``expired``: it is older than its `ttl`, or was sent in the future. ``bad_arguments``:
-            its `ttl` is no limit.
-    """
-    sent, ttl = command.sent, command.ttl
-    if ttl is not None and (sent is None or not 0.0 <= ttl < math.inf):
-        text = f"A ttl of {ttl} s with sent at {sent} sets no limit: give both, ttl finite and not negative."
-        raise RefusalError("bad_arguments", text, ttl=str(ttl), sent=str(sent))
-    if sent is None:
-        return
-    age = clock.wall() - sent
-    if age < -CLOCK_TOLERANCE:
-        text = f"The command was sent {-age:.3f} s in the future, more than {CLOCK_TOLERANCE:g} s: set its clock."
-        raise RefusalError("expired", text, age=age, limit=CLOCK_TOLERANCE)
-    if ttl is not None and age > ttl:
-        text = f"The command is {age:.3f} s old; its sender set a limit of {ttl:.3f} s. Send it anew."
-        raise RefusalError("expired", text, age=age, limit=ttl)
-
-
-def check_in_time(name: str, age: float) -> None:
-    """Refuses what moves or acts, and comes to be looked at when who asked may not expect it any more.
+class CommandAdmission(Generic[C, D]):
+    """Admits commands: each starts, waits or is rejected.
 
     Args:
-        name: Branch and operation.
-        age: Since it arrived, s.
+        context: Shared parts of the dispatcher.
+        lease: Lease of the cell.
+        stops: Says whether a Stop may be acknowledged.
+        verdict_cache: Verdicts by source and id.
+        decisions: Concludes rejected commands.
+        performer: Performs admitted commands.
+        activities: Activities that may move the robot.
 
-    Raises:
-        RefusalError: ``expired``.
+    Attributes:
+        lease: Lease of the cell.
+        broken: Why nothing is accepted any more; None in operation.
+        suspended: Why commands are rejected for now; None in operation.
     """
-    if age > CHECKS_BEGIN_WITHIN:
-        text = (
-            f"{name} was to begin {age:.3f} s after it had arrived, and may not later than {CHECKS_BEGIN_WITHIN:g} s: "
-            "the daemon was held up. Look, then ask again."
+
+    def __init__(
+        self,
+        context: ExecutionContext[C, D],
+        lease: Lease,
+        stops: Stops,
+        verdict_cache: VerdictCache,
+        decisions: Decisions[C, D],
+        performer: Performer[C, D],
+        activities: Activities[C, D],
+    ) -> None:
+        self.lease = lease
+        self.broken: Reason | None = None
+        self.suspended: Reason | None = None
+        self._coordinator = context.coordinator
+        self._workflow = context.workflow
+        self._procedure = context.procedure
+        self._clock = context.clock
+        self._tasks = context.tasks
+        self._stops = stops
+        self._locks = context.locks
+        self._verdict_cache = verdict_cache
+        self._decisions = decisions
+        self._performer = performer
+        self._activities = activities
+        self._dry_running = asyncio.Lock()
+
+    @property
+    def moving(self) -> bool:
+        """True while something moves the robot, or a motion waits."""
+        return self._activities.moving or self._locks.moving
+
+    def admit(self, command: Command, arrived: float | None = None) -> asyncio.Future[Verdict]:
+        """Admit a command at once, unless it repeats an earlier one.
+
+        Args:
+            command: The command.
+            arrived: Time of its arrival at the edge of the daemon, s of the event loop's clock; by default now.
+
+        Returns:
+            Its verdict, done or to come.
+        """
+        try:
+            verdict, is_new = self._verdict_cache.verdict_of(command)
+        except RefusalError as error:  # no row: the one of this id is about something else
+            verdict, is_new = asyncio.get_running_loop().create_future(), False
+            self._decisions.answer_unrecorded(CompletedCommand(command, verdict, "rejected", reason_of(error)))
+            self._coordinator.publish_verdict(verdict.result())
+        except JournalError as error:
+            verdict, is_new = asyncio.get_running_loop().create_future(), False
+            self._decisions.break_off(CompletedCommand(command, verdict, "rejected"), error)
+        if is_new:
+            try:
+                self._admit(command, verdict, arrived)
+            except Exception as error:
+                self._decisions.break_off(CompletedCommand(command, verdict, "rejected"), error)
+        return verdict
+
+    def admit_event(self, event: DeviceEvent) -> list[asyncio.Future[Verdict]]:
+        """Admit the event operations that a device's event calls; return the verdicts to come."""
+        return [
+            self.admit(
+                Command(
+                    id=f"{event.code}-{uuid.uuid4().hex}",
+                    branch=name,
+                    operation=event.code,
+                    source=f"device:{event.device}",
+                    user=DAEMON,
+                    role="daemon",
+                )
+            )
+            for name, branch in self._workflow.blueprint.branches.items()
+            if event.code in branch.operations and branch.operations[event.code].event
+        ]
+
+    def admit_waiting(self) -> None:
+        """Admit all waiting commands again: each starts, waits on, or is rejected."""
+        for pending in self._locks.take_waiting():
+            try:
+                self._admit_again(pending)
+            except Exception as error:  # the others have been taken out of the queue, too
+                pending.end_wait()
+                self._decisions.break_off(CompletedCommand(pending.command, pending.verdict, "rejected"), error)
+
+    async def dry_run(self, command: Command) -> DryRunResult:
+        """Return what the verdict on a command would rest on now; see `Dispatcher.dry_run`."""
+        async with self._dry_running:
+            return await self._dry_run(command)
+
+    def objection(self, pending: PendingCommand) -> Reason | None:
+        """Return why a pending command is not allowed now: failure, latch, lease or states; None if it is."""
+        answer = self._procedure.ask(pending.command.branch, pending.command.operation)
+        return self._barred(pending) or self._refused(pending, answer)
+
+    async def _dry_run(self, command: Command) -> DryRunResult:
+        try:
+            pending, answer = self._pending_command(command, asyncio.get_running_loop().create_future())
+        except PcmrsError as error:
+            return DryRunResult(reason=reason_of(error))
+        reason = self._suspended_for(command) or self._barred(pending) or self._refused(pending, answer)
+        if reason is None and (self.moving or self._locks.blocked(pending)):
+            text = f"Something runs, so that {pending.name} is not looked at: ask again when it has ended."
+            reason = Reason(code="busy", text=text)
+        return await self._performer.dry_run(pending) if reason is None else DryRunResult(reason=reason)
+
+    def _admit(self, command: Command, verdict: asyncio.Future[Verdict], arrived: float | None) -> None:
+        suspended = self._suspended_for(command)
+        if suspended is not None:
+            self._decisions.answer_unrecorded(CompletedCommand(command, verdict, "rejected", suspended))
+            self._verdict_cache.forget(command)
+            self._coordinator.publish_verdict(verdict.result())
+            return
+        if command.branch == LEASE:
+            self._admit_lease(command, verdict)
+            return
+        try:
+            pending, answer = self._pending_command(command, verdict, arrived)
+        except PcmrsError as error:
+            self._decisions.reject(command, verdict, reason_of(error))
+            return
+        blocked = self._locks.blocked(pending)
+        reason = self._barred(pending) or (
+            self._locks.why_not_wait(pending) if blocked else self._refused(pending, answer)
         )
-        raise RefusalError("expired", text, age=age, limit=CHECKS_BEGIN_WITHIN)
+        if reason is not None:
+            self._decisions.reject(command, verdict, reason)
+        elif blocked:
+            self._wait(pending)
+        else:
+            self._performer.start(pending)
 
+    def _admit_lease(self, command: Command, verdict: asyncio.Future[Verdict]) -> None:
+        """Decides at once; a renewal changes nothing, and leaves no row."""
+        before = self.lease.holder
+        reason = self.broken or self._too_old(command) or self.lease.decide(command)
+        if reason is not None:
+            self._decisions.reject(command, verdict, reason)
+        elif command.operation == RENEW:
+            self._decisions.answer_unrecorded(CompletedCommand(command, verdict, "accepted"))
+        else:
+            self._decisions.conclude(CompletedCommand(command, verdict, "accepted"))
+        if before not in (None, self.lease.holder) and self.moving:
+            text = f"{before} does not hold this cell any more, and the robot moves."
+            self._tasks.spawn(self._coordinator.stop(command.source, Reason(code=TAKEN, text=text)))
 
-def _numbers(value: Any, path: str) -> list[tuple[str, float]]:
-    if isinstance(value, float):
-        return [(path, value)]
-    if isinstance(value, dict):
-        return [found for key, item in value.items() for found in _numbers(item, f"{path}.{key}")]
-    if isinstance(value, list | tuple):
-        return [found for index, item in enumerate(value) for found in _numbers(item, f"{path}.{index}")]
-    return []
+    def _admit_again(self, pending: PendingCommand) -> None:
+        answer = self._procedure.ask(pending.command.branch, pending.command.operation)
+        pending.locks = locks_for(self._workflow.blueprint, pending.command, answer)
+        blocked = self._locks.blocked(pending)
+        if blocked:
+            reason = self._locks.why_not_wait(pending) if pending.moves else None
+        else:
+            reason = self._barred(pending) or self._too_old(pending.command) or self._refused(pending, answer)
+        if reason is not None:
+            pending.end_wait()
+            self._decisions.reject(pending.command, pending.verdict, reason)
+        elif blocked:
+            self._locks.waiting.append(pending)
+        else:
+            self._performer.start(pending)
+
+    def _wait(self, pending: PendingCommand) -> None:
+        replaced = self._locks.wait(pending)
+        if replaced is not None:
+            text = f"{pending.command.source} has reported {pending.name} again: the newer report counts."
+            reason = Reason(code="replaced", text=text)
+            self._decisions.answer_unrecorded(CompletedCommand(replaced.command, replaced.verdict, "rejected", reason))
+        if pending.moves:
+            latest = pending.arrived + CHECKS_BEGIN_WITHIN
+            pending.patience = asyncio.get_running_loop().call_at(latest, self._lose_patience, pending)
+
+    def _lose_patience(self, motion: PendingCommand) -> None:
+        """Rejects a motion that has waited as long as a motion may."""
+        self._locks.waiting.remove(motion)
+        self._decisions.reject(motion.command, motion.verdict, self._locks.busy(motion))
+
+    def _pending_command(
+        self, command: Command, verdict: asyncio.Future[Verdict], arrived: float | None = None
+    ) -> tuple[PendingCommand, Closure | Denial]:
+        """Returns the command as a pending one, and the answer of the states to it.
+
+        Raises:
+            PcmrsError: The command is refused whatever the states are.
+        """
+        spec = find_operation(self._workflow, command)
+        check_role(command, spec)
+        check_fresh(self._clock, command)
+        payload = read_payload(self._workflow, command, spec)
+        answer = self._procedure.ask(command.branch, command.operation)
+        locks = locks_for(self._workflow.blueprint, command, answer)
+        arrived = asyncio.get_running_loop().time() if arrived is None else arrived
+        side_effecting = self._performer.has_side_effects(spec)
+        return PendingCommand(command, spec, payload, verdict, locks, arrived, side_effecting), answer
+
+    def _suspended_for(self, command: Command) -> Reason | None:
+        """Why a command is not taken for now; events, retreats and the release of Stop for them always are."""
+        spec = self._workflow.blueprint.find(command.branch, command.operation)
+        leaves = spec is not None and (spec.motion == "retreat" or spec.unlatches)
+        return None if leaves or command.source.startswith(EVENT_SOURCES) else self.suspended
+
+    def _barred(self, pending: PendingCommand) -> Reason | None:
+        """Why a command is not allowed in any state: latch, failure or lease."""
+        if self.broken is None and pending.spec.blocked_when_latched and self._procedure.latched:
+            release = " or ".join(self._workflow.blueprint.unlatching)
+            text = f"{pending.name} is not allowed while Stop is latched: acknowledge with {release} first."
+            return Reason(code="latched", text=text)
+        return self.broken or self.lease.objection(pending.command)
+
+    def _refused(self, pending: PendingCommand, answer: Closure | Denial) -> Reason | None:
+        """Why the states do not allow it, or why an acknowledgement does not answer the newest Stop."""
+        if isinstance(answer, Denial):
+            return Reason(code=answer.code, text=answer.text, fields=answer.fields)
+        if not pending.spec.unlatches:
+            return None
+        return self._stops.objection(pending.command, latched=self._procedure.latched)
+
+    def _too_old(self, command: Command) -> Reason | None:
+        try:
+            check_fresh(self._clock, command)
+        except PcmrsError as error:
+            return reason_of(error)
+        return None

@@ -1,4 +1,4 @@
-"""From how a command ended to its verdict: journalled, committed, answered, then published.
+"""From completed command to verdict: journalled, committed, answered, then published.
 
 The journal takes a limited number of rejections of each user. A rejection beyond the limit is answered like any other,
 but leaves no row: one row says how many there were. Accepted commands are not counted.
@@ -7,8 +7,6 @@ but leaves no row: one row says how many there were. Accepted commands are not c
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, Generic
 
@@ -16,27 +14,26 @@ import structlog
 
 from pcmrs.bucket import TokenBucket
 from pcmrs.clock import Clock
-from pcmrs.dispatcher.admission import is_event
-from pcmrs.dispatcher.locks import PendingCommand
+from pcmrs.dispatcher.command_checks import is_event
+from pcmrs.dispatcher.coordinator import CompletedCommand, Coordinator
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import Recorder
-from pcmrs.dispatcher.run import C, D, Run
+from pcmrs.dispatcher.run import C, D
 from pcmrs.dispatcher.verdict_cache import VerdictCache
 from pcmrs.errors import JournalError, PcmrsError
 from pcmrs.failpoints import failpoint
-from pcmrs.fsm import Change
 from pcmrs.messages import Command, Decision, DeviceEvent, Reason, Verdict
 from pcmrs.messages.identity import PEOPLE
 
 RATE_HZ: Final = 10.0
-"""Rejections of one user per second that get a row each, in the long run."""
+"""Long-term rate of one user's rejections that get a row each, Hz."""
 BURST: Final = 1000
-"""Rejections of one user that get a row at once."""
+"""Number of one user's rejections that may get a row at once."""
 USERS: Final = 16
-"""Users with a limit of their own; the others share one."""
+"""Number of users with their own limit; the others share one."""
 OTHERS: Final = "others"
 PERIOD: Final = 10.0
-"""Rejections without a row are counted in one after so long, s."""
+"""Period after which one row counts the rejections without a row, s."""
 TOO_MANY: Final = "too_many_rejections"
 DROPPED: Final = "rejections_dropped"
 
@@ -45,22 +42,27 @@ class Rejections:
     """Decides which rejections get a row.
 
     Args:
-        clock: The machine's.
+        clock: Clock of the machine.
     """
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._buckets: dict[str, TokenBucket] = {}
         self._dropped: dict[str, int] = {}
-        self._tell: Callable[[DeviceEvent], object] | None = None
+        self._coordinator: Coordinator[Any, Any] | None = None
         self._timer: asyncio.TimerHandle | None = None
 
-    def on_dropped(self, tell: Callable[[DeviceEvent], object]) -> None:
-        """Has `tell` called with the number of rejections without a row, once in `PERIOD` while there are any."""
-        self._tell = tell
+    def attach(self, coordinator: Coordinator[Any, Any]) -> None:
+        """Announce the number of rejections without a row by `coordinator`, once per `PERIOD` while there are any."""
+        self._coordinator = coordinator
 
     def limit(self, command: Command, reason: Reason) -> Reason | None:
-        """Why a rejection for `reason` gets no row; None where it gets one."""
+        """Return why a rejection gets no row; None if it gets one.
+
+        Args:
+            command: The rejected command.
+            reason: Reason of the rejection.
+        """
         if command.role not in PEOPLE:
             return None
         known = command.user in self._buckets or len(self._buckets) < USERS
@@ -70,15 +72,15 @@ class Rejections:
             return None
         self._dropped[name] = self._dropped.get(name, 0) + 1
         if self._timer is None:
-            self._timer = asyncio.get_running_loop().call_later(PERIOD, self.tell)
+            self._timer = asyncio.get_running_loop().call_later(PERIOD, self.report)
         wait = bucket.wait
         text = f"{reason.text} Commands of {command.user} were rejected more often than {RATE_HZ:g} times per second, "
         text += f"so this rejection is only counted: correct the command, and ask again in {wait:.1f} s."
         fields = {"rejected_for": reason.code, "limit_hz": RATE_HZ, "retry_after": wait}
         return Reason(code=TOO_MANY, text=text, fields=fields)
 
-    def tell(self) -> None:
-        """Tells of what has got no row since the last time."""
+    def report(self) -> None:
+        """Announce how many rejections have got no row since the last time."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -86,8 +88,9 @@ class Rejections:
         for user, count in dropped.items():
             text = f"{count} rejections of commands of {user} have no row: more than {RATE_HZ:g} per second."
             fields = {"user": user, "count": count, "limit_hz": RATE_HZ}
-            if self._tell is not None:
-                self._tell(DeviceEvent(device="dispatcher", code=DROPPED, text=text, fields=fields))
+            if self._coordinator is not None:
+                event = DeviceEvent(device="dispatcher", code=DROPPED, text=text, fields=fields)
+                self._coordinator.announce_later(event)
 
 
 log = structlog.get_logger(__name__)
@@ -95,52 +98,19 @@ log = structlog.get_logger(__name__)
 JOURNAL = JournalError.code
 
 
-@dataclass(frozen=True, slots=True)
-class CompletedCommand(Generic[C, D]):
-    """How a command ended.
-
-    Attributes:
-        pending: It as a pending command; None for one that was rejected before.
-        run: What its checks and steps left behind; None when there were none.
-        change: What is to be committed, if anything.
-        with_intent: Its intent is journalled together with the decision.
-    """
-
-    command: Command
-    verdict: asyncio.Future[Verdict]
-    decision: Decision
-    reason: Reason | None = None
-    pending: PendingCommand | None = None
-    run: Run[C, D] | None = None
-    change: Change | None = None
-    with_intent: bool = False
-
-    @property
-    def changes(self) -> dict[str, Any]:
-        """Changes of the procedure's data; only an accepted command has any."""
-        return self.run.changes if self.run is not None and self.decision == "accepted" else {}
-
-    @property
-    def unlatches(self) -> bool:
-        """Whether it releases the latch; a Stop that came while it was journalled is not acknowledged by it."""
-        pending = self.pending
-        accepted = self.decision == "accepted"
-        return accepted and pending is not None and pending.spec.unlatches and pending.stopped is None
-
-
 class Decisions(Generic[C, D]):
-    """Makes completed commands durable and true, one after the other.
+    """Makes completed commands durable and commits them, one after the other.
 
     Args:
-        procedure: Where they are committed.
-        recorder: Where they are journalled.
-        verdict_cache: Where those who asked wait.
-        settled: Called with the completed command and its verdict once the verdict is given.
-        broken: Called when a completed command cannot be journalled or committed; the verdict is already given.
-        rejections: Says which rejections get no row; None where all get one.
+        procedure: The procedure that they change.
+        recorder: The journal.
+        verdict_cache: Verdicts that requesters wait for.
+        coordinator: The dispatcher. It gets each completed command once its verdict is given, and fails when one
+            cannot be journalled or committed.
+        rejections: Decides which rejections get no row; None if all get one.
 
     Attributes:
-        unconfirmed: Those that could not be brought to their end; only the disk knows whether they are journalled.
+        unconfirmed: Commands that could not be concluded; only the disk knows whether they are journalled.
     """
 
     def __init__(
@@ -148,22 +118,20 @@ class Decisions(Generic[C, D]):
         procedure: Procedure[C, D],
         recorder: Recorder,
         verdict_cache: VerdictCache,
-        settled: Callable[[CompletedCommand[C, D], Verdict], None],
-        broken: Callable[[BaseException], Reason],
+        coordinator: Coordinator[C, D],
         rejections: Rejections | None = None,
     ) -> None:
         self._procedure = procedure
         self._recorder = recorder
         self._verdict_cache = verdict_cache
-        self._settled = settled
-        self._broken = broken
+        self._coordinator = coordinator
         self._rejections = rejections
         self.unconfirmed: list[CompletedCommand[C, D]] = []
 
     def conclude(self, completed: CompletedCommand[C, D]) -> None:
-        """Journals a decision; as soon as that is durable, it is committed and answered.
+        """Journal a decision; as soon as it is durable, commit and answer it.
 
-        An event that is rejected changes nothing, and what a device has reported has a row of its own: it leaves none.
+        A rejected event leaves no row: it changes nothing, and the report of the device has its own row.
         """
         procedure, rejected = self._procedure, completed.decision == "rejected"
         if rejected and is_event(procedure.blueprint, completed.command):
@@ -195,15 +163,30 @@ class Decisions(Generic[C, D]):
         else:
             durable.add_done_callback(partial(self._commit, completed, verdict))
 
+    def reject(self, command: Command, verdict: asyncio.Future[Verdict], reason: Reason) -> None:
+        """Conclude a command as rejected.
+
+        Args:
+            command: The command.
+            verdict: Verdict to give.
+            reason: Reason of the rejection.
+        """
+        self.conclude(CompletedCommand(command, verdict, "rejected", reason))
+
     def answer_unrecorded(self, completed: CompletedCommand[C, D]) -> None:
-        """Answers what changes nothing that a later decision could rest on."""
+        """Answer a command without a row, since it changes nothing that a later decision could rest on."""
         verdict = self._verdict(completed, completed.decision, completed.reason, self._procedure.joint())
         self._verdict_cache.settle(completed.verdict, verdict)
 
     def break_off(self, completed: CompletedCommand[C, D], error: BaseException) -> None:
-        """Answers a command that the dispatcher itself could not bring to its end."""
+        """Fail because of a command that the dispatcher could not conclude, and answer it.
+
+        Args:
+            completed: The command.
+            error: The error of the program or the journal.
+        """
         log.error("dispatcher_broken", command=completed.command.id, exc_info=error)
-        reason = self._broken(error)
+        reason = self._coordinator.fail_for(error)
         decision: Decision = "rejected" if completed.decision == "rejected" else "unknown"
         self._answer(completed, self._verdict(completed, decision, reason, self._procedure.joint()))
         if decision == "rejected":
@@ -212,16 +195,20 @@ class Decisions(Generic[C, D]):
             self.unconfirmed.append(completed)
 
     def commit_recorded(self, completed: CompletedCommand[C, D], recorded: Verdict) -> None:
-        """Commits what is durable after all, while nothing else is being journalled; Stop's latch stays.
+        """Commit a command that is durable after all, while nothing else is being journalled; Stop's latch stays.
+
+        Args:
+            completed: The command.
+            recorded: The verdict that the journal has.
 
         Raises:
-            BlueprintError: Memory is not to be trusted.
+            BlueprintError: The states in memory are not to be trusted.
         """
         self._procedure.commit(recorded.sequence, completed.change, completed.changes, unlatch=False)
         self._procedure.forget_promises()
 
     def _only_answer(self, completed: CompletedCommand[C, D], reason: Reason) -> None:
-        """Rejects a command without a row; it is decided anew when it is repeated."""
+        """Rejects a command without a row; it is decided again when it is repeated."""
         self._answer(completed, self._verdict(completed, "rejected", reason, self._procedure.joint()))
         self._verdict_cache.forget(completed.command)
 
@@ -246,7 +233,7 @@ class Decisions(Generic[C, D]):
     def _answer(self, completed: CompletedCommand[C, D], verdict: Verdict) -> None:
         failpoint("dispatcher.before_reply")
         self._verdict_cache.settle(completed.verdict, verdict)
-        self._settled(completed, verdict)
+        self._coordinator.on_completed(completed, verdict)
 
     def _verdict(
         self,
@@ -272,7 +259,7 @@ class Decisions(Generic[C, D]):
 
 
 def reason_for(error: BaseException) -> Reason:
-    """Why nothing is accepted any more after `error`."""
+    """Return why nothing is accepted any more after `error`."""
     code = error.code if isinstance(error, PcmrsError) else "internal_error"
-    way = "If it does not go on by itself as soon as the journal can be written again: " if code == JOURNAL else ""
-    return Reason(code=code, text=f"The dispatcher has stopped for safety: {error} {way}Restart the daemon.")
+    hint = "If it does not resume by itself when the journal can be written again: " if code == JOURNAL else ""
+    return Reason(code=code, text=f"The dispatcher has stopped for safety: {error} {hint}Restart the daemon.")

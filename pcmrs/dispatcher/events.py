@@ -1,4 +1,4 @@
-"""What the dispatcher itself tells everybody, and the journal, beside its verdicts."""
+"""Events that the dispatcher itself publishes and journals, beside its verdicts."""
 
 from __future__ import annotations
 
@@ -7,34 +7,46 @@ from collections.abc import Mapping
 from pcmrs.messages import DeviceEvent, Reason
 
 DAEMON = "daemon"
-"""Source of what the daemon says about itself."""
+"""Source of the daemon's reports about itself."""
 SHUTDOWN = "shutdown"
-"""Source of the Stop with which a daemon ends in order: it leaves nothing to be acknowledged."""
+"""Source of the Stop of an orderly shutdown: it need not be acknowledged."""
 FAIL_STOP = "fail_stop"
 """Code of the event that nothing is accepted any more; its field ``reason`` is the code of why."""
 NOT_CONFIRMED = "hold_not_confirmed"
-"""Code of the event that nobody knows whether the robot stands."""
+"""Code of the event that it is unknown whether the robot stands."""
 PRESSED_AGAIN = "stop_pressed_again"
-"""Code of the event that counts the presses of Stop which have met a Stop under way."""
+"""Code of the event that counts the presses that have joined a Stop under way."""
 ACTIVITY_STARTED, ACTIVITY_ENDED = "activity_started", "activity_ended"
-"""Codes of the events that an activity is about to begin, and that it does nothing any more; the journal has the first
-before it moves anything, and the second after the robot stands or a motion has taken over."""
+"""Codes of the events that an activity is about to start, and that it has ended. The journal has the first before the
+activity moves anything, and the second after the robot stands or a motion has taken over."""
 REOPENED = DeviceEvent(
     device="journal",
     code="journal_reopened",
-    text="The journal can be written again: look at what has gone on, then acknowledge.",
+    text="The journal can be written again: look at the cell, then acknowledge.",
     danger=True,
 )
 
 
 def stopped(source: str, reason: Reason, number: int) -> DeviceEvent:
-    """Everything was stopped by `source`; `number` is the Stop's."""
+    """Event that everything was stopped.
+
+    Args:
+        source: Who has stopped.
+        reason: Why.
+        number: Number of the Stop.
+    """
     fields = {**reason.fields, "stop": number}
     return DeviceEvent(device=source, code=reason.code, text=reason.text, danger=True, fields=fields)
 
 
 def pressed_again(source: str, number: int, joined: Mapping[str, int]) -> DeviceEvent:
-    """Stop `number` by `source` was pressed again while it was under way, by each source so often."""
+    """Event that a Stop was pressed again while it was under way.
+
+    Args:
+        source: Who has stopped first.
+        number: Number of the Stop.
+        joined: Number of further presses of each source.
+    """
     presses = sum(joined.values())
     text = f"Stop {number} was pressed {presses} more times before the robot stood, by {len(joined)} sources."
     fields = {"stop": number, "presses": presses, "by": dict(joined)}
@@ -42,11 +54,11 @@ def pressed_again(source: str, number: int, joined: Mapping[str, int]) -> Device
 
 
 def failed(reason: Reason) -> DeviceEvent:
-    """The dispatcher accepts nothing any more."""
+    """Event that the dispatcher accepts nothing any more."""
     return DeviceEvent(device=DAEMON, code=FAIL_STOP, text=reason.text, danger=True, fields={"reason": reason.code})
 
 
 def not_confirmed(source: str) -> DeviceEvent:
-    """Robot or stimulator have not confirmed that they are stopped, as `source` has asked."""
+    """Event that robot or stimulator have not confirmed that they are stopped, as `source` has requested."""
     text = "Robot or stimulator have not confirmed that they are stopped: look, and use their own emergency stop."
     return DeviceEvent(device=source, code=NOT_CONFIRMED, text=text, danger=True)

@@ -1,4 +1,4 @@
-"""What operations are executed with; their checks, asked here or by a planner; their steps under a deadline."""
+"""Execution of operations: their checks, in the event loop or by a planner, and their steps under a deadline."""
 
 from __future__ import annotations
 
@@ -11,34 +11,38 @@ from typing import Generic, Literal, Protocol
 
 import structlog
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
-from pcmrs.dispatcher.locks import PendingCommand
+from pcmrs.dispatcher.coordinator import Coordinator
+from pcmrs.dispatcher.listeners import Listeners
+from pcmrs.dispatcher.locks import LockManager, PendingCommand
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.dispatcher.stops import Hold
-from pcmrs.dispatcher.tasks import Tasks
 from pcmrs.dispatcher.workflow import Registry, Workflow
 from pcmrs.errors import DeviceError, PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import START_OUTCOME, Change, Closure, OperationSpec
 from pcmrs.messages import Decision, Reason
 
 performing: ContextVar[int | None] = ContextVar("performing", default=None)
-"""Id of the procedure on behalf of which the present task runs checks, steps or an activity."""
+"""Id of the procedure for which the present task runs checks, steps or an activity."""
 
 
 @dataclass(frozen=True)
 class ExecutionContext(Generic[C, D]):
-    """The parts of one dispatcher that those who perform share.
+    """Parts of one dispatcher that the others share.
 
     Attributes:
-        workflow: The procedure as it was written.
-        procedure: Where it stands.
+        workflow: The workflow as it was written.
+        procedure: Its present state.
         cell: The devices and frames that operations and activities use.
         clock: The cell's clock.
         hold: Holds the robot.
-        tasks: What is under way.
-        show: Publishes a snapshot.
-        release: Releases what Stop has latched; see `Dispatcher`.
+        tasks: Owner of all tasks of the dispatcher.
+        locks: Running and waiting commands.
+        listeners: Those who listen to the dispatcher.
+        coordinator: The dispatcher.
+        release: Releases the devices that Stop has latched; see `Dispatcher`.
     """
 
     workflow: Workflow[C, D]
@@ -46,8 +50,10 @@ class ExecutionContext(Generic[C, D]):
     cell: C
     clock: Clock
     hold: Hold
-    tasks: Tasks
-    show: Callable[[], None]
+    tasks: BackgroundTasks
+    locks: LockManager
+    listeners: Listeners
+    coordinator: Coordinator[C, D]
     release: Callable[[bool], Awaitable[Sequence[str]]] | None
 
 
@@ -55,7 +61,7 @@ class Planner(Protocol[C, D]):
     """Asks the checks of operations that plan motions."""
 
     async def check(self, run: Run[C, D]) -> Reason | None:
-        """Ask the checks of the run's operation, and leave in the run what they have found.
+        """Ask the checks of the run's operation, and store their results in the run.
 
         Returns:
             The first refusal, or why the planner has no answer; None when all agree.
@@ -67,7 +73,7 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class StepResult:
-    """How the steps ended: ``done`` with an outcome, ``failed`` or ``unknown`` with a reason."""
+    """Result of the steps: ``done`` with an outcome, ``failed`` or ``unknown`` with a reason."""
 
     kind: Literal["done", "failed", "unknown"]
     outcome: str = START_OUTCOME
@@ -75,7 +81,13 @@ class StepResult:
 
 
 def refusal(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> Reason | None:
-    """Runs the operation's checks; returns the first refusal, or None when all agree."""
+    """Run the checks of an operation; return the first refusal, or None if all agree.
+
+    Args:
+        registry: Checks by name.
+        spec: The operation.
+        run: Argument of the checks.
+    """
     for name in spec.checks:
         try:
             registry.checks[name](run)
@@ -88,7 +100,13 @@ def refusal(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> Re
 
 
 async def take_steps(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> StepResult:
-    """Takes the operation's steps in order and in time; cancellation passes through to the caller."""
+    """Take the steps of an operation in order and within its time limit; cancellation passes through to the caller.
+
+    Args:
+        registry: Steps by name.
+        spec: The operation.
+        run: Argument of the steps.
+    """
     step = ""
     try:
         async with run.clock.timeout(spec.timeout_s):
@@ -107,7 +125,13 @@ async def take_steps(registry: Registry[C, D], spec: OperationSpec, run: Run[C, 
 
 
 def take_steps_at_once(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> StepResult:
-    """Takes the steps of an operation that touches nothing outside: there is nothing to wait for."""
+    """Take the steps of an operation without side effects: there is nothing to wait for.
+
+    Args:
+        registry: Steps by name.
+        spec: The operation.
+        run: Argument of the steps.
+    """
     step = ""
     try:
         for step in spec.steps:
@@ -128,14 +152,20 @@ def _ending_by(error: Exception, step: str, run: Run[C, D]) -> StepResult:
 
 
 def _heed_cancellation() -> None:
-    """Ends the steps although the one before has swallowed the cancellation of Stop or the deadline."""
+    """Ends the steps if the last one has swallowed the cancellation of Stop or of the deadline."""
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError
 
 
 def consequence(closure: Closure, ending: StepResult, name: str) -> tuple[Decision, Change | None, Reason | None]:
-    """The decision, the change to commit and the reason that an ending leads to."""
+    """Return the decision, the change to commit and the reason that follow from the result of the steps.
+
+    Args:
+        closure: Closure of the operation in the present states.
+        ending: Result of the steps.
+        name: Branch and operation.
+    """
     if ending.kind == "unknown":
         return "unknown", closure.unknown, ending.reason
     if ending.kind == "failed":
@@ -147,7 +177,7 @@ def consequence(closure: Closure, ending: StepResult, name: str) -> tuple[Decisi
 
 
 def reason_of(error: PcmrsError, **where: str) -> Reason:
-    """The reason that a verdict gives for an error."""
+    """Return the reason that a verdict gives for an error, with `where` among its fields."""
     code = error.refusal_code if isinstance(error, RefusalError) else error.code
     if isinstance(error, DeviceError) and "code" in error.fields:
         code = str(error.fields["code"])
@@ -155,58 +185,65 @@ def reason_of(error: PcmrsError, **where: str) -> Reason:
 
 
 MOST_PLANS = 3
-"""So often a motion is planned where what it rests on changes meanwhile; then the command is rejected."""
+"""Limit of plans for one motion if states or data change meanwhile; then the command is rejected."""
 
 
 class Checks(Generic[C, D]):
-    """Asks checks, and once more what must not have changed while a planner was asked.
+    """Asks checks; after a planner has answered, verifies that states and data are still the same.
 
     Args:
-        context: What operations are performed with.
-        planner: Asks checks that plan a motion; None to ask all of them here, in the loop.
-        objection: Why a command is not allowed now, if it is not: latch, lease, failure and states.
+        context: Shared parts of the dispatcher.
+        planner: Asks the checks that plan a motion; None to ask all of them in the event loop.
     """
 
     def __init__(
         self,
         context: ExecutionContext[C, D],
         planner: Planner[C, D] | None,
-        objection: Callable[[PendingCommand], Reason | None],
     ) -> None:
         self._context = context
         self._planner = planner
-        self._objection = objection
         self._registry = context.workflow.registry
 
     def take_time(self, spec: OperationSpec) -> bool:
-        """Whether the checks of an operation are asked by the planner, so that they have to be waited for."""
+        """Return whether the planner asks the checks of an operation, so that they must be awaited."""
         return self._planner is not None and not self._registry.lasting.isdisjoint(spec.checks)
 
     def ask_at_once(self, spec: OperationSpec, run: Run[C, D]) -> Reason | None:
-        """Return the first refusal of the checks, asked here; None when all agree."""
+        """Return the first refusal of the checks, asked in the event loop; None if all agree.
+
+        Args:
+            spec: The operation.
+            run: Argument of the checks.
+        """
         return refusal(self._registry, spec, run)
 
     async def ask(self, pending: PendingCommand, run_of: Callable[[], Run[C, D]]) -> tuple[Run[C, D], Reason | None]:
-        """Return a run with what its checks have found, and why it is refused, if it is.
+        """Return a run with the results of its checks, and why it is refused; None if it is not.
 
         Args:
-            pending: Whose checks.
-            run_of: Makes a run of it by the present states and data.
+            pending: The command whose checks are asked.
+            run_of: Makes a run of it from the present states and data.
         """
         run = run_of()
         if self._planner is None or not self.take_time(pending.spec):
             return run, self.ask_at_once(pending.spec, run)
         for _ in range(MOST_PLANS):
             refused = pending.stopped or await self._plan(pending, run)
-            objection = pending.stopped or self._objection(pending)
+            objection = pending.stopped or self._context.coordinator.objection(pending)
             if objection is not None or self._still_true(run):
                 return run, objection or refused
             run = run_of()
-        text = f"What {pending.name} rests on changed {MOST_PLANS} times while it was planned: ask again."
+        text = f"The states or data for {pending.name} changed {MOST_PLANS} times while it was planned: ask again."
         return run, Reason(code="changed_while_planning", text=text, fields={"limit": MOST_PLANS})
 
     async def ask_again(self, spec: OperationSpec, run: Run[C, D]) -> Reason | None:
-        """Asks the checks of a run that is under way by what is known now; its branches are locked."""
+        """Ask the checks of a running operation again with the present data; its branches are locked.
+
+        Args:
+            spec: The operation.
+            run: Its run.
+        """
         if self._planner is None or not self.take_time(spec):
             return self.ask_at_once(spec, run)
         try:

@@ -1,7 +1,7 @@
 """The lease of a cell: while one operator or teleoperator holds it, the others' commands are refused.
 
-It is asked for by commands of a branch that no workflow has. What it grants is on record like any decision; it begins
-and ends with the daemon.
+Commands of a branch that no workflow has acquire and release it. It is journalled like any decision, and does not
+outlive the daemon.
 """
 
 from __future__ import annotations
@@ -10,29 +10,29 @@ from collections.abc import Callable
 from typing import Final
 
 from pcmrs.clock import Clock
-from pcmrs.dispatcher.admission import EVENT_SOURCES
+from pcmrs.dispatcher.command_checks import EVENT_SOURCES
 from pcmrs.messages import Command, DeviceEvent, LeaseState, Reason
 from pcmrs.messages.identity import HOLDING, LOCAL
 
 LEASE: Final = "lease"
-"""The branch of its commands, and the source of its events."""
+"""Branch of its commands, and source of its events."""
 RENEW: Final = "renew"
 LAPSED: Final = "lease_lapsed"
-"""Code of the event that its holder has not renewed it in time."""
+"""Code of the event that the holder has not renewed the lease in time."""
 TAKEN: Final = "lease_taken"
-"""Code of the Stop with which it changes hands in motion."""
+"""Code of the Stop when the lease changes hands in motion."""
 
 
 class Lease:
-    """Who holds the cell.
+    """Lease of one cell.
 
     Args:
-        clock: The cell's.
-        required: Whether somebody has to hold it before commands are taken.
+        clock: The cell's clock.
+        required: True if somebody must hold it before commands are taken.
 
     Attributes:
-        state: Its holder, and who else asks for it; None while nobody holds it.
-        renewed: When its holder was heard last, s of the clock.
+        state: Its holder, and who else requests it; None while nobody holds it.
+        renewed: Time of the last renewal, s of the clock.
     """
 
     def __init__(self, clock: Clock, *, required: bool = False) -> None:
@@ -50,11 +50,11 @@ class Lease:
 
     @property
     def holder(self) -> str | None:
-        """The user who holds it."""
+        """User who holds it; None if nobody does."""
         return None if self.state is None else self.state.holder
 
     def objection(self, command: Command) -> Reason | None:
-        """Why an operation may not be asked for now; None when it may."""
+        """Return why the lease does not allow a command now; None if it does."""
         if command.source.startswith(EVENT_SOURCES) or command.user == self.holder:
             return None
         if self.holder is None:
@@ -63,7 +63,7 @@ class Lease:
         return None if command.role == "planner" else self._held()
 
     def decide(self, command: Command) -> Reason | None:
-        """Does what a command of the branch `LEASE` asks for, at once; or says why not."""
+        """Perform a command of the branch `LEASE` at once, or return why it is refused."""
         operation = self._operations.get(command.operation)
         if operation is None:
             known = list(self._operations)
@@ -75,12 +75,12 @@ class Lease:
         return operation(command)
 
     def lapsed(self, limit: float) -> str | None:
-        """The holder who has not renewed it for `limit` s; whoever is on site is there without renewing."""
+        """Return the holder who has not renewed it for `limit` s; a local holder need not renew."""
         away = self._clock.monotonic() - self.renewed
         return self.holder if self.holder != LOCAL and away > limit else None
 
     def follow(self, event: DeviceEvent) -> None:
-        """Frees it when it has lapsed."""
+        """End the lease if `event` says that it has lapsed."""
         if (event.device, event.code) == (LEASE, LAPSED):
             self.state = None
 
@@ -103,7 +103,7 @@ class Lease:
         return None
 
     def _take_over(self, command: Command) -> Reason | None:
-        """At once for who is on site; all others ask, and the holder confirms."""
+        """Takes over at once for a local user; all others request it, and the holder confirms."""
         if self.state is None or command.user in (self.holder, LOCAL):
             self._give(command.user)
         else:
@@ -135,6 +135,12 @@ class Lease:
 
 
 def lapse(holder: str, limit: float, *, moving: bool) -> DeviceEvent:
-    """The lease of `holder` has ended; in motion the robot is held."""
-    text = f"{holder} has not been heard for {limit:g} s and does not hold this cell any more."
+    """Event that a lease has ended because its holder was silent.
+
+    Args:
+        holder: User who held it.
+        limit: Limit of the silence, s.
+        moving: The robot moves: then the event is dangerous, and the robot is held.
+    """
+    text = f"{holder} has not renewed the lease for {limit:g} s and does not hold this cell any more."
     return DeviceEvent(device=LEASE, code=LAPSED, text=text, danger=moving, fields={"holder": holder})

@@ -1,4 +1,4 @@
-"""Commands on their way through the dispatcher: which ones run, which wait, and which are turned away."""
+"""Locks of branches: which commands run, which wait, and which are turned away."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from pcmrs.messages import Command, Reason, Running, Verdict
 
 @dataclass(frozen=True, slots=True)
 class Locks:
-    """Branches an operation may change, and branches that must not change under it."""
+    """Branches that an operation may change, and branches that must not change while it runs."""
 
     writes: frozenset[str]
     reads: frozenset[str]
 
     def conflicts(self, other: Locks) -> bool:
-        """Whether the two cannot be held together."""
+        """Return whether the two cannot be held together."""
         return bool(self.writes & (other.writes | other.reads) or self.reads & other.writes)
 
 
 @dataclass(eq=False)
 class PendingCommand:
-    """One accepted-for-consideration command until its verdict.
+    """A command from its admission to its verdict.
 
     Attributes:
-        arrived: When it arrived, s of the event loop's clock.
-        side_effecting: It takes steps in the world.
+        arrived: Time of its arrival, s of the event loop's clock.
+        side_effecting: Its steps act on the world.
         since: Number of the newest commit that its checks and steps have seen.
-        begun: Its steps have begun, so that cancelling its task reaches them.
+        begun: Its steps have started, so that cancelling its task reaches them.
         ending: Its steps have ended and it is being committed: too late to stop.
-        committing: It waits for nothing but its commit.
+        committing: It waits for its commit only.
         stopped: Why it was stopped by Stop or a danger event.
-        planning: What its checks wait for, where a planner asks them.
-        patience: Ends its wait, where that is limited.
+        planning: The planner's answer that its checks wait for; None if they do not wait.
+        patience: Timer that ends its wait, if that is limited.
     """
 
     command: Command
@@ -58,12 +58,12 @@ class PendingCommand:
 
     @property
     def moves(self) -> bool:
-        """Whether it moves the robot."""
+        """True if it moves the robot."""
         return self.spec.moves
 
     @property
     def acts(self) -> bool:
-        """Whether it moves the robot or acts on the patient otherwise."""
+        """True if it moves the robot or acts on the patient otherwise."""
         return self.spec.moves or self.spec.affects_patient
 
     @property
@@ -73,12 +73,12 @@ class PendingCommand:
 
     @property
     def shown(self) -> Running:
-        """What the snapshot shows of it."""
+        """The command as the snapshot shows it."""
         command = self.command
         return Running(branch=command.branch, operation=command.operation, id=command.id, progress=self.progress)
 
     def replaces(self, other: PendingCommand) -> bool:
-        """Whether both report the same event: the newer one says all that the other does."""
+        """Return whether both report the same event: the newer report contains the older one."""
         mine, theirs = self.command, other.command
         return self.spec.event and (mine.source, self.name, mine.arguments) == (
             theirs.source,
@@ -87,12 +87,12 @@ class PendingCommand:
         )
 
     def end_wait(self) -> None:
-        """It waits no longer: it starts, or is turned away."""
+        """Cancel the timer of its wait: it starts, or is turned away."""
         if self.patience is not None:
             self.patience.cancel()
 
     def stop(self, reason: Reason) -> None:
-        """Cancels its planning or its steps; harmless once they have ended."""
+        """Cancel its planning or its steps; harmless once they have ended."""
         if self.stopped is not None:
             return
         self.stopped = reason
@@ -102,14 +102,20 @@ class PendingCommand:
             self.task.cancel()
 
     def end_steps(self) -> None:
-        """Its steps have ended: what follows is not cancelled, nor mistaken for cancelled by a timeout."""
+        """Mark its steps as ended: its commit is not cancelled, nor mistaken for cancelled by a timeout."""
         self.ending = True
         if self.task is not None and self.task.cancelling():
             self.task.uncancel()
 
 
 def locks_for(blueprint: Blueprint, command: Command, answer: Closure | Denial) -> Locks:
-    """Locks of an allowed command; of a denied one, the branches that might change the answer."""
+    """Return the locks of an allowed command; of a denied one, the branches that might change the answer.
+
+    Args:
+        blueprint: The workflow.
+        command: The command.
+        answer: Answer of the states to it.
+    """
     if isinstance(answer, Closure):
         return Locks(answer.writes, answer.reads)
     examined = {command.branch}
@@ -122,15 +128,18 @@ def locks_for(blueprint: Blueprint, command: Command, answer: Closure | Denial) 
 
 
 MAX_WAITING = 32
-"""Commands that may wait for locks; one more is rejected. Events are not counted: each waits once at most."""
+"""Limit of commands that wait for locks; one more is rejected. Events are not counted: each waits once at most."""
 
 
 class LockManager:
-    """Locks are taken all at once, first come first served; events go ahead of commands.
+    """Grants all locks of a command at once, in order of arrival; events go ahead of commands.
+
+    Args:
+        revokers: Branches whose change revokes a plan.
 
     Attributes:
-        running: Attempts that hold their locks.
-        waiting: Attempts that will be asked again when others end, in order of arrival.
+        running: Commands that hold their locks.
+        waiting: Commands that are admitted again when others end, in order of arrival.
     """
 
     def __init__(self, revokers: frozenset[str]) -> None:
@@ -140,18 +149,18 @@ class LockManager:
 
     @property
     def moving(self) -> bool:
-        """Whether a motion runs, or waits to run."""
+        """True while a motion runs or waits."""
         return any(pending.moves for pending in (*self.running, *self.waiting))
 
     def blocked(self, pending: PendingCommand) -> bool:
-        """Whether it is in the way of what runs, or of what goes ahead of it."""
-        return any(self._in_the_way_of(pending))
+        """Return whether it conflicts with a running command, or with a waiting one that goes ahead of it."""
+        return any(self._conflicting_with(pending))
 
     def why_not_wait(self, pending: PendingCommand) -> Reason | None:
-        """Why a blocked command is turned away; events never are.
+        """Return why a blocked command is turned away; None if it waits, as events always do.
 
-        Nothing that moves or acts on the patient waits, nor does a plan change while something moves. A motion waits
-        for events that take no step in the world: they end as soon as the disk has them.
+        No command that moves or acts on the patient waits, nor does a plan change while something moves. Only a motion
+        may wait for events without side effects: they end as soon as the disk has them.
         """
         if pending.spec.event or (pending.moves and self._may_wait(pending)):
             return None
@@ -164,13 +173,13 @@ class LockManager:
         return None
 
     def busy(self, pending: PendingCommand) -> Reason:
-        """Says that a command does not wait for the others."""
+        """Return the reason that a command does not wait for the others."""
         busy = [other.name for other in self.running]
         text = f"{pending.name} does not wait for {' and '.join(busy) or 'others'}: ask again when it has ended."
         return Reason(code="busy", text=text, fields={"running": busy})
 
     def wait(self, pending: PendingCommand) -> PendingCommand | None:
-        """Has a command wait; returns the one of the same event that it replaces, if any: the newest counts."""
+        """Queue a command; return the waiting report of the same event that it replaces, if any: the newest counts."""
         replaced = next((other for other in self.waiting if pending.replaces(other)), None)
         if replaced is not None:
             self.waiting.remove(replaced)
@@ -178,12 +187,12 @@ class LockManager:
         return replaced
 
     def take_waiting(self) -> list[PendingCommand]:
-        """Empties the queue and returns what was in it, events first."""
+        """Empty the queue and return its commands, events first."""
         waiting, self.waiting = self.waiting, []
         return sorted(waiting, key=lambda pending: not pending.spec.event)
 
     def turn_away(self) -> list[PendingCommand]:
-        """Empties the queue but for events, which say what has happened already, and returns what was taken out."""
+        """Take all commands but events out of the queue and return them; events report what has happened already."""
         taken = [pending for pending in self.waiting if not pending.spec.event]
         self.waiting = [pending for pending in self.waiting if pending.spec.event]
         return taken
@@ -191,8 +200,8 @@ class LockManager:
     def _may_wait(self, motion: PendingCommand) -> bool:
         if any(other.moves for other in self.waiting):
             return False
-        return all(other.spec.event and not other.side_effecting for other in self._in_the_way_of(motion))
+        return all(other.spec.event and not other.side_effecting for other in self._conflicting_with(motion))
 
-    def _in_the_way_of(self, pending: PendingCommand) -> Iterable[PendingCommand]:
+    def _conflicting_with(self, pending: PendingCommand) -> Iterable[PendingCommand]:
         ahead = (other for other in self.waiting if other.spec.event or not pending.spec.event)
         return (other for other in (*self.running, *ahead) if pending.locks.conflicts(other.locks))

@@ -1,4 +1,4 @@
-"""From pending to completed command: checks, intent, steps, and what the ending means for the states."""
+"""From pending to completed command: checks, intent, steps, and the change of states that follows from them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import asyncio
 from typing import Generic
 
 from pcmrs.dispatcher.activities import Activities
-from pcmrs.dispatcher.admission import check_in_time
-from pcmrs.dispatcher.decisions import CompletedCommand, Decisions
+from pcmrs.dispatcher.command_checks import check_in_time
+from pcmrs.dispatcher.coordinator import CompletedCommand
+from pcmrs.dispatcher.decisions import Decisions
 from pcmrs.dispatcher.execution import (
     Checks,
     ExecutionContext,
@@ -18,7 +19,7 @@ from pcmrs.dispatcher.execution import (
     take_steps,
     take_steps_at_once,
 )
-from pcmrs.dispatcher.locks import LockManager, Locks, PendingCommand
+from pcmrs.dispatcher.locks import Locks, PendingCommand
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.errors import PcmrsError, RefusalError, UnknownOutcomeError
@@ -31,25 +32,23 @@ class Performer(Generic[C, D]):
     """Performs commands that have their locks.
 
     Args:
-        context: What they are performed with.
-        lock_manager: Where others run and wait.
-        decisions: Where they are concluded.
-        recorder: Where intents are journalled.
-        activities: What gives way to a motion.
-        checks: Ask whether an operation may begin.
+        context: Shared parts of the dispatcher.
+        decisions: Concludes completed commands.
+        recorder: The journal, for intents.
+        activities: Activities that give way to a motion.
+        checks: Checks of operations.
     """
 
     def __init__(
         self,
         context: ExecutionContext[C, D],
-        lock_manager: LockManager,
         decisions: Decisions[C, D],
         recorder: Recorder,
         activities: Activities[C, D],
         checks: Checks[C, D],
     ) -> None:
         self._context = context
-        self._locks = lock_manager
+        self._locks = context.locks
         self._decisions = decisions
         self._recorder = recorder
         self._activities = activities
@@ -57,7 +56,7 @@ class Performer(Generic[C, D]):
         self._registry = context.workflow.registry
 
     def start(self, pending: PendingCommand) -> None:
-        """Performs an operation: at once, or as a task of its own where it touches the world or is planned."""
+        """Perform an operation: at once, or as its own task if it has side effects or is planned."""
         self._locks.running.append(pending)
         pending.end_wait()
         if pending.side_effecting or self._checks.take_time(pending.spec):
@@ -66,17 +65,17 @@ class Performer(Generic[C, D]):
             self._perform_at_once(pending)
 
     async def dry_run(self, pending: PendingCommand) -> DryRunResult:
-        """Asks an operation's checks, and nothing more: they are pure, and what they have prepared is thrown away."""
+        """Ask the checks of an operation only: they are pure, and what they have prepared is dropped."""
         run, refused = await self._checks.ask(pending, lambda: self._run_of(pending))
         return DryRunResult(reason=refused, undecided=run.undecided, result=run.result)
 
     def has_side_effects(self, spec: OperationSpec) -> bool:
-        """Whether an operation takes steps in the world."""
+        """Return whether the steps of an operation act on the world."""
         releases = spec.unlatches and self._context.release is not None
         return releases or not self._registry.side_effecting.isdisjoint(spec.steps)
 
     def _perform_at_once(self, pending: PendingCommand) -> None:
-        """Performs an operation that touches nothing outside, from its checks to its completion."""
+        """Performs an operation without side effects, from its checks to its completion."""
         pending.begun = pending.ending = True
         token = performing.set(id(self._context.procedure))
         run = self._run_of(pending)
@@ -90,7 +89,7 @@ class Performer(Generic[C, D]):
             performing.reset(token)
 
     async def _perform(self, pending: PendingCommand) -> None:
-        """Performs an operation that touches the world or is planned, as a task of its own."""
+        """Performs an operation that has side effects or is planned, as its own task."""
         performing.set(id(self._context.procedure))
         run = self._run_of(pending)
         try:
@@ -99,18 +98,18 @@ class Performer(Generic[C, D]):
                 run, refused = await self._checks.ask(pending, lambda: self._run_of(pending))
             ending = None if refused else await self._steps(pending, run)
             pending.end_steps()
-            await self._let_others_end(pending)
+            await self._wait_for_conflicts(pending)
             self._conclude(pending, run, refused, ending)
         except Exception as error:
             pending.end_steps()
             self._break_off(pending, error)
 
     def _break_off(self, pending: PendingCommand, error: Exception) -> None:
-        """An error of the program itself, at whatever point: the command keeps no locks, and nobody waits for it."""
+        """Handles an error of the program itself: the command keeps no locks, and nobody waits for it."""
         self._decisions.break_off(CompletedCommand(pending.command, pending.verdict, "unknown", pending=pending), error)
 
     def _late(self, pending: PendingCommand) -> Reason | None:
-        """Why the checks of what moves or acts do not begin: whoever asked may not expect it any more."""
+        """Why it is too late for the checks of a command that moves or acts: its sender may not expect it any more."""
         if pending.acts:
             try:
                 check_in_time(pending.name, asyncio.get_running_loop().time() - pending.arrived)
@@ -118,16 +117,16 @@ class Performer(Generic[C, D]):
                 return reason_of(error)
         return None
 
-    async def _let_others_end(self, pending: PendingCommand) -> None:
-        """Waits while other operations run on branches that this one would move now, and did not when it began.
+    async def _wait_for_conflicts(self, pending: PendingCommand) -> None:
+        """Waits for operations on branches that this one would move now, and would not have when it started.
 
-        A retreat does not keep others from changing what its standoff rests on: only here can the two meet.
+        A retreat does not keep others from changing the plan of its standoff: only here can the two meet.
         """
         pending.committing = True
-        while in_the_way := self._in_the_way(pending):
-            await asyncio.wait([other.verdict for other in in_the_way])
+        while conflicts := self._conflicts(pending):
+            await asyncio.wait([other.verdict for other in conflicts])
 
-    def _in_the_way(self, pending: PendingCommand) -> list[PendingCommand]:
+    def _conflicts(self, pending: PendingCommand) -> list[PendingCommand]:
         closure = self._context.procedure.ask(pending.command.branch, pending.command.operation)
         if isinstance(closure, Denial):
             return []
@@ -136,13 +135,13 @@ class Performer(Generic[C, D]):
         return [other for other in others if beyond.conflicts(other.locks)]
 
     async def _steps(self, pending: PendingCommand, run: Run[C, D]) -> StepResult:
-        """Takes the steps, those in the world after the intent is durable; holds what has failed to move."""
+        """Takes the steps, those with side effects after the intent is durable; holds the robot if a motion fails."""
         pending.begun = True
         if not pending.side_effecting:
             pending.end_steps()
             return take_steps_at_once(self._registry, pending.spec, run)
         try:
-            self._context.show()
+            self._context.coordinator.publish_snapshot()
             failpoint("dispatcher.before_intent")
             await asyncio.shield(self._recorder.intent(pending.command, run.states))
             failpoint("dispatcher.after_intent")
@@ -156,7 +155,7 @@ class Performer(Generic[C, D]):
                 )
                 failpoint("dispatcher.after_steps")
         except asyncio.CancelledError:
-            cancelled = Reason(code="step_cancelled", text=f"What {pending.name} waited for was cancelled.")
+            cancelled = Reason(code="step_cancelled", text=f"A task that {pending.name} waited for was cancelled.")
             ending = StepResult("failed", reason=pending.stopped or cancelled)
         pending.end_steps()
         if pending.moves and ending.kind != "done" and not await self._context.hold.end_motion():
@@ -164,7 +163,7 @@ class Performer(Generic[C, D]):
         return ending
 
     async def _take_over(self, pending: PendingCommand) -> StepResult | None:
-        """Lets activities give way to a motion; how it has ended already where they do not."""
+        """Lets activities give way to a motion; returns the result of the motion if they do not."""
         if not pending.moves:
             return None
         try:
@@ -177,7 +176,7 @@ class Performer(Generic[C, D]):
         return None
 
     async def _release(self, pending: PendingCommand, run: Run[C, D]) -> StepResult | None:
-        """Releases the devices that Stop has latched; how it has ended already where the robot does not confirm it."""
+        """Releases the devices that Stop has latched; returns the result if the robot does not confirm it."""
         if not pending.spec.unlatches or self._context.release is None:
             return None
         try:
@@ -192,7 +191,7 @@ class Performer(Generic[C, D]):
     def _run_of(self, pending: PendingCommand) -> Run[C, D]:
         def show(fraction: float) -> None:
             pending.progress = fraction
-            self._context.show()
+            self._context.coordinator.publish_snapshot()
 
         context = self._context
         states, data = context.procedure.joint(), context.procedure.data
@@ -215,7 +214,7 @@ class Performer(Generic[C, D]):
     def _conclude(
         self, pending: PendingCommand, run: Run[C, D], refused: Reason | None, ending: StepResult | None
     ) -> None:
-        """Works out what the refusal or the ending means for the states."""
+        """Concludes a command from its refusal, or from the result of its steps."""
         command, verdict = pending.command, pending.verdict
         if ending is None:
             self._decisions.conclude(CompletedCommand(command, verdict, "rejected", refused, pending))
@@ -228,9 +227,9 @@ class Performer(Generic[C, D]):
         self._decisions.conclude(CompletedCommand(command, verdict, decision, reason, pending, run, change, at_once))
 
     def _still_so(self, pending: PendingCommand, ending: StepResult) -> StepResult:
-        """How the steps ended, if the branches that this rests on are as the steps have seen them.
+        """Returns the result of the steps, or a failure if a branch has changed that the result requires.
 
-        A retreat keeps nobody from changing those: a standoff counts for no other plan than the one it was found by.
+        A retreat keeps nobody from changing those: a standoff counts only for the plan that it was found by.
         """
         outcome = pending.spec.endings.get(ending.outcome)
         if ending.kind != "done" or outcome is None:

@@ -1,4 +1,4 @@
-"""Where a procedure stands: active states, flags, data and the latch; changed by commits only."""
+"""Present state of a procedure: active states, flags, data and the latch; changed by commits only."""
 
 from __future__ import annotations
 
@@ -16,11 +16,14 @@ from pcmrs.messages import ActiveActivity, BlueprintTag, LeaseState, Running, Sn
 
 
 class Procedure(Generic[C, D]):
-    """The joint state of one running workflow.
+    """Joint state of one running workflow.
+
+    Args:
+        workflow: The workflow.
 
     Attributes:
-        data: What the procedure has gathered.
-        latched: Stop has been pressed and not been acknowledged: nothing moves or acts on the patient.
+        data: Data of the procedure, such as plan and registration.
+        latched: A Stop has not been acknowledged: nothing moves or acts on the patient.
         sequence: Number of the newest commit.
     """
 
@@ -37,32 +40,46 @@ class Procedure(Generic[C, D]):
         self._changed = dict.fromkeys(workflow.blueprint.branches, 0)
 
     def joint(self) -> dict[str, str]:
-        """The joint state: branch to state."""
+        """Return the joint state: branch to state."""
         return self._engine.joint()
 
     def promised(self) -> dict[str, str]:
-        """The joint state once everything that is being journalled is committed."""
+        """Return the joint state as it will be once everything that is being journalled is committed."""
         return dict(self._promised)
 
     def allowed(self, branch: str, states: Mapping[str, str]) -> list[str]:
-        """Operations of a branch that users may ask for in a joint state and would not be denied."""
+        """Return the operations of a branch that users may request and that would not be denied.
+
+        Args:
+            branch: Name of the branch.
+            states: Joint state: branch to state.
+        """
         operations = self.blueprint.branches[branch].operations
         able = self._engine.allowed(branch, states)
         return [name for name in able if not (self.latched and operations[name].blocked_when_latched)]
 
     def ask(self, branch: str, operation: str) -> Closure | Denial:
-        """Asks the state object of a branch, then works out the closure of what it allows.
+        """Ask the state object of a branch; return the closure of an allowed operation, or the denial.
 
-        The states are those promised: nothing is decided by states that a row on its way to the disk has ended.
+        The states are the promised ones: no decision rests on states that a row on its way to the disk has ended.
+
+        Args:
+            branch: Name of the branch.
+            operation: Name of the operation.
         """
         return self._engine.ask(branch, operation, states=self._promised)
 
     def changed_since(self, branches: Iterable[str], sequence: int) -> list[str]:
-        """Those of the branches that a commit changes which comes after `sequence`, promised ones too."""
+        """Return those of the branches that a later commit has changed, or will once it is durable.
+
+        Args:
+            branches: Names of branches.
+            sequence: Number of a commit.
+        """
         return [branch for branch in branches if self._changed[branch] > sequence]
 
     def reserve(self, change: Change | None = None) -> int:
-        """Promises a commit of `change` and returns its sequence number, for the journal to write first."""
+        """Promise a commit of `change` and return its sequence number, for the journal to write first."""
         self._reserved += 1
         if change is not None:
             self._promised |= change.targets
@@ -70,10 +87,16 @@ class Procedure(Generic[C, D]):
         return self._reserved
 
     def commit(self, sequence: int, change: Change | None, changes: Mapping[str, Any], *, unlatch: bool) -> None:
-        """Moves all branches of `change` and the data together; without one, keeps both.
+        """Commit a change of states and data together.
+
+        Args:
+            sequence: Number that `reserve` has returned.
+            change: Change of states; None to keep them.
+            changes: Changed fields of the data; they need a `change`.
+            unlatch: Release the latch.
 
         Raises:
-            BlueprintError: States or flags are not what they were left as: memory is not to be trusted.
+            BlueprintError: States or flags have changed without a commit: memory is not to be trusted.
         """
         if self._flags != flags_of(self.blueprint, self.joint()):
             raise BlueprintError("The flags do not mirror the states any more.")
@@ -91,12 +114,12 @@ class Procedure(Generic[C, D]):
             self._changed |= dict.fromkeys(change.moved, self.sequence)
 
     def latch(self) -> None:
-        """Forbids motion until an operation that unlatches is committed."""
+        """Forbid motion until an operation that unlatches is committed."""
         self.latched = True
         self.sequence = self.reserve()
 
     def forget_promises(self) -> None:
-        """Nothing is being journalled: no row shows other states than the present ones."""
+        """Reset the promised states to the present ones, when nothing is being journalled."""
         self._promised = self.joint()
 
     def snapshot(
@@ -107,7 +130,15 @@ class Procedure(Generic[C, D]):
         lease: LeaseState | None = None,
         stop: StopState = NO_STOP,
     ) -> Snapshot:
-        """What the world is shown."""
+        """Return a snapshot.
+
+        Args:
+            running: Running operations.
+            activities: Active activities.
+            unknown: Outcomes that an operator must settle.
+            lease: Lease of the cell; None while nobody holds it.
+            stop: The newest Stop.
+        """
         blueprint = self.blueprint
         return Snapshot(
             sequence=self.sequence,

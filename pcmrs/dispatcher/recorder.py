@@ -1,4 +1,4 @@
-"""What the dispatcher needs of a journal, and what it writes there."""
+"""Interface of the dispatcher to a journal."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Recorded:
     """A command that was decided.
 
     Attributes:
-        verdict: On it.
-        arguments: Of it.
+        verdict: The verdict on it.
+        arguments: Its arguments.
     """
 
     verdict: Verdict
@@ -29,35 +29,57 @@ class Recorded:
 
 
 class Recorder(Protocol):
-    """Makes decisions durable before anybody hears of them; raises `JournalError` when it cannot.
+    """Makes decisions durable before they are published; raises `JournalError` if it cannot.
 
     Rows are queued when a method is called, and in that order.
     """
 
     def intent(self, command: Command, states: Joint) -> Awaitable[None]:
-        """Resolves when it is durable that `command` is about to touch the world."""
+        """Journal that a command is about to act on the world; awaiting it returns when the row is durable.
+
+        Args:
+            command: The command.
+            states: Joint state.
+        """
 
     def decision(
         self, command: Command, verdict: Verdict, states: Joint, changes: Mapping[str, Any], *, with_intent: bool
     ) -> Awaitable[None]:
-        """Resolves when the verdict is durable; `with_intent` puts the intent into the same commit."""
+        """Journal a verdict; awaiting it returns when the row is durable.
+
+        Args:
+            command: The command.
+            verdict: The verdict on it.
+            states: Joint state once everything that is being journalled is committed.
+            changes: Changed fields of the procedure's data.
+            with_intent: Journal the intent in the same commit.
+        """
 
     def event(self, event: DeviceEvent, states: Joint) -> Awaitable[None]:
-        """Resolves when a device event or a stop is durable."""
+        """Journal a device event or a Stop; awaiting it returns when the row is durable.
+
+        Args:
+            event: The event.
+            states: Joint state once everything that is being journalled is committed.
+        """
 
     def recall(self, source: str, command_id: str) -> Recorded | None:
-        """What is recorded of a command that was decided, also in an earlier run of the daemon.
+        """Return the record of a command that was decided, also in an earlier run of the daemon; None for a new one.
 
-        Called for every command, in the event loop: for one that is new it must not wait for the disk.
+        It is called for every command, in the event loop: for a new one it must not wait for the disk.
+
+        Args:
+            source: Source of the command.
+            command_id: Id that the source has given it.
         """
 
 
 class QueuedRow:
-    """Awaiting it returns when the row is durable, or `failed` has been called.
+    """Row on its way to the disk; awaiting it returns when it is durable, or `failed` has been called.
 
     Args:
         queue: Queues the row, as the methods of `Recorder` do.
-        failed: Called with the `JournalError` when it could not be queued or written.
+        failed: Called with the `JournalError` if the row could not be queued or written.
     """
 
     def __init__(self, queue: Callable[[], Awaitable[None]], failed: Callable[[JournalError], object]) -> None:
@@ -72,7 +94,7 @@ class QueuedRow:
         return self.durable().__await__()
 
     async def durable(self) -> None:
-        """Returns when the row is durable, or `failed` has been called."""
+        """Return when the row is durable, or `failed` has been called."""
         try:
             if isinstance(self._row, JournalError):
                 raise self._row
@@ -82,15 +104,15 @@ class QueuedRow:
 
 
 LONGEST: Final = 4096
-"""Arguments of a rejected command that are longer, bytes of their JSON, are clipped."""
+"""Limit of the arguments of a rejected command, bytes of their JSON; longer ones are clipped."""
 BEGINNING: Final = 200
-"""So much of them is kept, bytes."""
+"""Length of their beginning that is kept, bytes."""
 CLIPPED: Final = "clipped"
-"""Stands in place of the arguments."""
+"""Key in place of the arguments."""
 
 
 def clipped(arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The arguments, or what is kept of them where they are too long: their length, hash and beginning."""
+    """Return the arguments; if they are too long, their length, hash and beginning instead."""
     whole = msgspec.json.encode(arguments, enc_hook=repr, order="sorted")
     if len(whole) <= LONGEST:
         return arguments

@@ -1,33 +1,49 @@
-"""What is unknown after a failure, and how the dispatcher goes on when the journal can be written again."""
+"""Failure and recovery: fail-stop, unknown outcomes, and resuming when the journal can be written again."""
 
 from __future__ import annotations
 
 import asyncio
+import uuid
 from collections.abc import AsyncIterator, Container, Iterable
 from typing import Generic
 
+import msgspec
+import structlog
+
 from pcmrs.dispatcher.activities import Activities
-from pcmrs.dispatcher.decisions import JOURNAL, CompletedCommand, Decisions
+from pcmrs.dispatcher.admission import CommandAdmission
+from pcmrs.dispatcher.coordinator import CompletedCommand
+from pcmrs.dispatcher.decisions import JOURNAL, Decisions
+from pcmrs.dispatcher.events import REOPENED, failed
+from pcmrs.dispatcher.execution import ExecutionContext
 from pcmrs.dispatcher.procedure import Procedure
+from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.run import C, D
-from pcmrs.dispatcher.verdict_cache import VerdictCache
+from pcmrs.dispatcher.stop_control import StopControl
+from pcmrs.dispatcher.verdict_cache import VerdictCache, wait_for_verdicts
+from pcmrs.errors import JournalError, PcmrsError
 from pcmrs.fsm import Blueprint, Closure
 from pcmrs.fsm.blueprint import OperationSpec
 from pcmrs.messages import Command, Reason, UnknownOutcome, Verdict
 
+log = structlog.get_logger(__name__)
+
+ENDING_TIME = 10.0
+"""Limit for commands that were stopped when the journal failed to end before the procedure is resumed, s."""
+
 
 class PendingOutcomes:
-    """What has ended `unknown` and has not been settled since.
+    """Outcomes that are `unknown` and have not been settled since.
 
-    A motion is settled by an operation of its branch that looks: accepted, and with steps of its own, such as
-    `placement.locate`. Everything else is settled by an operation that acknowledges a Stop; where it does not act on
-    the patient, also by an operation of its branch, as a connection is by connecting.
+    A motion is settled by an accepted operation of its branch that has steps, such as `placement.locate`. Everything
+    else is settled by an operation that acknowledges a Stop; if it does not act on the patient, also by an operation of
+    its branch: an unfinished connection is settled by reconnecting.
 
     Of several unknown outcomes of one operation the newest is kept: the operator has to look once.
 
     Args:
         blueprint: The workflow.
-        earlier: What is unsettled already.
+        earlier: Outcomes that are unsettled already.
     """
 
     def __init__(self, blueprint: Blueprint, earlier: Iterable[UnknownOutcome] = ()) -> None:
@@ -35,16 +51,22 @@ class PendingOutcomes:
         self._outcomes = {(each.branch, each.operation): each for each in earlier}
 
     def shown(self) -> list[UnknownOutcome]:
-        """All of them, in the order in which they came."""
+        """Return all of them, in order of arrival."""
         return list(self._outcomes.values())
 
     def add(self, outcome: UnknownOutcome) -> None:
-        """One more."""
+        """Add an outcome, in place of an earlier one of the same operation."""
         self._outcomes.pop((outcome.branch, outcome.operation), None)
         self._outcomes[outcome.branch, outcome.operation] = outcome
 
     def follow(self, command: Command, verdict: Verdict, now: float) -> None:
-        """A verdict has been given at `now`, Unix s: adds what is unknown, drops what an accepted operation settles."""
+        """Add an unknown outcome, or drop those that an accepted operation settles.
+
+        Args:
+            command: The command.
+            verdict: The verdict on it.
+            now: Time of the verdict, Unix s.
+        """
         if verdict.decision == "accepted":
             self.settle_by(command.branch, command.operation)
         elif verdict.decision == "unknown":
@@ -59,13 +81,23 @@ class PendingOutcomes:
             )
 
     def withdraw(self, source: str, command: str) -> None:
-        """The outcome of a command has become known."""
+        """Drop the outcome of a command, since it has become known.
+
+        Args:
+            source: Source of the command.
+            command: Its id.
+        """
         self._outcomes = {
             key: each for key, each in self._outcomes.items() if (each.source, each.command) != (source, command)
         }
 
     def settle_by(self, branch: str, operation: str) -> None:
-        """An operation has been accepted: drops what that settles."""
+        """Drop the outcomes that an accepted operation settles.
+
+        Args:
+            branch: Branch of the operation.
+            operation: Its name.
+        """
         by = self._blueprint.find(branch, operation)
         if by is not None:
             self._outcomes = {key: each for key, each in self._outcomes.items() if not self._settles(branch, by, each)}
@@ -78,17 +110,17 @@ class PendingOutcomes:
         return by.unlatches or (looks and not (of is not None and of.affects_patient))
 
 
-LOST = Reason(code=JOURNAL, text="The journal failed while it ran; nobody knows how it ended.")
+LOST = Reason(code=JOURNAL, text="The journal failed while it ran; its outcome is unknown.")
 
 
 class Reconciliation(Generic[C, D]):
-    """Used while nothing runs and nothing is accepted.
+    """Makes memory agree with the disk, while nothing runs and nothing is accepted.
 
     Args:
-        procedure: Where is committed what the disk has.
+        procedure: The procedure.
         verdict_cache: Gets the verdicts that count.
-        decisions: Has what is doubtful.
-        outcomes: Drops what has become known.
+        decisions: Has the unconfirmed commands.
+        outcomes: Unknown outcomes.
         activities: Follow the commits.
     """
 
@@ -107,13 +139,13 @@ class Reconciliation(Generic[C, D]):
         self._activities = activities
 
     async def of_all(self, begun: Container[tuple[str, str]]) -> AsyncIterator[Verdict]:
-        """Settles one after the other what is doubtful, and yields the verdicts that count instead.
+        """Settle the unconfirmed commands one after the other, and yield the verdicts that count instead.
 
         Args:
             begun: Source and id of the commands of which the journal has the intent and no outcome.
 
         Raises:
-            JournalError: The journal cannot be read or written; what is left stays doubtful.
+            JournalError: The journal cannot be read or written; the remaining commands stay unconfirmed.
         """
         self._procedure.forget_promises()
         waiting, self._decisions.unconfirmed = self._decisions.unconfirmed, []
@@ -150,7 +182,125 @@ class Reconciliation(Generic[C, D]):
         return recorded
 
     def _unknown(self, command: Command, verdict: asyncio.Future[Verdict]) -> CompletedCommand[C, D]:
-        """With the state that its operation declares for what nobody knows."""
+        """Completed as unknown, with the state that its operation declares for that."""
         closure = self._procedure.ask(command.branch, command.operation)
         change = closure.unknown if isinstance(closure, Closure) else None
         return CompletedCommand(command, verdict, "unknown", LOST, change=change)
+
+
+class FailureRecovery(Generic[C, D]):
+    """Fails safely, and resumes after a failure of the journal.
+
+    Args:
+        context: Shared parts of the dispatcher.
+        recorder: The journal.
+        admission: Accepts nothing while the dispatcher has failed.
+        stop_control: Latches Stop and follows the hold.
+        activities: End with a failure.
+        reconciliation: Settles the unconfirmed commands.
+    """
+
+    def __init__(
+        self,
+        context: ExecutionContext[C, D],
+        recorder: Recorder,
+        admission: CommandAdmission[C, D],
+        stop_control: StopControl[C, D],
+        activities: Activities[C, D],
+        reconciliation: Reconciliation[C, D],
+    ) -> None:
+        self._context = context
+        self._coordinator = context.coordinator
+        self._recorder = recorder
+        self._locks = context.locks
+        self._admission = admission
+        self._stop_control = stop_control
+        self._activities = activities
+        self._reconciliation = reconciliation
+        self._listeners = context.listeners
+        self._missed: dict[tuple[str, str], Command] = {}
+
+    def fail(self, reason: Reason) -> Reason:
+        """Fail-stop; see `Dispatcher.fail`."""
+        before = self._admission.broken
+        # A journal that can be written again does not mend the program, so that any other failure counts for more.
+        if before is not None and not before.code == JournalError.code != reason.code:
+            return before
+        self._admission.broken = reason
+        log.critical("fail_stop", reason=reason.text)
+        number = self._stop_control.latch()
+        self._context.tasks.spawn(self._stop_control.hold_after_failure(number))
+        if before is None:
+            self._activities.close()
+            for pending in self._locks.running:
+                pending.stop(reason)
+            self._listeners.notify_failure()
+        event = failed(reason)
+        self._listeners.publish(event)
+        self._coordinator.publish_snapshot()
+        if reason.code != JournalError.code:
+            self._context.tasks.spawn(self._coordinator.record(event).durable())
+        return reason
+
+    async def resume(self, begun: Container[tuple[str, str]]) -> None:
+        """Resume after a failure of the journal; see `Dispatcher.resume`."""
+        broken = self._admission.broken
+        if broken is None:
+            return
+        if broken.code != JournalError.code:
+            raise PcmrsError(f"Only a restart of the daemon helps: {broken.text}", reason=broken.code)
+        await self._until_nothing_runs()
+        number = self._stop_control.latch()
+        stands = await self._context.hold.stop()
+        self._activities.open()
+        try:
+            await self._reconcile(begun)
+            await self._recorder.event(REOPENED, self._context.procedure.promised())
+        except BaseException:
+            self._activities.close()
+            raise
+        if self._admission.broken is not broken:  # the daemon is ending, or memory is not to be trusted
+            self._activities.close()
+            return
+        self._admission.broken = None
+        missed = self._stop_control.follow_danger(self._submit_missed)
+        self._listeners.publish(REOPENED)
+        self._coordinator.publish_snapshot()
+        log.warning("resumed", after=broken.text)
+        await self._activities.leave_ended()
+        await wait_for_verdicts(missed)
+        await self._stop_control.take_standstill(number, REOPENED.device, stands=stands)
+
+    def remember_missed(self, command: Command, verdict: Verdict) -> None:
+        """Remember the report of a device that could not be decided: it is still true after the failure.
+
+        Args:
+            command: The command of the device.
+            verdict: The verdict on it.
+        """
+        broken = self._admission.broken is not None
+        if broken and verdict.decision != "accepted" and command.source.startswith("device:"):
+            self._missed[command.branch, command.operation] = command
+
+    async def _reconcile(self, begun: Container[tuple[str, str]]) -> None:
+        async for verdict in self._reconciliation.of_all(begun):
+            if verdict.decision == "accepted":
+                self._missed = {key: each for key, each in self._missed.items() if each.id != verdict.id}
+            self._coordinator.publish_verdict(verdict)
+
+    async def _until_nothing_runs(self) -> None:
+        try:
+            async with self._context.clock.timeout(ENDING_TIME):
+                while self._locks.running:
+                    await asyncio.wait([pending.verdict for pending in self._locks.running])
+        except TimeoutError:
+            names = [pending.name for pending in self._locks.running]
+            text = f"{' and '.join(names)} has not ended within {ENDING_TIME:g} s after it was stopped."
+            raise PcmrsError(text, running=names) from None
+
+    def _submit_missed(self) -> list[asyncio.Future[Verdict]]:
+        missed, self._missed = self._missed, {}
+        return [
+            self._admission.admit(msgspec.structs.replace(command, id=f"{command.operation}-{uuid.uuid4().hex}"))
+            for command in missed.values()
+        ]

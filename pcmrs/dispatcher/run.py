@@ -1,4 +1,4 @@
-"""What checks, steps and activities see of the procedure and its cell."""
+"""Arguments of checks, steps and activities: their view of the procedure and its cell."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pcmrs.messages import Command, Reason, Verdict
 
 
 class ProcedureData(msgspec.Struct, frozen=True, kw_only=True):
-    """What a procedure has gathered so far; workflows add their own fields. Immutable.
+    """Data of a procedure; workflows add their own fields. Immutable.
 
     Attributes:
         plan_id: Id of the accepted tool plan.
@@ -34,20 +34,20 @@ D = TypeVar("D", bound=ProcedureData)
 
 @dataclass
 class Run(Generic[C, D]):
-    """Handed to every check and step of one operation.
+    """Argument of every check and step of one operation.
 
     Attributes:
-        command: What was asked.
+        command: The command.
         payload: Its arguments as the registered type.
-        states: The joint state it started in; its own branches cannot change under it.
+        states: The joint state in which it started; its own branches cannot change while it runs.
         cell: The devices and frames of the cell.
         clock: The cell's clock.
-        motion: Which way the operation moves the robot, as its blueprint declares it.
-        latched: Stop was latched when the operation began.
-        outcome: Declared outcome to end with; a last step of an operation with outcomes sets it.
-        result: What the verdict reports.
-        prepared: What a check has worked out for a step, such as a trajectory.
-        undecided: What a check could not decide yet, in words, for whoever only asks.
+        motion: Kind of motion that the blueprint declares for the operation.
+        latched: Stop was latched when the operation started.
+        outcome: Declared outcome to end with; the last step of an operation with outcomes sets it.
+        result: Results that the verdict reports.
+        prepared: Result of a check for a step, such as a trajectory.
+        undecided: Texts for a dry run about what a check could not decide yet.
     """
 
     command: Command
@@ -69,51 +69,57 @@ class Run(Generic[C, D]):
 
     @property
     def data(self) -> D:
-        """The procedure's data with the changes of this run."""
+        """Data of the procedure with the changes of this run."""
         return msgspec.structs.replace(self._data, **self.changes) if self.changes else self._data
 
     def use_planner(self, plan_anew: Callable[[], Awaitable[Reason | None]]) -> None:
-        """Takes what asks the operation's checks once more."""
+        """Set the function that asks the operation's checks again."""
         self._plan_anew = plan_anew
 
     async def plan_anew(self) -> None:
-        """Asks the operation's checks once more, by what is known now: a step calls it when the arm stands.
+        """Ask the operation's checks again, with the present data: a step calls it when the arm stands.
 
         Raises:
-            RefusalError: One of them refuses.
+            RefusalError: A check refuses.
         """
         refused = None if self._plan_anew is None else await self._plan_anew()
         if refused is not None:
             raise RefusalError(refused.code, refused.text, **refused.fields)
 
     def keep(self, **changes: Any) -> None:
-        """Changes fields of the procedure's data; they are committed with the states, or not at all."""
+        """Change fields of the procedure's data; they are committed with the states, or not at all."""
         self.changes.update(changes)
 
     def post(self, branch: str, operation: str, **arguments: Any) -> None:
-        """Submits a command once this operation is committed, without waiting for it."""
+        """Submit a command once this operation is committed, without waiting for it.
+
+        Args:
+            branch: Branch of the command.
+            operation: Its operation.
+            arguments: Its arguments.
+        """
         self.posts.append((branch, operation, arguments))
 
     def progress(self, fraction: float) -> None:
-        """Shows how far the operation is, from 0 to 1."""
+        """Publish the progress of the operation, from 0 to 1."""
         self._show_progress(fraction)
 
 
 @dataclass(eq=False)
 class Activity(Generic[C, D]):
-    """Handed to the function of an activity, which goes on until it is cancelled.
+    """Argument of the function of an activity, which runs until it is cancelled.
 
-    A function that moves the robot ends its motion before it lets the cancellation through. What returns or raises by
-    itself takes the lane of Stop. It must not await the dispatcher; it may `post`.
+    A function that moves the robot ends its motion before it lets the cancellation through. If it returns or raises by
+    itself, everything is stopped. It must not await the dispatcher; it may `post`.
 
     Attributes:
         name: Registered name of the function.
-        branch: The branch whose state it belongs to.
-        state: That state.
+        branch: Branch of the state that it belongs to.
+        state: The state.
         command: The command that led into the state.
         cell: The devices and frames of the cell.
         clock: The cell's clock.
-        values: What it shows of itself in the snapshot.
+        values: Values that the snapshot shows.
     """
 
     name: str
@@ -130,36 +136,47 @@ class Activity(Generic[C, D]):
 
     @property
     def source(self) -> str:
-        """Who asks for what it posts, and where its events come from."""
+        """Source of its commands and events."""
         return f"activity:{self.name}"
 
     @property
     def data(self) -> D:
-        """The procedure's data now."""
+        """Present data of the procedure."""
         return self._data()
 
     @property
     def states(self) -> dict[str, str]:
-        """The joint state now."""
+        """Present joint state."""
         return self._states()
 
     def post(self, branch: str, operation: str, **arguments: Any) -> asyncio.Future[Verdict]:
-        """Submits a command at once; it may ask for events, too.
+        """Submit a command at once; it may call event operations, too.
+
+        Args:
+            branch: Branch of the command.
+            operation: Its operation.
+            arguments: Its arguments.
 
         Returns:
-            The verdict to come: to look at, never to await.
+            The verdict to come. Look at it, but never await it.
         """
         return self._submit(self.command_to(branch, operation, arguments))
 
     def show(self, **values: Any) -> None:
-        """Shows values in the snapshot, beside those shown before; each change is published: a few per second."""
+        """Show values in the snapshot, besides earlier ones; each change is published: a few per second."""
         shown = self.values | values
         if shown != self.values:
             self.values = shown
             self._show()
 
     def command_to(self, branch: str, operation: str, arguments: dict[str, Any]) -> Command:
-        """A command of this activity, of which the command that led into the state is the parent."""
+        """Return a command of this activity, whose parent is the command that led into the state.
+
+        Args:
+            branch: Branch of the command.
+            operation: Its operation.
+            arguments: Its arguments.
+        """
         return Command(
             id=f"{self.name}-{uuid.uuid4().hex}",
             branch=branch,

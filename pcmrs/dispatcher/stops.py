@@ -1,7 +1,7 @@
 """Stop: the numbers of Stops, presses that meet a Stop under way, and how the robot is held.
 
-While the hold of a Stop is not answered, nothing can release the latch, and a further press would ask for what is being
-done already. Such presses are counted: pressing without end must neither delay the loop nor fill the journal.
+Until the hold of a Stop is answered, nothing can release the latch, and a further press would change nothing. Such
+presses are counted: endless pressing must neither delay the loop nor fill the journal.
 """
 
 from __future__ import annotations
@@ -13,39 +13,41 @@ from typing import Any, Final
 
 import structlog
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
-from pcmrs.dispatcher.tasks import Tasks
+from pcmrs.dispatcher.coordinator import Coordinator
+from pcmrs.dispatcher.events import pressed_again
 from pcmrs.messages import Command, Reason, StopState
 
 LOCAL = "local"
-"""Who is on the cell's own machine: the only one who may acknowledge without naming the Stop."""
+"""User at the cell's own machine: the only one who may acknowledge without naming the Stop."""
 
 YOUNG = 1.0
-"""A Stop so young is acknowledged by its number only: who does not name it may not know of it yet, s of the clock."""
+"""Age below which a Stop is acknowledged by its number only, s: a user who does not name it may not know of it yet."""
 
 NUMBERS = 1_000_000
-"""Stops of one run of the daemon have numbers within so many, so that no number comes twice across restarts."""
+"""Size of the range of numbers for the Stops of one run, so that no number occurs twice across restarts."""
 
 STANDSTILL = "standstill"
-"""An acknowledgement waits for this while a hold is under way."""
+"""Name under which an acknowledgement waits for a hold."""
 
 PENDING = "stop_pending"
-"""Code of the refusal of an acknowledgement that has to wait."""
+"""Code of the refusal of an acknowledgement that must wait."""
 
 UNNAMED = "stop_not_named"
-"""Code of the refusal of an acknowledgement that has to name its Stop."""
+"""Code of the refusal of an acknowledgement that must name its Stop."""
 
 NO_STOP = StopState()
 
 
 class Stops:
-    """Numbers Stops, and says what is pending.
+    """Numbers Stops, and knows what an acknowledgement waits for.
 
     Args:
         clock: The cell's clock.
 
     Attributes:
-        state: Of the newest Stop; number 0 before the first one.
+        state: State of the newest Stop; number 0 before the first one.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -56,26 +58,31 @@ class Stops:
         self._first = 0
 
     def number_from(self, start: int) -> None:
-        """Stops of this run get numbers greater than those of all earlier runs.
+        """Give the Stops of this run numbers greater than those of all earlier runs.
 
         Args:
-            start: Grows with each run; sequence of the journal's row of this start.
+            start: Number that grows with each run: sequence of the journal's row of this start.
         """
         self._first = start * NUMBERS
 
     def begin(self) -> None:
-        """A Stop begins: it has its number before anything is awaited."""
+        """Begin a Stop: it has its number before anything is awaited."""
         number = max(self.state.number, self._first) + 1
         self._since = self._clock.monotonic()
         self.state = StopState(number=number, pending=self._waits_for(), confirmed=False)
 
     def stood(self, number: int) -> None:
-        """Standstill was measured after the hold of Stop `number`."""
+        """Confirm that standstill was measured after the hold of Stop `number`."""
         if number == self.state.number:
             self.state = StopState(number=number, pending=self.state.pending, confirmed=True)
 
     def wait_for(self, what: str, end: asyncio.Future[Any]) -> None:
-        """No acknowledgement before `end` is done."""
+        """Refuse acknowledgements until a future is done.
+
+        Args:
+            what: Name that a refusal gives.
+            end: The future.
+        """
         if end not in self._pending:  # Stops that follow each other quickly wait for the same hold
             end.add_done_callback(self._settle)
         self._pending[end] = what
@@ -83,15 +90,20 @@ class Stops:
 
     @property
     def standing(self) -> bool:
-        """Whether no hold is under way."""
+        """True if no hold is under way."""
         return STANDSTILL not in self._pending.values()
 
     def objection(self, command: Command, *, latched: bool) -> Reason | None:
-        """Why `command` may not acknowledge now; None where it may."""
+        """Return why a command may not acknowledge now; None if it may.
+
+        Args:
+            command: The acknowledgement.
+            latched: Stop is latched.
+        """
         named, state = command.arguments.get("stop"), self.state
         if named is not None and named != state.number:
-            text = f"Stop {named} is not the newest one, which is Stop {state.number}: look why it was pressed, then "
-            text += "acknowledge that one."
+            text = f"Stop {named} is not the newest one, which is Stop {state.number}: find out why it was pressed, "
+            text += "then acknowledge that one."
             return Reason(code="stop_outdated", text=text, fields={"stop": named, "newest": state.number})
         if self._pending:
             text = (
@@ -123,10 +135,10 @@ class Stops:
 
 
 SOURCES: Final = 32
-"""Sources of one kind, such as all of the bus, with their own Stop under way; one more joins the newest Stop, and is
-counted by its name there."""
+"""Limit of sources of one kind, such as all of the bus, with their own Stop under way. One more joins the newest Stop,
+which counts it by name."""
 NAMED: Final = 32
-"""Names that one Stop counts by; further ones are counted together."""
+"""Limit of names that one Stop counts; further ones are counted together."""
 OTHERS: Final = "others"
 
 
@@ -135,10 +147,10 @@ class StopUnderWay:
     """One Stop.
 
     Attributes:
-        source: Who has pressed.
-        number: Of the Stop.
-        standing: Its result is whether the robot has confirmed that it stands.
-        joined: Source to its presses that have met this Stop.
+        source: Who has stopped.
+        number: Number of the Stop.
+        standing: Task whose result is whether the robot has confirmed that it stands.
+        joined: Source to number of its presses that have joined this Stop.
     """
 
     source: str
@@ -147,31 +159,41 @@ class StopUnderWay:
     joined: dict[str, int] = field(default_factory=dict)
 
     def join(self, source: str, presses: int) -> None:
-        """Counts presses."""
+        """Count presses that join this Stop.
+
+        Args:
+            source: Who has pressed.
+            presses: Number of presses.
+        """
         name = source if source in self.joined or len(self.joined) < NAMED else OTHERS
         self.joined[name] = self.joined.get(name, 0) + presses
 
 
 class Presses:
-    """The Stops under way, by who has pressed.
+    """Stops under way, by source.
 
     Args:
-        joined: Called with a Stop that others have joined, once it is not under way any more.
+        coordinator: The dispatcher, which announces a Stop that others have joined once it is not under way any more.
     """
 
-    def __init__(self, joined: Callable[[StopUnderWay], object]) -> None:
-        self._joined = joined
+    def __init__(self, coordinator: Coordinator[Any, Any]) -> None:
+        self._coordinator = coordinator
         self._under_way: dict[str, StopUnderWay] = {}
 
     def find(self, source: str) -> StopUnderWay | None:
-        """The Stop under way that a press by `source` is; None where it begins one."""
+        """Return the Stop under way that a press by `source` joins; None if it begins one."""
         own = self._under_way.get(source)
         if own is None and sum(_kind(each) == _kind(source) for each in self._under_way) >= SOURCES:
             return next(reversed(self._under_way.values()))
         return own
 
     def add(self, stop: StopUnderWay, holding: asyncio.Future[bool]) -> None:
-        """A Stop has begun; it is under way until `holding` is done."""
+        """Add a Stop that has begun.
+
+        Args:
+            stop: The Stop.
+            holding: Its hold. The Stop is under way until this is done.
+        """
         self._under_way.pop(stop.source, None)  # the newest comes last
         self._under_way[stop.source] = stop
         holding.add_done_callback(lambda _: self._end(stop))
@@ -180,11 +202,11 @@ class Presses:
         if self._under_way.get(stop.source) is stop:
             del self._under_way[stop.source]
         if stop.joined:
-            self._joined(stop)
+            self._coordinator.announce_later(pressed_again(stop.source, stop.number, stop.joined))
 
 
 def _kind(source: str) -> str:
-    """By which way a source presses, such as ``bus`` or ``udp``: nobody on one of them takes the places of others."""
+    """Kind of a source, such as ``bus`` or ``udp``: sources of one kind take no places of others."""
     return source.partition(":")[0]
 
 
@@ -192,30 +214,31 @@ log = structlog.get_logger(__name__)
 
 
 class Hold:
-    """Asks the devices to stand still, and says whether that was confirmed.
+    """Makes the devices stand still, and knows whether that was confirmed.
 
-    Those who stop while the hold of a Stop is under way wait for that one: nothing can begin to move in between, since
-    the latch is set and cannot be released before. The hold of a motion is never merged with another one, for the
+    A Stop while the hold of another Stop is under way waits for that hold: nothing can start to move in between, since
+    the latch is set and cannot be released before. The hold of a motion is never merged with another one, since the
     request of that motion may still be on its way: only a hold that is sent after it outdates it.
 
     Args:
-        hold: Holds the robot, latches it if told to, and returns when it stands; raises when that is not confirmed.
-        tasks: Where a hold goes on when those who asked for it are cancelled.
+        hold: Holds the robot, latches it if its argument is true, and returns when it stands; raises if that is not
+            confirmed.
+        tasks: Owner of the holds, which go on when those who wait for them are cancelled.
     """
 
-    def __init__(self, hold: Callable[[bool], Awaitable[object]], tasks: Tasks) -> None:
+    def __init__(self, hold: Callable[[bool], Awaitable[object]], tasks: BackgroundTasks) -> None:
         self._hold = hold
         self._tasks = tasks
         self._stopping: asyncio.Task[bool] | None = None
 
     def stop(self) -> asyncio.Task[bool]:
-        """Holds and latches: the result is whether the robot has confirmed that it stands."""
+        """Hold and latch; return a task whose result is whether the robot has confirmed that it stands."""
         if self._stopping is None or self._stopping.done():
             self._stopping = self._tasks.spawn(self._try(latch=True))
         return self._stopping
 
     async def end_motion(self) -> bool:
-        """Holds the robot after a motion: whether it has confirmed that it stands."""
+        """Hold the robot after a motion; return whether it has confirmed that it stands."""
         return await asyncio.shield(self._tasks.spawn(self._try(latch=False)))
 
     async def _try(self, *, latch: bool) -> bool:

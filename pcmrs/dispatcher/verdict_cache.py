@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 from collections import OrderedDict
 from collections.abc import Mapping
+from dataclasses import dataclass
 from hashlib import blake2b
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 import msgspec
 
@@ -15,71 +16,140 @@ from pcmrs.errors import RefusalError
 from pcmrs.messages import Command, Verdict
 
 MAX_REMEMBERED = 10_000
-"""Verdicts kept in memory; older ones are looked up in the journal."""
+"""Commands of which a cache keeps an entry; older ones are looked up in the journal."""
 
-Key = tuple[str, str]
-"""Source and id of a command."""
+
+class Entry(Protocol):
+    """What is known of one command."""
+
+    def done(self) -> bool:
+        """Return whether the command has ended."""
+
+
+E = TypeVar("E", bound=Entry)
+
+
+class CommandCache(Generic[E]):
+    """Bounded map from source and id of a command to its entry, such as a future of its verdict.
+
+    Beyond `MAX_REMEMBERED` entries the oldest is forgotten, but never one of a command that has not ended: a repeat of
+    that command would be taken for a new one, and perform it again.
+    """
+
+    def __init__(self) -> None:
+        self._entries: OrderedDict[tuple[str, str], E] = OrderedDict()
+
+    def get(self, source: str, command_id: str) -> E | None:
+        """Return the entry of a command; None for a new one.
+
+        Args:
+            source: Source of the command.
+            command_id: Id that the source has given it.
+        """
+        return self._entries.get((source, command_id))
+
+    def put(self, source: str, command_id: str, entry: E) -> None:
+        """Store the entry of a command, and forget the oldest if there are too many.
+
+        Args:
+            source: Source of the command.
+            command_id: Id that the source has given it.
+            entry: The entry.
+        """
+        self._entries[source, command_id] = entry
+        if len(self._entries) > MAX_REMEMBERED:
+            key, oldest = next(iter(self._entries.items()))
+            if oldest.done():
+                del self._entries[key]
+            else:
+                self._entries.move_to_end(key)
+
+    def remove(self, source: str, command_id: str) -> None:
+        """Forget a command, if it is known.
+
+        Args:
+            source: Source of the command.
+            command_id: Id that the source has given it.
+        """
+        self._entries.pop((source, command_id), None)
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """A command that has been decided or is being decided: digest of its content, and its verdict."""
+
+    digest: bytes
+    verdict: asyncio.Future[Verdict]
+
+    def done(self) -> bool:
+        return self.verdict.done()
 
 
 class VerdictCache:
-    """Remembers what has been decided, and what is being decided."""
+    """Verdicts of the commands that have been decided or are being decided, backed by the journal.
+
+    Args:
+        recorder: The journal.
+    """
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
-        self._known: OrderedDict[Key, tuple[bytes, asyncio.Future[Verdict]]] = OrderedDict()
+        self._known: CommandCache[_Known] = CommandCache()
 
     def verdict_of(self, command: Command) -> tuple[asyncio.Future[Verdict], bool]:
-        """The verdict of a command, done or to come, and whether the command is new.
+        """Return the verdict of a command, done or to come, and whether the command is new.
 
         Raises:
-            RefusalError: ``id_reused``: the same source has asked for something else by this id.
-            JournalError: Nobody can say whether the command has been decided before.
+            RefusalError: ``id_reused``: the same source has used this id for another command.
+            JournalError: The journal cannot say whether the command has been decided before.
         """
-        key, asked = (command.source, command.id), _digest(command.branch, command.operation, command.arguments)
-        if key in self._known:
-            before, verdict = self._known[key]
-            _check_same(command, asked, before)
-            return verdict, False
+        key, digest = (command.source, command.id), _digest(command.branch, command.operation, command.arguments)
+        known = self._known.get(*key)
+        if known is not None:
+            _check_same(command, digest, known.digest)
+            return known.verdict, False
         recorded = self._recorder.recall(*key)
-        verdict = asyncio.get_running_loop().create_future()
+        verdict: asyncio.Future[Verdict] = asyncio.get_running_loop().create_future()
         if recorded is not None:
             answer = recorded.verdict
-            kept = _digest(command.branch, command.operation, clipped(command.arguments))
-            _check_same(command, kept, _digest(answer.branch, answer.operation, clipped(recorded.arguments)))
+            clipped_digest = _digest(command.branch, command.operation, clipped(command.arguments))
+            _check_same(command, clipped_digest, _digest(answer.branch, answer.operation, clipped(recorded.arguments)))
             verdict.set_result(answer)
-        self._known[key] = asked, verdict
-        self._forget_oldest()
+        self._known.put(*key, _Known(digest, verdict))
         return verdict, recorded is None
 
     def forget(self, command: Command) -> None:
-        """What has been answered was not made durable: what the journal says counts."""
-        self._known.pop((command.source, command.id), None)
+        """Forget a verdict that was not made durable: the journal's counts."""
+        self._known.remove(command.source, command.id)
 
     @staticmethod
     def settle(verdict: asyncio.Future[Verdict], answer: Verdict) -> None:
-        """Gives the verdict to everybody who waits for it."""
+        """Give a verdict to everybody who waits for it, unless it has been given.
+
+        Args:
+            verdict: Future of the verdict.
+            answer: The verdict.
+        """
         if not verdict.done():
             verdict.set_result(answer)
 
-    def _forget_oldest(self) -> None:
-        if len(self._known) > MAX_REMEMBERED:
-            key, (_, verdict) = next(iter(self._known.items()))
-            if verdict.done():
-                del self._known[key]
-            else:
-                self._known.move_to_end(key)
-
 
 def _digest(branch: str, operation: str, arguments: Mapping[str, Any]) -> bytes:
-    """Of what is asked: arguments may be long, and are not kept for the sake of a comparison."""
-    asked = msgspec.json.encode((branch, operation, arguments), enc_hook=repr, order="sorted")
-    return blake2b(asked, digest_size=16).digest()
+    """Digest of a command's content: arguments may be long, and are not stored just to be compared."""
+    content = msgspec.json.encode((branch, operation, arguments), enc_hook=repr, order="sorted")
+    return blake2b(content, digest_size=16).digest()
 
 
-def _check_same(command: Command, asked: bytes, before: bytes) -> None:
-    if asked != before:
+def _check_same(command: Command, digest: bytes, before: bytes) -> None:
+    if digest != before:
         text = (
             f"{command.source} has used the id {command.id!r} before, for another operation or other arguments than "
-            f"{command.branch}.{command.operation} now: give every command an id of its own."
+            f"{command.branch}.{command.operation} now: give every command its own id."
         )
         raise RefusalError("id_reused", text, id=command.id)
+
+
+async def wait_for_verdicts(verdicts: list[asyncio.Future[Verdict]]) -> None:
+    """Return when all verdicts are given; cancelling the waiter does not cancel them."""
+    if verdicts:
+        await asyncio.wait(verdicts)

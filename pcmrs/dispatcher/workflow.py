@@ -1,4 +1,4 @@
-"""A workflow ready to run: its blueprint, and what the names in it stand for."""
+"""A workflow ready to run: its blueprint, and the functions and types that it names."""
 
 from __future__ import annotations
 
@@ -17,47 +17,52 @@ from pcmrs.fsm.rules.declared import Known, check_declared
 
 Check = Callable[[Run[C, D]], None]
 Step = Callable[[Run[C, D]], Awaitable[None] | None]
-ActivityTask = Callable[[Activity[C, D]], Coroutine[Any, Any, None]]
+ActivityFunction = Callable[[Activity[C, D]], Coroutine[Any, Any, None]]
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 class NoArguments(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The payload of operations that take no arguments."""
+    """Payload of operations without arguments."""
 
 
 @dataclass
 class Registry(Generic[C, D]):
-    """What the names in a blueprint stand for. Functions are registered under their own names."""
+    """Functions and types that a blueprint names. Functions are registered under their own names."""
 
     payloads: dict[str, type[msgspec.Struct]] = field(default_factory=lambda: {"none": NoArguments})
     checks: dict[str, Check[C, D]] = field(default_factory=dict)
     steps: dict[str, Step[C, D]] = field(default_factory=dict)
     side_effecting: set[str] = field(default_factory=set)
     lasting: set[str] = field(default_factory=set)
-    activities: dict[str, ActivityTask[C, D]] = field(default_factory=dict)
+    activities: dict[str, ActivityFunction[C, D]] = field(default_factory=dict)
     moving: set[str] = field(default_factory=set)
     affecting: set[str] = field(default_factory=set)
 
     def payload(self, name: str, kind: type[msgspec.Struct]) -> None:
-        """Registers the type of an operation's arguments."""
+        """Register the type of an operation's arguments.
+
+        Args:
+            name: Name in the blueprint.
+            kind: The type.
+        """
         self.payloads[name] = kind
 
     def check(self, function: F) -> F:
-        """Registers a pure check: it raises `RefusalError` or returns."""
+        """Register a pure check: it raises `RefusalError` or returns."""
         self.checks[function.__name__] = function
         return function
 
     def long_check(self, function: F) -> F:
-        """Registers a check that takes long, as planning a motion does: a planner asks it, where there is one.
+        """Register a check that takes long, as planning a motion does: a planner asks it, if there is one.
 
-        It reads command, states, data and cell of its run, and leaves what it found in `prepared`, `result` and
+        It reads command, states, data and cell of its run, and stores its results in `prepared`, `result` and
         `undecided`; all of that is sent between processes.
         """
         self.lasting.add(function.__name__)
         return self.check(function)
 
     def step(self, function: F) -> F:
-        """Registers a step that changes the procedure's data only, and so has nothing to wait for.
+        """Register a step that only changes the procedure's data, and so has nothing to wait for.
 
         Raises:
             BlueprintError: It is a coroutine function.
@@ -69,7 +74,7 @@ class Registry(Generic[C, D]):
         return function
 
     def world_step(self, function: F, *, moves: bool = False, affects_patient: bool = False) -> F:
-        """Registers a step that touches the world outside: its intent is journalled first.
+        """Register a step that acts on the world: its intent is journalled first.
 
         Args:
             function: The step.
@@ -85,14 +90,14 @@ class Registry(Generic[C, D]):
         return function
 
     def activity(self, function: F, *, moves: bool = False) -> F:
-        """Registers what goes on while a branch is in a state: it is cancelled when the state is left.
+        """Register an activity, which runs while a branch is in a state and is cancelled when the state is left.
 
         Args:
             function: The activity.
             moves: It moves the robot, which a blueprint with it must declare.
 
         Raises:
-            BlueprintError: It is no coroutine function.
+            BlueprintError: It is not a coroutine function.
         """
         if not inspect.iscoroutinefunction(function):
             text = f"{function.__name__} does not wait, so it would end at once: write it with async def."
@@ -104,17 +109,17 @@ class Registry(Generic[C, D]):
 
     @property
     def known(self) -> Known:
-        """What is known of the functions, for the verifier."""
+        """Properties of the functions, for the verifier."""
         return Known(moving=frozenset(self.moving), affecting=frozenset(self.affecting))
 
     def check_declarations(self, blueprint: Blueprint) -> None:
-        """Raises `BlueprintError` if the blueprint does not declare what its steps and activities do."""
+        """Raise `BlueprintError` if the blueprint does not declare what its steps and activities do."""
         findings = list(check_declared(blueprint, self.known))
         if findings:
             raise BlueprintError(summary(findings), findings=findings)
 
     def check_names(self, blueprint: Blueprint) -> None:
-        """Raises `BlueprintError` if the blueprint uses a name that is not registered."""
+        """Raise `BlueprintError` if the blueprint uses a name that is not registered."""
         for branch, spec in blueprint.branches.items():
             for name, operation in spec.operations.items():
                 self._check(f"{branch}.{name}", "payload", [operation.payload], self.payloads)
@@ -131,12 +136,18 @@ class Registry(Generic[C, D]):
 
 
 Settle = Callable[[D, Mapping[str, str], Sequence[Effect]], D]
-"""Fits the data to a commit: (data, joint state after it, its effects) → data. Pure."""
+"""Pure function that fits the data to a commit: (data, joint state after it, its effects) → data."""
 
 
 @dataclass(frozen=True)
 class Workflow(Generic[C, D]):
-    """Everything the dispatcher needs to know of a procedure.
+    """A procedure as the dispatcher runs it.
+
+    Attributes:
+        blueprint: Branches, states and operations.
+        registry: Functions and types that the blueprint names.
+        initial: Initial data.
+        settle: Fits the data to a commit.
 
     Raises:
         BlueprintError: The blueprint uses a name that the registry does not know, or does not declare that a step moves

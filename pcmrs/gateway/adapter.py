@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
 
 if TYPE_CHECKING:
+    from pcmrs.dispatcher import DispatcherListener
+
     # Only for annotations: a planner shares this package's grammar and must not load NumPy for it.
     from pcmrs.spatial import Floats, Transform
 
@@ -29,11 +30,8 @@ class Core(Protocol):
     def report(self, event: DeviceEvent) -> None:
         """Journals and publishes an event of the gateway, without waiting."""
 
-    def on_stop(self, callback: Callable[[], None]) -> None:
-        """Calls back, synchronously, at every Stop whatever way it came."""
-
-    def on_publish(self, callback: Callable[[Snapshot | Verdict | DeviceEvent], None]) -> None:
-        """Calls back, synchronously, with everything that is published."""
+    def add_listener(self, listener: DispatcherListener) -> None:
+        """Notify a listener of every Stop and of everything that is published, synchronously."""
 
     def snapshot(self) -> Snapshot:
         """The state of all branches."""

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
+from pcmrs.dispatcher import DispatcherListener
+from pcmrs.dispatcher.verdict_cache import CommandCache
 from pcmrs.errors import PayloadError, PcmrsError, RefusalError
 from pcmrs.gateway.auth.admission import NOT_KEPT, Admission
 from pcmrs.gateway.auth.peers import (
@@ -21,10 +25,9 @@ from pcmrs.gateway.auth.peers import (
 from pcmrs.gateway.commands import COMMANDS, Action
 from pcmrs.gateway.grammar import Request, parse, parse_tool_points
 from pcmrs.gateway.handlers import CommandHandlers, PlanLock, Services
-from pcmrs.gateway.outcome import OutcomeCache
+from pcmrs.gateway.outcome import Outcome
 from pcmrs.gateway.session import QUEUE_FULL, ReplyChannel, Session
 from pcmrs.gateway.signing import Signed, split
-from pcmrs.gateway.tasks import Tasks
 from pcmrs.messages.identity import ON_SITE, Principal
 
 MAX_SESSIONS = 256
@@ -58,7 +61,7 @@ class Counters:
         return {f"gateway.{name}": many for name, many in (own | self.of_peers).items()}
 
 
-class Intake:
+class Intake(DispatcherListener):
     """Checks what arrives on any link and hands it to the sender's session.
 
     Args:
@@ -75,7 +78,7 @@ class Intake:
     def __init__(
         self,
         services: Services,
-        tasks: Tasks,
+        tasks: BackgroundTasks,
         unsigned_peers: tuple[str, ...],
         admission: Admission | None = None,
     ) -> None:
@@ -87,7 +90,7 @@ class Intake:
         self._admission = admission
         self._sessions: dict[str, Session] = {}
         self._locks: dict[str, PlanLock] = {}
-        self._memory = OutcomeCache()
+        self._outcomes: CommandCache[asyncio.Future[Outcome]] = CommandCache()
         self._clock: Clock = services.clock
 
     def receive(
@@ -131,8 +134,8 @@ class Intake:
         self._count(reason)
         self.refusals.add(source_of(link, peer), reason, str(error))
 
-    def halt(self) -> None:
-        """Lets nothing that any peer sent before now begin, as Stop demands."""
+    def on_stop(self) -> None:
+        """Reject the commands of all peers that were sent before this Stop and have not begun."""
         if self._admission is not None:
             self._admission.halt()
         for session in self._sessions.values():
@@ -192,7 +195,7 @@ class Intake:
             if oldest_idle is not None:
                 del self._sessions[oldest_idle]
         actions = CommandHandlers(source, asker, self._services, self.lock(holder))
-        return Session(actions, self._clock, self._tasks, self._memory, self._count_overflow)
+        return Session(actions, self._clock, self._tasks, self._outcomes, self._count_overflow)
 
     def _count(self, reason: str) -> None:
         if reason in self.counters.of_peers:

@@ -12,6 +12,7 @@ from uuid import uuid4
 
 import structlog
 
+from pcmrs.background import BackgroundTasks, logged_as
 from pcmrs.clock import Clock
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.adapter import Core
@@ -25,7 +26,6 @@ from pcmrs.gateway.records import Records
 from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.settings import UNIX_NS, GatewayConfig, LinkConfig, PeerConfig
 from pcmrs.gateway.streams import Markers, Send, Streams
-from pcmrs.gateway.tasks import Tasks
 from pcmrs.gateway.tcp import LINK, TcpLink
 from pcmrs.gateway.udp import UdpLink
 from pcmrs.messages import DeviceEvent
@@ -35,6 +35,8 @@ FINISH_WITHIN = 1.0
 COUNTERS = "peers.counters"
 """File of the newest counters of signed peers."""
 RESET = "counters_reset"
+TASK_FAILED = "gateway_task_failed"
+"""Log event of a task of the gateway that has failed."""
 RECORDS = "records"
 """Folder of what clients save."""
 
@@ -68,7 +70,7 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         ConfigurationError: A port cannot be bound, or a peer's key or the counters cannot be used.
     """
     async with AsyncExitStack() as stack:
-        tasks, jobs = Tasks(), Tasks()
+        tasks, jobs = (BackgroundTasks(logged_as(TASK_FAILED)) for _ in range(2))
         stack.push_async_callback(tasks.close)
         stack.push_async_callback(jobs.close)
         streams = Streams(core, kernel_beats, config, await _open_sender(stack), tasks)
@@ -79,11 +81,9 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
             admission = _open_admission(stack, core, config, clock, folder / COUNTERS, refusals, tasks)
         services = Services(uuid4().hex, core, clock, streams, records, refusals)
         intake = Intake(services, jobs, config.unsigned_peers, admission)
-        core.on_stop(intake.halt)
+        core.add_listener(intake)
         if config.markers.enabled:
-            markers = Markers(config.markers.stream, core.snapshot())
-            core.on_publish(markers.show)
-            core.on_stop(markers.stop)
+            core.add_listener(Markers(config.markers.stream, core.snapshot()))
         addresses = {
             name: await _open_udp(stack, UdpLink(name, link, intake), config.host, link)
             for name, link in config.links().items()
@@ -105,7 +105,7 @@ def _open_admission(
     clock: Clock,
     path: Path,
     refusals: RejectionLog,
-    tasks: Tasks,
+    tasks: BackgroundTasks,
 ) -> Admission:
     file = CounterFile(path)
     stack.callback(file.close)
@@ -156,7 +156,13 @@ async def _open_tcp(stack: AsyncExitStack, link: TcpLink, host: str, port: int) 
 
 
 async def _open_openigtlink(
-    stack: AsyncExitStack, core: Core, config: GatewayConfig, clock: Clock, intake: Intake, tasks: Tasks, jobs: Tasks
+    stack: AsyncExitStack,
+    core: Core,
+    config: GatewayConfig,
+    clock: Clock,
+    intake: Intake,
+    tasks: BackgroundTasks,
+    jobs: BackgroundTasks,
 ) -> tuple[str, int]:
     try:
         from pcmrs.gateway.openigtlink.link import OpenIgtLink

@@ -1,4 +1,4 @@
-"""What became of a command, how clients are told, and the outcomes that are remembered for repeats.
+"""Outcome of a command, and the replies that report it to clients.
 
 Verdict reply: ``<id>_accepted_<branch>_<state>[_<number>...];`` or ``<id>_rejected_<branch>_<state>_<reason>;`` or the
 same with ``failed``. ``_`` inside a branch or state is written ``-``; the reason is everything behind the fourth
@@ -7,9 +7,7 @@ separator and may itself hold ``_``. An outcome nobody knows is ``failed`` with 
 
 from __future__ import annotations
 
-import asyncio
 import math
-from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -69,28 +67,3 @@ def _numbers(result: dict[str, Any]) -> tuple[float, ...]:
         errors = (result["translation_error"] * 1e3, math.degrees(result["rotation_error"]))
         return (*measured["position"], *measured["quat_xyzw"], *errors)
     return ()
-
-
-MAX_REMEMBERED = 10_000
-"""Outcomes kept, of all peers together; of older commands the daemon still recalls those that it performed."""
-
-
-class OutcomeCache:
-    """Remembers what commands with an id came to, and which are under way."""
-
-    def __init__(self) -> None:
-        self._outcomes: OrderedDict[tuple[str, str], asyncio.Future[Outcome]] = OrderedDict()
-
-    def recall(self, source: str, client_id: str) -> asyncio.Future[Outcome] | None:
-        """The outcome, there or to come, of the command that `source` sent with this id; None for a new one."""
-        return self._outcomes.get((source, client_id))
-
-    def keep(self, source: str, client_id: str, ended: asyncio.Future[Outcome]) -> None:
-        """Remembers a command; beyond `MAX_REMEMBERED` the oldest is forgotten, unless it is under way."""
-        self._outcomes[source, client_id] = ended
-        if len(self._outcomes) > MAX_REMEMBERED:
-            key, oldest = next(iter(self._outcomes.items()))
-            if oldest.done():
-                del self._outcomes[key]
-            else:
-                self._outcomes.move_to_end(key)

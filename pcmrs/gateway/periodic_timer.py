@@ -1,4 +1,4 @@
-"""A steady rate, in real time by a timer of the kernel: those of the event loop are whole milliseconds."""
+"""Work at a steady rate, in real time by a timer of the kernel: those of the event loop are whole milliseconds."""
 
 from __future__ import annotations
 
@@ -8,10 +8,15 @@ import os
 import time
 from collections.abc import AsyncGenerator, Callable
 
+import structlog
+
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 
 Beats = Callable[[float], AsyncGenerator[None]]
 """Yields now and then each so many seconds; beats missed in a stall are not made up for."""
+
+_log = structlog.get_logger(__name__)
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -69,3 +74,48 @@ def _timer(period: float) -> int:
             os.close(timer)
         raise failed
     return timer
+
+
+class PeriodicTask:
+    """Something done at a steady rate between `start` and `stop`, whatever the network says to it.
+
+    Args:
+        beats: Pace it.
+        rate_hz: Times per second.
+        tick: What is done.
+        tasks: Owns it while it runs.
+    """
+
+    def __init__(self, beats: Beats, rate_hz: float, tick: Callable[[], None], tasks: BackgroundTasks) -> None:
+        self._beats = beats
+        self._period = 1.0 / rate_hz
+        self._tick = tick
+        self._tasks = tasks
+        self._task: asyncio.Task[None] | None = None
+        self._failing = False
+
+    def start(self) -> None:
+        """Begins, unless it runs."""
+        if self._task is None or self._task.done():
+            self._task = self._tasks.spawn(self._repeat())
+
+    def stop(self) -> None:
+        """Ends, if it runs."""
+        if self._task is not None:
+            self._task.cancel()
+            self._task = None
+
+    async def _repeat(self) -> None:
+        async for _ in self._beats(self._period):
+            self._try()
+
+    def _try(self) -> None:
+        """One tick; only the first of several that fail in a row is logged."""
+        try:
+            self._tick()
+        except OSError as error:
+            if not self._failing:
+                _log.warning("not_sent", tick=self._tick.__qualname__, reason=str(error))
+            self._failing = True
+        else:
+            self._failing = False

@@ -10,10 +10,10 @@ import os
 from datetime import datetime
 from pathlib import Path
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.adapter import Core
-from pcmrs.gateway.tasks import Tasks
 from pcmrs.spatial import Transform
 
 LOG_SECONDS = 5.0
@@ -32,7 +32,7 @@ class Records:
         tasks: Owns a running log.
     """
 
-    def __init__(self, core: Core, clock: Clock, folder: Path, tasks: Tasks) -> None:
+    def __init__(self, core: Core, clock: Clock, folder: Path, tasks: BackgroundTasks) -> None:
         self._core = core
         self._clock = clock
         self._folder = folder

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import structlog
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.gateway.adapter import Core
-from pcmrs.gateway.tasks import Tasks
 from pcmrs.messages import DeviceEvent
 
 PERIOD = 10.0
@@ -42,7 +42,7 @@ class RejectionLog:
         edge: Of the daemon; stands in the reports.
     """
 
-    def __init__(self, core: Core, clock: Clock, tasks: Tasks, edge: str = "gateway") -> None:
+    def __init__(self, core: Core, clock: Clock, tasks: BackgroundTasks, edge: str = "gateway") -> None:
         self._edge = edge
         self._core = core
         self._clock = clock

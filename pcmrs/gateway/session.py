@@ -10,13 +10,14 @@ from dataclasses import dataclass
 
 import structlog
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
+from pcmrs.dispatcher.verdict_cache import CommandCache
 from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.gateway.commands import Action, Second
 from pcmrs.gateway.grammar import Request
 from pcmrs.gateway.handlers import CommandHandlers, Job
-from pcmrs.gateway.outcome import NO_DATA, Outcome, OutcomeCache
-from pcmrs.gateway.tasks import Tasks
+from pcmrs.gateway.outcome import NO_DATA, Outcome
 
 ACKNOWLEDGEMENT = "ack"
 SECOND_WITHIN = 0.35
@@ -77,7 +78,7 @@ class Session:
         actions: What the commands do.
         clock: The machine's clock.
         tasks: Owns what runs.
-        memory: Remembers the outcomes of commands with an id, of all peers.
+        outcomes: Outcomes of commands with an id, of all peers.
         on_overflow: Called when a command is refused because too many wait.
     """
 
@@ -85,14 +86,14 @@ class Session:
         self,
         actions: CommandHandlers,
         clock: Clock,
-        tasks: Tasks,
-        memory: OutcomeCache,
+        tasks: BackgroundTasks,
+        outcomes: CommandCache[asyncio.Future[Outcome]],
         on_overflow: Callable[[], None],
     ) -> None:
         self._actions = actions
         self._clock = clock
         self._tasks = tasks
-        self._memory = memory
+        self._outcomes = outcomes
         self._on_overflow = on_overflow
         self._queue: deque[Turn] = deque()
         self._draining = False
@@ -140,12 +141,12 @@ class Session:
     ) -> None:
         # Stop is honoured every time, whatever its id.
         repeatable = request.spec.action is Action.STOP
-        ended = None if repeatable else self._memory.recall(self._actions.source, client_id)
+        ended = None if repeatable else self._outcomes.get(self._actions.source, client_id)
         if ended is not None and not ended.done():
             return  # attached: the reply under way goes to this same sender
         if ended is None:
             ended = self._begin(request, arrived, refusal)
-            self._memory.keep(self._actions.source, client_id, ended)
+            self._outcomes.put(self._actions.source, client_id, ended)
         ended.add_done_callback(lambda done: None if done.cancelled() else verdict(done.result().reply(client_id)))
 
     def _begin(self, request: Request, arrived: float, refusal: RefusalError | None) -> asyncio.Future[Outcome]:

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.devices.lsl.markers import MarkerOutlet
+from pcmrs.dispatcher import DispatcherListener
 from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.grammar import TOOL_POINTS_PREFIX
-from pcmrs.gateway.periodic_timer import Beats
+from pcmrs.gateway.periodic_timer import Beats, PeriodicTask
 from pcmrs.gateway.settings import GatewayConfig
-from pcmrs.gateway.tasks import PeriodicTask, Tasks
 from pcmrs.messages import DeviceEvent, Snapshot, Verdict
 from pcmrs.spatial import Floats, Transform
 
@@ -33,7 +34,7 @@ class Streams:
         tasks: Owns the running streams.
     """
 
-    def __init__(self, core: Core, beats: Beats, config: GatewayConfig, send: Send, tasks: Tasks) -> None:
+    def __init__(self, core: Core, beats: Beats, config: GatewayConfig, send: Send, tasks: BackgroundTasks) -> None:
         self._core = core
         self._config = config
         self._send = send
@@ -126,7 +127,7 @@ def _join(numbers: Iterable[float], decimals: int) -> str:
 STOP = "stop"
 
 
-class Markers:
+class Markers(DispatcherListener):
     """Marks every change of a state as ``branch:from->to``, every Stop as ``stop`` and every pulse as ``pulse:3``.
 
     The mark of a pulse comes when its operation has ended: when it was given is marked by the stimulator's driver.
@@ -143,8 +144,8 @@ class Markers:
         self._outlet = MarkerOutlet(stream)
         self._branches = now.branches
 
-    def show(self, message: Snapshot | Verdict | DeviceEvent) -> None:
-        """Marks what is new in something that the daemon publishes; never waits."""
+    def on_publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+        """Mark changes of states, and pulses; never waits."""
         if isinstance(message, Snapshot):
             for branch, state in message.branches.items():
                 before = self._branches.get(branch)
@@ -154,6 +155,6 @@ class Markers:
         elif isinstance(message, Verdict) and message.result and "pulse" in message.result:
             self._outlet.push(f"pulse:{message.result['pulse']}")
 
-    def stop(self) -> None:
-        """Marks a Stop."""
+    def on_stop(self) -> None:
+        """Mark a Stop."""
         self._outlet.push(STOP)

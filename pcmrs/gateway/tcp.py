@@ -15,12 +15,12 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.errors import PayloadError, RefusalError
 from pcmrs.gateway.grammar import MAX_BYTES, may_become_command
 from pcmrs.gateway.intake import Intake
 from pcmrs.gateway.session import ReplyChannel
-from pcmrs.gateway.tasks import Tasks
 from pcmrs.hosts import is_loopback
 
 SIGNS = b"|;"
@@ -118,7 +118,7 @@ class TcpLink:
         clock: The machine's.
     """
 
-    def __init__(self, intake: Intake, tasks: Tasks, clock: Clock) -> None:
+    def __init__(self, intake: Intake, tasks: BackgroundTasks, clock: Clock) -> None:
         self._intake = intake
         self._tasks = tasks
         self._clock = clock

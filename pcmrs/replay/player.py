@@ -63,7 +63,6 @@ class JournalPlayer:
             self._clock,
             self.book,
             self._holds.hold,
-            lambda _: None,
             release=self._holds.release,
             lease_required=lease_required,
         )

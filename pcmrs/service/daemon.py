@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 import structlog
 
+from pcmrs.background import BackgroundTasks, logged_as
 from pcmrs.bus import Bus, CommandEdge
 from pcmrs.bus.seal import Seal, new_key
 from pcmrs.clock import Clock, SystemClock
@@ -20,9 +21,8 @@ from pcmrs.console.settings import HOST
 from pcmrs.errors import ConfigurationError
 from pcmrs.files import make_private
 from pcmrs.fsm import Blueprint
-from pcmrs.gateway.links import Gateway, open_gateway
+from pcmrs.gateway.links import TASK_FAILED, Gateway, open_gateway
 from pcmrs.gateway.rejection_log import RejectionLog
-from pcmrs.gateway.tasks import Tasks
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag
 from pcmrs.service.command_metrics import Source, counted
@@ -219,7 +219,7 @@ async def _child_processes(
 async def _edges(bus: Bus, procedure: RunningProcedure, settings: Settings, machine: Clock) -> AsyncIterator[Gateway]:
     """Takes commands from the bus and, closed first, by the links of the gateway."""
     async with AsyncExitStack() as stack:
-        reporting = Tasks()
+        reporting = BackgroundTasks(logged_as(TASK_FAILED))
         stack.push_async_callback(reporting.close)
         refusals = RejectionLog(procedure.core, machine, reporting, edge="bus")
         edge = await CommandEdge.open(bus, procedure.tally.submit, refusals.add, procedure.stop)

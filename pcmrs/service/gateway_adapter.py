@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 
-from pcmrs.dispatcher import Dispatcher
+from pcmrs.dispatcher import Dispatcher, DispatcherListener
 from pcmrs.errors import RefusalError
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
 from pcmrs.service.command_metrics import Submit
@@ -42,11 +41,8 @@ class GatewayAdapter:
     def report(self, event: DeviceEvent) -> None:
         self._dispatcher.report_later(event)
 
-    def on_stop(self, callback: Callable[[], None]) -> None:
-        self._dispatcher.on_stop(callback)
-
-    def on_publish(self, callback: Callable[[Snapshot | Verdict | DeviceEvent], None]) -> None:
-        self._dispatcher.on_publish(callback)
+    def add_listener(self, listener: DispatcherListener) -> None:
+        self._dispatcher.add_listener(listener)
 
     def snapshot(self) -> Snapshot:
         return self._dispatcher.snapshot()

@@ -17,7 +17,7 @@ from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.remote import ActingDevice, RemoteEmg, RemotePointer, RemoteRobot, RemoteStimulator
 from pcmrs.devices.standstill import Standstill
-from pcmrs.dispatcher import Dispatcher, Recorder, Workflow
+from pcmrs.dispatcher import Dispatcher, DispatcherListener, Recorder, Workflow
 from pcmrs.dispatcher.decisions import Rejections
 from pcmrs.dispatcher.execution import Planner
 from pcmrs.errors import DeviceError
@@ -67,7 +67,7 @@ class Clocks:
     machine: Clock
 
 
-class RunningProcedure:
+class RunningProcedure(DispatcherListener):
     """The procedure of one cell, without sockets, child processes or a bus of its own.
 
     Args:
@@ -116,12 +116,12 @@ class RunningProcedure:
             clocks.cell,
             recorder,
             self.cell.make_safe,
-            self._publish,
             release=self.cell.release,
             lease_required=settings.access.is_open,
             planner=planner,
             rejections=Rejections(clocks.machine),
         )
+        self.dispatcher.add_listener(self)
         self.tally = CommandMetrics(self.dispatcher.submit, clocks.machine)
         self.core = GatewayAdapter(self.dispatcher, self.cell, self.tally.submit)
         self.hearing = DeviceReadiness(awaited(settings, workflow.blueprint.branches), clocks.machine)
@@ -235,7 +235,8 @@ class RunningProcedure:
         if device == "robot":
             self.watch.hear_beat()
 
-    def _publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+    def on_publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+        """Publish a message of the dispatcher on the bus, and count it."""
         self.tally.take(message)
         self._publishing.publish(message)
         self._publishing.publish_data(self.cell, self.dispatcher.procedure.data)

@@ -488,7 +488,7 @@ async def test_a_refusal_that_comes_after_a_broken_link_does_not_say_that_nothin
         while not cell.submitted:  # noqa: ASYNC110  submitted as they come
             await asyncio.sleep(0.01)
         cell.hold_back(monkeypatch)
-        for task in list(cell.daemon._tasks):
+        for task in list(cell.daemon._tasks._running):
             task.cancel()
         await calling
         assert cell.refused

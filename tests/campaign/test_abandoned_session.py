@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +13,7 @@ import pytest
 
 import pcmrs
 from pcmrs.devices.link import Link
-from pcmrs.dispatcher import Dispatcher
+from pcmrs.dispatcher import Dispatcher, DispatcherListener
 from pcmrs.fsm import load_blueprint
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Running, Snapshot, TeleopStatus
 from pcmrs.messages.identity import HOLDING, ROLES, Role
@@ -47,14 +46,14 @@ class Session:
         self.running: list[Running] = []
         self.reported: list[DeviceEvent] = []
         self.procedure = SimpleNamespace(blueprint=BLUEPRINT)
-        self._listeners: list[Callable[[Command], None]] = []
+        self._listeners: list[DispatcherListener] = []
         watch = AbandonedWatch(cast(Dispatcher[Any, Any], self), AFTER, self.clock)
         self.watch = asyncio.create_task(watch.run())
         self.teleoperators = TeleopPort()
         connect_teleoperators(cast(Link, Unheard()), self.teleoperators, watch.see)
 
-    def on_accepted(self, callback: Callable[[Command], None]) -> None:
-        self._listeners.append(callback)
+    def add_listener(self, listener: DispatcherListener) -> None:
+        self._listeners.append(listener)
 
     def snapshot(self) -> Snapshot:
         tag = BlueprintTag(id="", version="", hash="")
@@ -74,7 +73,7 @@ class Session:
     def accept(self, branch: str, operation: str, role: Role = "operator") -> None:
         command = Command(id="1", branch=branch, operation=operation, source="bus:somebody", role=role)
         for listener in self._listeners:
-            listener(command)
+            listener.on_accepted(command)
 
     async def close(self) -> None:
         self.watch.cancel()

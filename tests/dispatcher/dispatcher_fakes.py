@@ -12,7 +12,7 @@ import msgspec
 import pytest
 from ratms_oracle import BLUEPRINT, INITIAL, Joint, all_operations, expected
 
-from pcmrs.dispatcher import Activity, Dispatcher, ProcedureData, Registry, Run, Workflow
+from pcmrs.dispatcher import Activity, Dispatcher, DispatcherListener, ProcedureData, Registry, Run, Workflow
 from pcmrs.dispatcher.execution import Planner
 from pcmrs.dispatcher.recorder import Recorded
 from pcmrs.errors import JournalError, RefusalError, UnknownOutcomeError
@@ -214,7 +214,7 @@ class MemoryRecorder:
             self.rows.append((kind, name, dict(states), verdict))
 
 
-class Bench:
+class Bench(DispatcherListener):
     """A dispatcher with everything around it in the test's hands.
 
     Attributes:
@@ -257,10 +257,13 @@ class Bench:
             self.clock,
             self.recorder,
             self._hold_devices,
-            self.published.append,
             release=self._release_devices,
             planner=planner,
         )
+        self.dispatcher.add_listener(self)
+
+    def on_publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+        self.published.append(message)
 
     def _hold_devices(self, latch: bool) -> Awaitable[object]:
         self.latching.append(latch)

@@ -9,6 +9,7 @@ from altered import with_operation
 from dispatcher_fakes import HELD, PLACED, RATMS, RETRACTED, STANDOFF, Bench
 from test_locks import code
 
+from pcmrs.dispatcher import DispatcherListener
 from pcmrs.dispatcher.locks import MAX_WAITING
 from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceEvent
@@ -133,8 +134,14 @@ async def test_reports_with_other_arguments_or_of_other_devices_wait_beside() ->
 
 @pytest.mark.parametrize("fails", ["listener", "publisher"])
 async def test_stop_stops_although_somebody_who_is_told_fails(bench: Bench, fails: str) -> None:
-    def fail(*_: object) -> None:
-        raise RuntimeError("The test wants it to fail.")
+    class Failing(DispatcherListener):
+        def on_stop(self) -> None:
+            if fails == "listener":
+                raise RuntimeError("The test wants it to fail.")
+
+        def on_publish(self, _message: object) -> None:
+            if fails == "publisher":
+                raise RuntimeError("The test wants it to fail.")
 
     reported: list[str] = []
     loop = asyncio.get_running_loop()
@@ -142,7 +149,7 @@ async def test_stop_stops_although_somebody_who_is_told_fails(bench: Bench, fail
     await bench.go(RETRACTED)
     bench.script.hang("placement.approach")
     motion = await bench.begin("placement.approach")
-    (bench.dispatcher.on_stop if fails == "listener" else bench.dispatcher.on_publish)(fail)
+    bench.dispatcher.add_listener(Failing())
     assert await bench.dispatcher.stop("test:operator")
     assert code(await motion) == "stopped"
     assert reported

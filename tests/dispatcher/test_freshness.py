@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ratms_oracle import INITIAL
 
-from pcmrs.dispatcher.admission import CLOCK_TOLERANCE, check_fresh
+from pcmrs.dispatcher.command_checks import CLOCK_TOLERANCE, check_fresh
 from pcmrs.errors import RefusalError
 from pcmrs.messages import Command
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 from contextlib import suppress
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.dispatcher.stops import Hold
-from pcmrs.dispatcher.tasks import Tasks
 
 
 async def test_a_hold_goes_on_when_who_has_asked_is_cancelled() -> None:
-    tasks, stands, held = Tasks(print), asyncio.Event(), asyncio.Event()
+    tasks, stands, held = BackgroundTasks(print), asyncio.Event(), asyncio.Event()
 
     async def hold(_latch: bool) -> None:
         await stands.wait()

@@ -52,7 +52,7 @@ async def test_one_holds_the_cell_and_the_others_are_refused() -> None:
 async def test_while_nobody_holds_it_commands_are_taken_unless_somebody_has_to() -> None:
     bench = Bench()
     assert code(await do(bench, "bob", "registration.plan_landmarks")) == "accepted"
-    bench.dispatcher.lease = Lease(bench.clock, required=True)
+    bench.dispatcher._admission.lease = Lease(bench.clock, required=True)
     for who in ("anna", "bob", "slicer", "local"):
         assert code(await do(bench, who, "registration.plan_landmarks")) == "no_lease"
     await do(bench, "local", "lease.acquire")

@@ -8,7 +8,7 @@ import pytest
 from dispatcher_fakes import HELD, PLACED, RATMS, STANDOFF, Bench
 from test_locks import code
 
-from pcmrs.dispatcher import admission
+from pcmrs.dispatcher import command_checks
 from pcmrs.fsm import parse_blueprint
 from pcmrs.messages import Verdict
 from pcmrs.testing.clock import settle
@@ -79,7 +79,7 @@ async def test_a_motion_does_not_wait_for_long(bench: Bench) -> None:
     gate, event = await within_on_its_way(bench)
     asked = asyncio.get_running_loop().time()
     motion = await bench.begin("placement.nudge")
-    asyncio.get_running_loop().call_at(asked + 2 * admission.CHECKS_BEGIN_WITHIN, gate.set)
+    asyncio.get_running_loop().call_at(asked + 2 * command_checks.CHECKS_BEGIN_WITHIN, gate.set)
     assert code(await motion) == "busy"
     assert (await event).decision == "accepted"
     assert "placement.nudge" not in bench.script.entered
@@ -152,7 +152,7 @@ async def test_what_moves_or_acts_is_looked_at_in_time_or_refused(bench: Bench, 
     joint = STANDOFF if name == "placement.confirm" else ("111", "1", "1", "1", "guided", "0", "off")
     await bench.go(joint)
     bench.script.entered.clear()
-    arrived = asyncio.get_running_loop().time() - 2 * admission.CHECKS_BEGIN_WITHIN
+    arrived = asyncio.get_running_loop().time() - 2 * command_checks.CHECKS_BEGIN_WITHIN
     verdict = await bench.dispatcher.submit(bench.command(name), arrived=arrived)
     await settle()
     assert (verdict.decision, code(verdict), bench.joint) == ("rejected", "expired", joint)

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 from dispatcher_fakes import Bench, make_workflow
 
-from pcmrs.dispatcher import Dispatcher, decisions
+from pcmrs.dispatcher import Dispatcher, DispatcherListener, decisions
 from pcmrs.dispatcher.decisions import DROPPED, RATE_HZ, TOO_MANY, Rejections
 from pcmrs.dispatcher.recorder import CLIPPED, LONGEST, clipped
-from pcmrs.messages import DeviceEvent, Verdict
+from pcmrs.messages import Command, DeviceEvent, Verdict
 from pcmrs.testing.clock import ManualClock, settle
 
 BURST = 5
@@ -28,10 +28,10 @@ class Limited(Bench):
             self.clock,
             self.recorder,
             self._hold_devices,
-            self.published.append,
             release=self._release_devices,
             rejections=Rejections(self.machine),
         )
+        self.dispatcher.add_listener(self)
 
     async def codes(self, count: int, **fields: Any) -> list[str]:
         verdicts = [await self.do("registration.no_such_operation", **fields) for _ in range(count)]
@@ -90,7 +90,12 @@ async def test_a_limited_command_is_decided_anew_when_it_is_repeated(bench: Limi
 
 async def test_a_dispatcher_tells_of_accepted_commands_only(bench: Limited) -> None:
     accepted: list[str] = []
-    bench.dispatcher.on_accepted(lambda command: accepted.append(command.operation))
+
+    class Listener(DispatcherListener):
+        def on_accepted(self, command: Command) -> None:
+            accepted.append(command.operation)
+
+    bench.dispatcher.add_listener(Listener())
     await bench.do("placement.approach")
     await bench.do("registration.no_such_operation")
     assert accepted == []

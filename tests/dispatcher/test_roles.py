@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from dispatcher_fakes import Bench
 
-from pcmrs.dispatcher.admission import EVENT_SOURCES, check_role
+from pcmrs.dispatcher.command_checks import EVENT_SOURCES, check_role
 from pcmrs.errors import RefusalError
 from pcmrs.fsm import OperationSpec
 from pcmrs.messages import Command

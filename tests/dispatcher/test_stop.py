@@ -11,10 +11,10 @@ from altered import with_operation
 from dispatcher_fakes import HELD, PLACED, RATMS, RETRACTED, STANDOFF, Bench, Notes
 from ratms_oracle import INITIAL
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import SystemClock
-from pcmrs.dispatcher import Run
+from pcmrs.dispatcher import DispatcherListener, Run
 from pcmrs.dispatcher.stops import STANDSTILL, YOUNG, Hold, Stops
-from pcmrs.dispatcher.tasks import Tasks
 from pcmrs.errors import DeviceError, RefusalError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, Reason, Verdict
 from pcmrs.testing.clock import settle
@@ -230,7 +230,7 @@ async def test_who_gives_up_ends_the_hold_of_nobody_else() -> None:
     async def standing(_latch: bool) -> None:
         await stands.wait()
 
-    hold = Hold(standing, Tasks(print))
+    hold = Hold(standing, BackgroundTasks(print))
     impatient, patient = (asyncio.create_task(_wait_for(hold.stop())) for _ in range(2))
     await settle()
     impatient.cancel()
@@ -335,7 +335,12 @@ async def test_closing_stops_what_runs(bench: Bench) -> None:
 
 async def test_every_stop_is_told_to_listeners_before_anything_else_can_run(bench: Bench) -> None:
     told: list[bool] = []
-    bench.dispatcher.on_stop(lambda: told.append(bench.dispatcher.snapshot().latched))
+
+    class Listener(DispatcherListener):
+        def on_stop(self) -> None:
+            told.append(bench.dispatcher.snapshot().latched)
+
+    bench.dispatcher.add_listener(Listener())
     await bench.dispatcher.stop("test:operator")
     await bench.dispatcher.report(DeviceEvent(device="robot", code="force_limit", text="Too strong.", danger=True))
     assert told == [True, True]

@@ -15,7 +15,7 @@ from altered import with_operation
 import pcmrs
 from pcmrs.client import Client, Event
 from pcmrs.clock import SystemClock
-from pcmrs.dispatcher import Dispatcher, ProcedureData, Run
+from pcmrs.dispatcher import Dispatcher, DispatcherListener, ProcedureData, Run
 from pcmrs.errors import ConfigurationError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import Blueprint, Closure, load_blueprint
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
@@ -67,7 +67,7 @@ class Dice(Script):
             run.post("placement", "locate")
 
 
-class DiceCell:
+class DiceCell(DispatcherListener):
     """What a live tour needs of a client, without a bus."""
 
     simulated = True
@@ -75,7 +75,8 @@ class DiceCell:
     def __init__(self, runs: Blueprint, *, outside: bool = True, refusing: float = 0.2, seed: int = 1) -> None:
         dice = Dice(seed, refusing)
         workflow = scripted(runs, dice, outside=outside)
-        self.dispatcher = Dispatcher(workflow, None, SystemClock(), Forgetful(), self._hold, self._publish)
+        self.dispatcher = Dispatcher(workflow, None, SystemClock(), Forgetful(), self._hold)
+        self.dispatcher.add_listener(self)
         dice.dispatcher = self.dispatcher
         self._queues: list[asyncio.Queue[Event]] = []
         self._stops: list[asyncio.Task[bool]] = []
@@ -144,7 +145,7 @@ class DiceCell:
         await asyncio.gather(*self._stops)
         await self.dispatcher.close()
 
-    def _publish(self, event: Event) -> None:
+    def on_publish(self, event: Event) -> None:
         for queue in self._queues:
             queue.put_nowait(event)
 

@@ -48,7 +48,7 @@ async def test_the_dispatcher_does_as_the_tour_says(outside: bool) -> None:
 
 
 async def test_nothing_is_too_late_however_busy_the_machine_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcmrs.dispatcher.admission.CHECKS_BEGIN_WITHIN", 0.0)
+    monkeypatch.setattr("pcmrs.dispatcher.command_checks.CHECKS_BEGIN_WITHIN", 0.0)
     assert [deviation for _, deviation in await rehearsed(RATMS) if deviation is not None] == []
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections import defaultdict
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any, Self, cast
 
 import numpy as np
 
+from pcmrs.dispatcher import DispatcherListener
 from pcmrs.gateway.rejection_log import PERIOD
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Snapshot, Verdict
 from pcmrs.spatial import Floats, Transform
@@ -46,8 +47,7 @@ class FakeCore:
         self.stops: list[str] = []
         self.stands = True
         self.events: list[DeviceEvent] = []
-        self._on_stop: list[Callable[[], None]] = []
-        self.on_published: Callable[[Snapshot | Verdict | DeviceEvent], None] | None = None
+        self.listeners: list[DispatcherListener] = []
         self._verdicts: dict[tuple[str, str], Verdict] = {}
         self.pose: Transform | None = POSE
         self.target: Transform | None = POSE
@@ -80,18 +80,19 @@ class FakeCore:
 
     async def stop(self, source: str) -> bool:
         self.stops.append(source)
-        for callback in self._on_stop:
-            callback()
+        for listener in self.listeners:
+            listener.on_stop()
         return self.stands
 
     def report(self, event: DeviceEvent) -> None:
         self.events.append(event)
 
-    def on_stop(self, callback: Callable[[], None]) -> None:
-        self._on_stop.append(callback)
+    def add_listener(self, listener: DispatcherListener) -> None:
+        self.listeners.append(listener)
 
-    def on_publish(self, callback: Callable[[Snapshot | Verdict | DeviceEvent], None]) -> None:
-        self.on_published = callback
+    def publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+        for listener in self.listeners:
+            listener.on_publish(message)
 
     def open_gates(self) -> None:
         """Lets everything that waits end, as the daemon does before the gateway closes."""

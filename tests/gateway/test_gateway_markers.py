@@ -13,6 +13,7 @@ from pcmrs.devices.lsl.inlet import Inlet
 from pcmrs.devices.lsl.library import load_lsl
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig, MarkersConfig
+from pcmrs.gateway.streams import Markers
 from pcmrs.messages import DeviceEvent, Verdict
 
 NO_LINK = LinkConfig()
@@ -46,15 +47,14 @@ async def test_states_stops_and_pulses_are_marked_in_order(tmp_path: Path) -> No
                 while inlet.problem:
                     inlet.pull()
                     await asyncio.sleep(0.01)
-            assert core.on_published is not None
             before = core.snapshot()
-            core.on_published(before)
-            core.on_published(DeviceEvent(device="robot", code="x", text=""))
+            core.publish(before)
+            core.publish(DeviceEvent(device="robot", code="x", text=""))
             changed = {**before.branches, "robot": "0", "placement": "placed"}
-            core.on_published(msgspec.structs.replace(before, branches=changed))
-            core.on_published(verdict("accepted", {"pulse": 3}))
-            core.on_published(verdict("rejected", None))
-            core.on_published(verdict("failed", None))
+            core.publish(msgspec.structs.replace(before, branches=changed))
+            core.publish(verdict("accepted", {"pulse": 3}))
+            core.publish(verdict("rejected", None))
+            core.publish(verdict("failed", None))
             await core.stop("test")
             async with asyncio.timeout(PATIENCE):
                 while len(marked) < 4:
@@ -66,7 +66,7 @@ async def test_states_stops_and_pulses_are_marked_in_order(tmp_path: Path) -> No
 async def test_they_are_off_unless_asked_for(tmp_path: Path) -> None:
     core = FakeCore()
     async with open_gateway(core, config(MarkersConfig()), ManualClock(), tmp_path):
-        assert core.on_published is None
+        assert not any(isinstance(each, Markers) for each in core.listeners)
 
 
 def test_the_table_is_checked() -> None:

@@ -7,8 +7,8 @@ from collections.abc import AsyncIterator
 import pytest
 from gateway_fakes import FakeCore
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.gateway.rejection_log import PERIOD, RejectionLog
-from pcmrs.gateway.tasks import Tasks
 from pcmrs.testing.clock import ManualClock, settle
 
 SOURCE = "udp:planner:127.0.0.1:4000"
@@ -16,7 +16,7 @@ SOURCE = "udp:planner:127.0.0.1:4000"
 
 class Bench:
     def __init__(self) -> None:
-        self.core, self.clock, self.tasks = FakeCore(), ManualClock(), Tasks()
+        self.core, self.clock, self.tasks = FakeCore(), ManualClock(), BackgroundTasks()
         self.refusals = RejectionLog(self.core, self.clock, self.tasks)
 
     async def refuse(self, times: int, reason: str = "malformed") -> None:

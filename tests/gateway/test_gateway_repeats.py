@@ -8,9 +8,11 @@ from typing import Any
 import pytest
 from gateway_fakes import UdpClient
 
-from pcmrs.gateway import intake, outcome
+from pcmrs.dispatcher import verdict_cache
+from pcmrs.dispatcher.verdict_cache import CommandCache
+from pcmrs.gateway import intake
 from pcmrs.gateway.links import open_gateway
-from pcmrs.gateway.outcome import Outcome, OutcomeCache
+from pcmrs.gateway.outcome import Outcome
 
 
 @pytest.fixture
@@ -20,7 +22,7 @@ def sessions_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def outcomes_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outcome, "MAX_REMEMBERED", 1)
+    monkeypatch.setattr(verdict_cache, "MAX_REMEMBERED", 1)
 
 
 async def hear_from_another(cell: Any) -> None:
@@ -75,11 +77,12 @@ async def test_ids_start_anew_with_each_opening(cell: Any, tmp_path: Any) -> Non
 
 @pytest.mark.usefixtures("outcomes_are_forgotten")
 async def test_a_command_under_way_is_not_forgotten() -> None:
-    remembered, loop = OutcomeCache(), asyncio.get_running_loop()
+    remembered: CommandCache[asyncio.Future[Outcome]] = CommandCache()
+    loop = asyncio.get_running_loop()
     running, done = loop.create_future(), loop.create_future()
     done.set_result(Outcome("accepted", "robot", "1"))
-    remembered.keep("a", "1", running)
-    remembered.keep("a", "2", done)
-    remembered.keep("a", "3", done)
-    assert remembered.recall("a", "1") is running
-    assert remembered.recall("a", "2") is None
+    remembered.put("a", "1", running)
+    remembered.put("a", "2", done)
+    remembered.put("a", "3", done)
+    assert remembered.get("a", "1") is running
+    assert remembered.get("a", "2") is None

@@ -32,7 +32,7 @@ async def test_what_came_in_the_turn_of_the_loop_before_a_stop_never_begins(
 
     def receive_and_stop(intake: Intake, *datagram: Any) -> Any:
         received = receive(intake, *datagram)
-        intake.halt()  # nothing that came has begun yet
+        intake.on_stop()  # nothing that came has begun yet
         return received
 
     with monkeypatch.context() as patch:

@@ -19,12 +19,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from structlog.testing import capture_logs
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.errors import RefusalError
-from pcmrs.gateway.periodic_timer import beats_of, kernel_beats
+from pcmrs.gateway.periodic_timer import PeriodicTask, beats_of, kernel_beats
 from pcmrs.gateway.records import Records, placement_text
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from pcmrs.gateway.streams import Streams, point_message, pose_message, unity_message
-from pcmrs.gateway.tasks import PeriodicTask, Tasks
 from pcmrs.spatial import Transform
 
 _rotvecs = st.tuples(*[st.floats(-1.5, 1.5)] * 3)
@@ -69,7 +69,7 @@ class Sent:
 
 
 async def test_the_pose_stream_keeps_its_rate_and_sends_unity_plans_once() -> None:
-    core, clock, sent, tasks = FakeCore(), ManualClock(), Sent(), Tasks()
+    core, clock, sent, tasks = FakeCore(), ManualClock(), Sent(), BackgroundTasks()
     config = GatewayConfig(stream_rate_hz=100.0)
     streams = Streams(core, beats_of(clock), config, sent, tasks)
     began = clock.now
@@ -94,7 +94,7 @@ async def test_the_pose_stream_keeps_its_rate_and_sends_unity_plans_once() -> No
 
 
 async def test_a_stream_outlives_a_network_that_is_down() -> None:
-    sent, tasks = Sent(), Tasks()
+    sent, tasks = Sent(), BackgroundTasks()
     failures = 3
 
     def send(text: str, host: str, port: int) -> None:
@@ -113,7 +113,7 @@ async def test_a_stream_outlives_a_network_that_is_down() -> None:
 
 
 async def test_a_display_without_a_port_is_sent_nothing() -> None:
-    sent, tasks = Sent(), Tasks()
+    sent, tasks = Sent(), BackgroundTasks()
     config = GatewayConfig(mixed_reality=LinkConfig())
     streams = Streams(FakeCore(), beats_of(ManualClock()), config, sent, tasks)
     streams.start_poses()
@@ -123,7 +123,7 @@ async def test_a_display_without_a_port_is_sent_nothing() -> None:
 
 
 async def test_an_unknown_pose_is_left_out() -> None:
-    core, sent, tasks = FakeCore(), Sent(), Tasks()
+    core, sent, tasks = FakeCore(), Sent(), BackgroundTasks()
     core.pose = None
     streams = Streams(core, beats_of(ManualClock()), GatewayConfig(), sent, tasks)
     streams.start_poses()
@@ -143,7 +143,7 @@ def test_a_saved_placement_reads_back(position: tuple[float, ...], rotvec: tuple
 
 
 async def test_a_pose_log_holds_five_seconds_at_twenty_hertz(tmp_path: Path) -> None:
-    clock, tasks = ManualClock(), Tasks()
+    clock, tasks = ManualClock(), BackgroundTasks()
     records = Records(FakeCore(), clock, tmp_path / "session", tasks)
     began = clock.now
     log = records.log_poses()
@@ -160,7 +160,7 @@ async def test_a_pose_log_holds_five_seconds_at_twenty_hertz(tmp_path: Path) -> 
 
 async def test_a_placement_without_a_measured_pose_is_not_saved(tmp_path: Path) -> None:
     core = FakeCore()
-    records = Records(core, ManualClock(), tmp_path, Tasks())
+    records = Records(core, ManualClock(), tmp_path, BackgroundTasks())
     assert (await records.save_placement()).suffix == ".yaml"
     core.pose = None
     with pytest.raises(RefusalError, match="no fresh measured pose"):
@@ -177,13 +177,13 @@ async def test_a_record_gets_its_name_when_the_disk_has_all_of_it(
         synced.append((os.fstat(descriptor).st_size, [path.suffix for path in tmp_path.iterdir()]))
 
     monkeypatch.setattr(os, "fsync", look)
-    path = await Records(FakeCore(), ManualClock(), tmp_path, Tasks()).save_placement()
+    path = await Records(FakeCore(), ManualClock(), tmp_path, BackgroundTasks()).save_placement()
     assert synced == [(path.stat().st_size, [".part"])]
     assert path.suffix == ".yaml"
 
 
 async def test_ticks_missed_in_a_stall_are_not_made_up_for() -> None:
-    clock, tasks, times = ManualClock(), Tasks(), []
+    clock, tasks, times = ManualClock(), BackgroundTasks(), []
     enough = asyncio.Event()
 
     def tick() -> None:
@@ -220,7 +220,7 @@ def open_files() -> list[str]:
 
 async def test_beats_that_end_leave_no_timer_behind() -> None:
     before = open_files()
-    tasks = Tasks()
+    tasks = BackgroundTasks()
     repetition = PeriodicTask(kernel_beats, 1000.0, lambda: None, tasks)
     for _ in range(3):
         repetition.start()

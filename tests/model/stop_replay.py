@@ -246,7 +246,7 @@ class Daemon:
         tag = BlueprintTag(id=BLUEPRINT.id, version=BLUEPRINT.version, hash=BLUEPRINT.hash)
         self._recorder = JournalRecorder(journal, clock, session, tag)
         self.dispatcher: Dispatcher[Cell, PlacementData] = Dispatcher(
-            WORKFLOW, mine, clock, self._recorder, mine.make_safe, lambda _: None, release=mine.release
+            WORKFLOW, mine, clock, self._recorder, mine.make_safe, release=mine.release
         )
         self.watch = GateWatch([robot], self.dispatcher, lambda: self.connected, cast(Supervisor, Spawner()))
         self._commands = 0

@@ -184,7 +184,7 @@ DEFECTS: dict[str, tuple[str, Callable[..., object]]] = {
         nothing,
     ),
     "nothing follows from danger": (
-        "pcmrs.dispatcher.dispatcher:Dispatcher._follow_danger",
+        "pcmrs.dispatcher.stop_control:StopControl.follow_danger",
         lambda _, submit: submit(),
     ),
 }

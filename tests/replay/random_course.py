@@ -84,7 +84,7 @@ class Course:
         clock = RowsClock()
         recorder = JournalRecorder(self, clock, session, TAG)  # type: ignore[arg-type]
         self._spawn(recorder.started({"procedure": {}}, "calibration"))
-        self.dispatcher = Dispatcher(self.workflow, self.cell, clock, recorder, self._hold, lambda _: None)
+        self.dispatcher = Dispatcher(self.workflow, self.cell, clock, recorder, self._hold)
 
     # -- the journal ------------------------------------------------------------------------------------
 

@@ -12,6 +12,7 @@ from typing import Any, cast
 import pytest
 from structlog.testing import capture_logs
 
+from pcmrs.dispatcher import DispatcherListener
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Reason
@@ -42,8 +43,8 @@ class Cell:
         everything = cast(Any, self)
         self._keeping = asyncio.create_task(keep_journal(everything, everything, everything, self.clock))
 
-    def on_break(self, callback: Callable[[], None]) -> None:
-        self.fail = callback
+    def add_listener(self, listener: DispatcherListener) -> None:
+        self.fail = listener.on_failure
 
     async def reopen(self) -> int:
         self.reopened += 1

@@ -427,7 +427,6 @@ async def test_after_a_failure_the_procedure_is_what_the_disk_says(
     flaky: Any = Flaky(journal)
     recorder = JournalRecorder(flaky, ManualClock(), "s1", TAG)
     clock = ManualClock()
-    published: list[Any] = []
 
     async def hold(_latch: bool) -> None:
         return None
@@ -437,7 +436,7 @@ async def test_after_a_failure_the_procedure_is_what_the_disk_says(
     workflow.registry.steps["keep_plan"] = lambda run: run.keep(plan_id="p", previous_plan=PLANNED)
     recovered = await recover(flaky, recorder, workflow, configured)
     cell: Any = None
-    dispatcher = Dispatcher(recovered.workflow, cell, clock, recorder, hold, published.append)
+    dispatcher = Dispatcher(recovered.workflow, cell, clock, recorder, hold)
     recovered.give_to(dispatcher, journal)
     recorder.attach(dispatcher.procedure)
     keeping = asyncio.create_task(keep_journal(flaky, recorder, dispatcher, clock))

@@ -135,8 +135,8 @@ def _submits_after_the_hold(_: Any) -> Any:
         if event.danger:
             await self.stop(f"device:{event.device}", Reason(code=event.code, text=event.text, fields=event.fields))
         else:
-            await self._tell(event)
-        self._submit_operations_of(event)
+            await self.announce(event)
+        self._admission.admit_event(event)
 
     return changed
 

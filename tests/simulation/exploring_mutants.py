@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from pcmrs.dispatcher import Dispatcher
+from pcmrs.dispatcher.admission import CommandAdmission
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.verdict_cache import VerdictCache
 from pcmrs_sim.deterministic.disk import SimulatedJournal
@@ -18,13 +18,13 @@ Mutation = Callable[[pytest.MonkeyPatch], None]
 
 def latch_not_checked(patch: pytest.MonkeyPatch) -> None:
     """What moves may begin while Stop is latched."""
-    barred = Dispatcher._barred
+    barred = CommandAdmission._barred
 
     def unbarred(self: Any, attempt: Any) -> Any:
         reason = barred(self, attempt)
         return None if reason is not None and reason.code == "latched" else reason
 
-    patch.setattr(Dispatcher, "_barred", unbarred)
+    patch.setattr(CommandAdmission, "_barred", unbarred)
 
 
 def stop_does_not_latch(patch: pytest.MonkeyPatch) -> None:

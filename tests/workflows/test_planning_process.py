@@ -21,7 +21,7 @@ from workflow_bench import POSES, WorkflowBench, open_bench, shipped_workflow
 
 from pcmrs.clock import SystemClock
 from pcmrs.dispatcher import Run
-from pcmrs.dispatcher.admission import read_payload
+from pcmrs.dispatcher.command_checks import read_payload
 from pcmrs.dispatcher.execution import refusal
 from pcmrs.messages import Command, DeviceEvent, Reason
 from pcmrs.service.processes import planner as planner_module

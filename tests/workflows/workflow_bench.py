@@ -18,7 +18,7 @@ from pcmrs.background import background_task
 from pcmrs.config import overlaid
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.protocols import LatchingRobot, LatchingStimulator, RobotDriver, Scene, TrackerDriver
-from pcmrs.dispatcher import Dispatcher, Recorder, Run, Workflow
+from pcmrs.dispatcher import Dispatcher, DispatcherListener, Recorder, Run, Workflow
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
@@ -104,7 +104,7 @@ class Latched:
         """There is none."""
 
 
-class WorkflowBench:
+class WorkflowBench(DispatcherListener):
     """A dispatcher with the real workflow, its cell, and the simulation's own hands on the scene.
 
     Attributes:
@@ -141,8 +141,12 @@ class WorkflowBench:
             emg=devices["emg"],
         )
         recorder = journal or self.recorder
-        self.dispatcher = Dispatcher(workflow, self.cell, clock, recorder, self.cell.make_safe, self.published.append)
+        self.dispatcher = Dispatcher(workflow, self.cell, clock, recorder, self.cell.make_safe)
+        self.dispatcher.add_listener(self)
         self._ids = itertools.count(1)
+
+    def on_publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+        self.published.append(message)
 
     @property
     def states(self) -> dict[str, str]:

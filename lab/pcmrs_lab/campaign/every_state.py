@@ -11,7 +11,7 @@ import msgspec
 
 from pcmrs.authoring.trial.tour import MAX_JOINT_STATES, Move, plan_tour
 from pcmrs.dispatcher import Dispatcher, ProcedureData
-from pcmrs.dispatcher.admission import is_event
+from pcmrs.dispatcher.command_checks import is_event
 from pcmrs.fsm.behaviour import joint_of
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.journal import Journal
@@ -67,7 +67,7 @@ async def _walk_stretch(
     script, clock = Script(), LeapingClock()
     tag = BlueprintTag(id=runs.id, version=runs.version, hash=runs.hash)
     recorder = JournalRecorder(journal, clock, uuid.uuid4().hex, tag)
-    dispatcher = Dispatcher(scripted(runs, script, outside=True), None, clock, recorder, _hold, lambda _: None)
+    dispatcher = Dispatcher(scripted(runs, script, outside=True), None, clock, recorder, _hold)
     for move in filter(_needed, moves):
         script.move = move
         before = _shape(dispatcher)

@@ -6,13 +6,13 @@ import asyncio
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.auth.counters import CounterWriter
 from pcmrs.gateway.auth.peers import SignedPeer, authenticate
 from pcmrs.gateway.session import MAX_WAITING, QUEUE_FULL
 from pcmrs.gateway.signing import Signed
-from pcmrs.gateway.tasks import Tasks
 
 KEPT_WITHIN = 1.0
 """Seconds that a command waits for the disk; then it is refused, and never begins late."""
@@ -32,7 +32,9 @@ class Admission:
         tasks: Owns the waiting.
     """
 
-    def __init__(self, peers: Mapping[str, SignedPeer], keeper: CounterWriter, clock: Clock, tasks: Tasks) -> None:
+    def __init__(
+        self, peers: Mapping[str, SignedPeer], keeper: CounterWriter, clock: Clock, tasks: BackgroundTasks
+    ) -> None:
         self._peers = peers
         self._keeper = keeper
         self._clock = clock

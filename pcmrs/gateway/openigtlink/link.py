@@ -9,17 +9,18 @@ from contextlib import suppress
 
 import structlog
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.devices.plus.frames import MessageReader
+from pcmrs.dispatcher import DispatcherListener
 from pcmrs.errors import PayloadError
 from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.intake import Intake, source_of
 from pcmrs.gateway.openigtlink.feed import Feed
 from pcmrs.gateway.openigtlink.peer import KINDS, Peer
 from pcmrs.gateway.openigtlink.planner import Answer, Planner
-from pcmrs.gateway.periodic_timer import kernel_beats
+from pcmrs.gateway.periodic_timer import PeriodicTask, kernel_beats
 from pcmrs.gateway.settings import GatewayConfig
-from pcmrs.gateway.tasks import PeriodicTask, Tasks
 from pcmrs.hosts import is_loopback
 
 LINK = "openigtlink"
@@ -32,7 +33,7 @@ SEND_BUFFER = 1 << 16
 log = structlog.get_logger(__name__)
 
 
-class OpenIgtLink:
+class OpenIgtLink(DispatcherListener):
     """Serves its peers until its tasks are closed.
 
     Args:
@@ -45,7 +46,13 @@ class OpenIgtLink:
     """
 
     def __init__(
-        self, core: Core, config: GatewayConfig, clock: Clock, intake: Intake, tasks: Tasks, jobs: Tasks
+        self,
+        core: Core,
+        config: GatewayConfig,
+        clock: Clock,
+        intake: Intake,
+        tasks: BackgroundTasks,
+        jobs: BackgroundTasks,
     ) -> None:
         self._core = core
         self._gateway = config
@@ -59,7 +66,7 @@ class OpenIgtLink:
         self._exposed = False
         self._feed = Feed(core, clock, together=self._config.poses == "TDATA")
         self._ticks = PeriodicTask(kernel_beats, self._config.rate_hz, self._tick, tasks)
-        core.on_stop(self._halt)
+        core.add_listener(self)
 
     @property
     def dropped(self) -> int:
@@ -89,7 +96,8 @@ class OpenIgtLink:
     def _tick(self) -> None:
         self._feed.send(self._peers.values())
 
-    def _halt(self) -> None:
+    def on_stop(self) -> None:
+        """Halt the pending commands of all peers."""
         for peer in self._peers.values():
             peer.halt()
 

@@ -9,12 +9,12 @@ from uuid import uuid4
 
 import structlog
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.commands import Plan
 from pcmrs.gateway.handlers import PlanLock
 from pcmrs.gateway.rejection_log import RejectionLog
-from pcmrs.gateway.tasks import Tasks
 from pcmrs.messages import Command, Verdict
 
 OPERATIONS = {Plan.POSE: ("toolplan", "plan"), Plan.LANDMARKS: ("registration", "plan_landmarks")}
@@ -65,7 +65,7 @@ class Planner:
         source: str,
         core: Core,
         lock: PlanLock,
-        tasks: Tasks,
+        tasks: BackgroundTasks,
         answer: Callable[[Answer], None],
         refusals: RejectionLog,
     ) -> None:

@@ -27,9 +27,10 @@ from pcmrs.workflows.data import PlacementData
 
 
 class DecidedKeys:
-    """Hashes of the keys of commands, 8 bytes for each that an earlier run has decided: journals hold many.
+    """Hashes of source and id of the commands that have been decided, 8 bytes for each: journals hold many.
 
-    What is not in it was never decided. What is in it most probably was: only the journal can say.
+    A command that is not in it was never decided. One that is in it most probably was: only the journal can say. It is
+    no cache of verdicts, as `CommandCache` is: it forgets nothing, and only saves looking in the journal.
 
     Args:
         earlier: Source and id of the commands that earlier runs have decided.

@@ -12,7 +12,7 @@ import structlog
 import tomli_w
 
 from pcmrs.clock import Clock
-from pcmrs.dispatcher import Dispatcher, Workflow
+from pcmrs.dispatcher import Dispatcher, DispatcherListener, Workflow
 from pcmrs.dispatcher.decisions import reason_for
 from pcmrs.errors import ConfigurationError, JournalError, PcmrsError
 from pcmrs.fsm import Blueprint
@@ -123,6 +123,16 @@ async def conclude(recorder: JournalRecorder) -> None:
         log.warning("no_last_snapshot", reason=error.text)
 
 
+class _FailureSignal(DispatcherListener):
+    """Sets an event when the dispatcher fails."""
+
+    def __init__(self, failed: asyncio.Event) -> None:
+        self._failed = failed
+
+    def on_failure(self) -> None:
+        self._failed.set()
+
+
 async def keep_journal(
     journal: Journal, recorder: JournalRecorder, dispatcher: Dispatcher[Any, Any], machine: Clock
 ) -> None:
@@ -131,7 +141,7 @@ async def keep_journal(
     Meanwhile nothing is accepted but Stop. Afterwards the robot is held and latched until an operator acknowledges it.
     """
     failed = asyncio.Event()
-    dispatcher.on_break(failed.set)
+    dispatcher.add_listener(_FailureSignal(failed))
     if dispatcher.broken is not None:
         failed.set()
     while True:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from pcmrs.clock import Clock
-from pcmrs.dispatcher import Dispatcher
+from pcmrs.dispatcher import Dispatcher, DispatcherListener
 from pcmrs.fsm.exposure import Exposure
 from pcmrs.messages import Command, DeviceEvent
 from pcmrs.messages.identity import HOLDING
 
 
-class AbandonedWatch:
+class AbandonedWatch(DispatcherListener):
     """Reports a danger when nobody has attended for too long while the patient is exposed.
 
     What exposes the patient, such as a tool at the body or an armed stimulator, goes by what the running blueprint
@@ -33,7 +33,7 @@ class AbandonedWatch:
         self._clock = clock
         self._exposure = Exposure(dispatcher.procedure.blueprint)
         self._asked = clock.monotonic()
-        dispatcher.on_accepted(self._hear)
+        dispatcher.add_listener(self)
 
     async def run(self) -> None:
         """Watches until it is cancelled."""
@@ -42,6 +42,11 @@ class AbandonedWatch:
             await self._clock.sleep(left if left > 0.0 else self._after)
             if self._clock.monotonic() - self._asked >= self._after and self._exposed():
                 await self._dispatcher.report(self._event())
+
+    def on_accepted(self, command: Command) -> None:
+        """Count an accepted command as a sign of a person, if its role may hold the lease."""
+        if command.role in HOLDING:
+            self.see()
 
     def _exposed(self) -> bool:
         snapshot = self._dispatcher.snapshot()
@@ -58,11 +63,6 @@ class AbandonedWatch:
             danger=True,
             fields={"after": self._after},
         )
-
-    def _hear(self, command: Command) -> None:
-        """Takes an accepted command; who may not hold the lease does not attend, however often it asks."""
-        if command.role in HOLDING:
-            self.see()
 
     def see(self) -> None:
         """Somebody is there."""

@@ -6,16 +6,17 @@ from collections.abc import Callable
 from pathlib import Path
 from uuid import uuid4
 
+from pcmrs.background import BackgroundTasks, logged_as
 from pcmrs.clock import Clock
 from pcmrs.gateway.handlers import Services
 from pcmrs.gateway.intake import Intake
+from pcmrs.gateway.links import TASK_FAILED
 from pcmrs.gateway.periodic_timer import beats_of
 from pcmrs.gateway.records import Records
 from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.session import ReplyChannel
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.gateway.streams import Streams
-from pcmrs.gateway.tasks import Tasks
 from pcmrs.service.gateway_adapter import GatewayAdapter
 
 LINK = "planner"
@@ -33,12 +34,12 @@ class SimulatedGateway:
     """
 
     def __init__(self, core: GatewayAdapter, config: GatewayConfig, clock: Clock, folder: Path) -> None:
-        self._tasks, self._jobs = Tasks(), Tasks()
+        self._tasks, self._jobs = (BackgroundTasks(logged_as(TASK_FAILED)) for _ in range(2))
         streams = Streams(core, beats_of(clock), config, _to_nobody, self._tasks)
         records = Records(core, clock, folder, self._tasks)
         refusals = RejectionLog(core, clock, self._tasks)
         self._intake = Intake(Services(uuid4().hex, core, clock, streams, records, refusals), self._jobs, (HOST,))
-        core.on_stop(self._intake.halt)
+        core.add_listener(self._intake)
 
     def receive(
         self, port: int, data: bytes, answer: Callable[[str], None], acknowledge: Callable[[str], None] | None

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pcmrs.devices.motion.press import Relief
+from pcmrs.dispatcher import DispatcherListener
 from pcmrs.fsm import Blueprint
 from pcmrs.journal import JournalReader
 from pcmrs.messages import (
@@ -75,9 +76,9 @@ class Witness:
         self.view.now = self._loop.time()
         self.view.begin_run()
         self._run = run = self.view.run
-        dispatcher.on_publish(lambda message: self._published(run, message))
+        dispatcher.add_listener(_RunListener(self, run))
         self.watcher.begin_run(dispatcher.snapshot())
-        self._published(run, dispatcher.snapshot())
+        self.published(run, dispatcher.snapshot())
 
     def lose_daemon(self, *, crash: bool) -> None:
         """The daemon is gone: what it still says to itself while it is cleared away counts no more."""
@@ -135,7 +136,8 @@ class Witness:
             self.violation = Violation(invariant, text, self._loop.time())
             self.violated.set()
 
-    def _published(self, run: int, message: Snapshot | Verdict | DeviceEvent) -> None:
+    def published(self, run: int, message: Snapshot | Verdict | DeviceEvent) -> None:
+        """A run of the daemon has published a message; one that is over counts no more."""
         if run != self._run:
             return
         self.view.now = self._loop.time()
@@ -154,6 +156,17 @@ class Witness:
     def _take_rows(self) -> None:
         if self.reader is not None:
             self.view.take_rows(self.reader)
+
+
+class _RunListener(DispatcherListener):
+    """Hands the messages of one run to the witness."""
+
+    def __init__(self, witness: Witness, run: int) -> None:
+        self._witness = witness
+        self._run = run
+
+    def on_publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
+        self._witness.published(self._run, message)
 
 
 class _Watched:

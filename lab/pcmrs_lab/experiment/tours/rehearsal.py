@@ -136,7 +136,7 @@ def scripted(blueprint: Blueprint, script: Script, *, outside: bool) -> Workflow
 def scripted_dispatcher(blueprint: Blueprint, script: Script, *, outside: bool) -> Dispatcher[None, ProcedureData]:
     """A dispatcher of such a workflow, which keeps nothing; see `scripted`."""
     workflow = scripted(blueprint, script, outside=outside)
-    return Dispatcher(workflow, None, LeapingClock(), Forgetful(), _hold, lambda _: None)
+    return Dispatcher(workflow, None, LeapingClock(), Forgetful(), _hold)
 
 
 async def rehearse(blueprint: Blueprint, tour: Tour, *, outside: bool) -> AsyncIterator[tuple[Move, Deviation | None]]:
