@@ -124,7 +124,7 @@ async def _keys(address: Address) -> KeyTable:
 
 
 async def _stop(address: Address) -> tuple[int, bool, list[str] | None]:
-    """Stops; returns its number, whether the robot stands, and what releases the latch, None where that is not said."""
+    """Stop; returns its number, whether the robot stands, and what releases the latch, None where that is not said."""
     async with address.connect() as client:
         number = (await client.stop()).number
         stands = await client.standstill(number)

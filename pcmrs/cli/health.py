@@ -92,7 +92,7 @@ def _tasks(health: Health) -> Table:
 
 
 def _add(table: Table, *cells: str) -> None:
-    """Adds a row of plain text: what stands in brackets is no markup."""
+    """Add a row of plain text: what stands in brackets is no markup."""
     table.add_row(*map(Text, cells))
 
 

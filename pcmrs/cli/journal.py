@@ -37,7 +37,7 @@ path_argument = click.argument("path", type=click.Path(path_type=Path), required
 
 
 def filter_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Adds --kind, --branch, --source and --command; the command gets those given as `filters`."""
+    """Add --kind, --branch, --source and --command; the command gets those given as `filters`."""
 
     @functools.wraps(function)
     def command(

@@ -48,7 +48,7 @@ class LogStream:
         return self._overflowed + self._unwritten
 
     def write(self, text: str) -> int:
-        """Takes a line; never waits."""
+        """Take a line; never waits."""
         try:
             self._lines.put_nowait(text)
         except queue.Full:
@@ -59,7 +59,7 @@ class LogStream:
         """Does nothing: the thread writes as soon as it can."""
 
     def close(self) -> None:
-        """Waits until everything is written, at most `LAST_WORDS`."""
+        """Wait until everything is written, at most `LAST_WORDS`."""
         try:
             self._lines.put(None, timeout=LAST_WORDS)
         except queue.Full:

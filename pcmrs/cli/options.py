@@ -59,7 +59,7 @@ identity_option = click.option(
 
 
 def address_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Adds --endpoint, --site, --cell and --identity; the command gets them as `address`."""
+    """Add --endpoint, --site, --cell and --identity; the command gets them as `address`."""
 
     @functools.wraps(function)
     def command(*, endpoint: str, site: str, cell: str, identity: Path | None, **given: Any) -> Any:
@@ -82,7 +82,7 @@ def address_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def config_options(function: F) -> F:
-    """Adds --config and --set."""
+    """Add --config and --set."""
     for option in (
         click.option(
             "--set",
@@ -122,7 +122,7 @@ plot_option = click.option("--plot", type=OutputFile(), metavar="FILE.png", help
 
 
 def refuse_given(names: Collection[str], why: str) -> None:
-    """Refuses parameters that would be passed over: whoever gives one believes that it was heeded."""
+    """Refuse parameters that would be passed over: whoever gives one believes that it was heeded."""
     context = click.get_current_context()
     for option in context.command.params:
         if option.name in names and context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE:

@@ -37,7 +37,7 @@ def say_json(value: object) -> None:
 
 
 def print_report(report: msgspec.Struct, table: RenderableType, *, as_json: bool) -> None:
-    """Prints a report as JSON, or as the table that shows it."""
+    """Print a report as JSON, or as the table that shows it."""
     if as_json:
         say_json(report)
     else:
@@ -45,7 +45,7 @@ def print_report(report: msgspec.Struct, table: RenderableType, *, as_json: bool
 
 
 def save_svg(table: RenderableType, path: Path) -> None:
-    """Writes a table as an SVG file. Raises `OSError` when that cannot be written."""
+    """Write a table as an SVG file. Raises `OSError` when that cannot be written."""
     console = Terminal(width=NARROWEST, record=True, file=io.StringIO())
     console.print(table)
     svg = console.export_svg(title="pcmrs")

@@ -31,7 +31,7 @@ STATUS: list[tuple[type[PcmrsError], int]] = [
 
 
 def run(work: Coroutine[Any, Any, T]) -> T:
-    """Runs `work` in an event loop of its own."""
+    """Run `work` in an event loop of its own."""
     with asyncio.Runner(loop_factory=_loop_factory()) as runner:
         return runner.run(work)
 
@@ -69,7 +69,7 @@ def readable_errors(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def fail_missing(error: ModuleNotFoundError) -> NoReturn:
-    """Ends the process with what to install; raises the error if its module belongs to no extra."""
+    """End the process with what to install; raises the error if its module belongs to no extra."""
     missing = missing_module(error)
     if missing is None:
         raise error
@@ -77,6 +77,6 @@ def fail_missing(error: ModuleNotFoundError) -> NoReturn:
 
 
 def fail(error: PcmrsError) -> NoReturn:
-    """Ends the process with the error's text and status."""
+    """End the process with the error's text and status."""
     say(f"{click.get_current_context().command_path}: {error.text}", err=True)
     sys.exit(next((status for kind, status in STATUS if isinstance(error, kind)), EXIT_FAILED))

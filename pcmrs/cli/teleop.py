@@ -132,7 +132,7 @@ async def _teleoperate(
 
 @asynccontextmanager
 async def _held(client: Client) -> AsyncIterator[None]:
-    """Holds the cell, unless we do already. Raises `CommandRefusedError` while somebody else does."""
+    """Hold the cell, unless we do already. Raises `CommandRefusedError` while somebody else does."""
     lease = (await client.state()).lease
     async with nullcontext() if lease is not None and lease.holder == client.user else client.holding():
         yield

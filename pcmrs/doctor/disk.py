@@ -23,7 +23,7 @@ REMOTE: Final = ("nfs", "nfs4", "cifs", "smb3", "9p", "fuse.sshfs")
 
 
 def disk(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> Iterator[Finding]:
-    """Looks at the disk of a folder that may not be there yet.
+    """Look at the disk of a folder that may not be there yet.
 
     Args:
         folder: Of the cell's journal and records.
@@ -73,7 +73,7 @@ def sync_times(folder: Path) -> list[float]:
 
 
 def free_space(folder: Path, warn: float, floor: float) -> Iterator[Finding]:
-    """Compares what is free with the limits of the running daemon.
+    """Compare what is free with the limits of the running daemon.
 
     Args:
         folder: Of the journal; it may not be there yet.

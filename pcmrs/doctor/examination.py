@@ -25,7 +25,7 @@ class Examination(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 def examine(settings: Settings) -> Examination:
-    """Looks at this machine for the cell of a configuration; changes nothing, and asks no device for anything.
+    """Look at this machine for the cell of a configuration; changes nothing, and asks no device for anything.
 
     Args:
         settings: Of the cell.

@@ -56,7 +56,7 @@ class Volume:
 
 
 def check_size(path: Path, shape: Sequence[int]) -> None:
-    """Refuses a volume by what its header says. Raises `FileFormatError`."""
+    """Refuse a volume by what its header says. Raises `FileFormatError`."""
     if len(shape) != 3 or min(shape) < 2:
         refuse(path, f"has {' x '.join(map(str, shape))} voxels: give one volume of at least two slices.")
     voxels = math.prod(shape)
@@ -68,7 +68,7 @@ def check_size(path: Path, shape: Sequence[int]) -> None:
 
 
 def check_grid(path: Path, image_from_voxel: Floats) -> None:
-    """Refuses voxels without extent or of an impossible one. Raises `FileFormatError`."""
+    """Refuse voxels without extent or of an impossible one. Raises `FileFormatError`."""
     axes = image_from_voxel[:3, :3]
     edges = np.linalg.norm(axes, axis=0)
     if not np.isfinite(image_from_voxel).all() or not (edges >= LEAST_EDGE).all() or not (edges <= MOST_EDGE).all():

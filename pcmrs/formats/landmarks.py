@@ -98,7 +98,7 @@ def _landmarks(path: Path, found: Sequence[Named], role: Role | None) -> Landmar
 
 
 def pair_landmarks(planned: Landmarks, digitized: Landmarks) -> Pairs:
-    """Brings landmarks together by name where both have the same names, else by order.
+    """Bring landmarks together by name where both have the same names, else by order.
 
     Raises:
         GeometryError: One of them says that it is the other, their numbers differ, or a name that both have stands at

@@ -53,7 +53,7 @@ def _header(path: Path) -> Any:
 
 
 def _judge(path: Path, header: Any) -> str:
-    """Refuses a volume by its header; returns the unit of its lengths."""
+    """Refuse a volume by its header; returns the unit of its lengths."""
     shape = tuple(int(length) for length in header.get_data_shape())
     check_size(path, shape[:3] if all(length == 1 for length in shape[3:]) else shape)
     if header.get_data_dtype().kind not in "iuf":

@@ -35,7 +35,7 @@ class Placement:
 
 
 def read_placements(path: Path) -> list[Placement]:
-    """Reads a saved placement, or all of a folder in the order of their names, numbers in them by value.
+    """Read a saved placement, or all of a folder in the order of their names, numbers in them by value.
 
     Raises:
         FileFormatError: There are none, or some cannot be read: each of these is named with its reason.
@@ -73,5 +73,5 @@ def _pose(path: Path, content: dict[str, Any], key: str) -> Transform:
 
 
 def _by_number(path: Path) -> list[str | int]:
-    """Sorts trial_2 before trial_10; texts and numbers alternate, so that they never meet."""
+    """Sort trial_2 before trial_10; texts and numbers alternate, so that they never meet."""
     return [int(part) if part.isdecimal() else part for part in re.split(r"([0-9]+)", path.name)]

@@ -41,7 +41,7 @@ class PoseLog:
 
 
 def read_pose_log(path: Path) -> PoseLog:
-    """Reads a pose log.
+    """Read a pose log.
 
     Raises:
         FileFormatError: It cannot be read, has no rows, or a row is no pose; file and line are named.

@@ -15,7 +15,7 @@ MAX_TEXT_BYTES = 1024 * 1024
 
 
 def refuse(path: Path, problem: str, **fields: Any) -> NoReturn:
-    """Raises `FileFormatError` with a text that begins with the file."""
+    """Raise `FileFormatError` with a text that begins with the file."""
     raise FileFormatError(f"{path} {problem}", file=str(path), **fields) from None
 
 

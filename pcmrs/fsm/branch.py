@@ -67,7 +67,7 @@ class StateSet:
                         raise BlueprintError(text, branch=name, state=state, operation=operation)
 
     def check_unique(self) -> None:
-        """Raises `BlueprintError` unless every branch has exactly one active state."""
+        """Raise `BlueprintError` unless every branch has exactly one active state."""
         if [state for state in self._all if state.active] == list(self._active.values()):
             return
         for branch, objects in self.objects.items():

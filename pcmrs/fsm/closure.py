@@ -107,7 +107,7 @@ def as_declared(blueprint: Blueprint) -> Ask:
 def close(
     blueprint: Blueprint, states: Mapping[str, str], branch: str, operation: str, ask: Ask | None = None
 ) -> Closure | Denial:
-    """Works out the closure of an operation that is asked for.
+    """Work out the closure of an operation that is asked for.
 
     Args:
         blueprint: The workflow.

@@ -66,7 +66,7 @@ class Engine:
         return situation.allowed[branch].copy()
 
     def perform(self, branch: str, operation: str, outcome: str | None = None) -> Change | Denial:
-        """Performs an operation at once.
+        """Perform an operation at once.
 
         Args:
             branch: The branch asked.
@@ -87,7 +87,7 @@ class Engine:
         return change
 
     def place(self, states: Mapping[str, str]) -> None:
-        """Puts the named branches into states, all together.
+        """Put the named branches into states, all together.
 
         Raises:
             KeyError: A branch or state does not exist; nothing has moved.

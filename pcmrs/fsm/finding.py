@@ -65,7 +65,7 @@ def unread(origin: str, text: str) -> Finding:
 
 
 def refuse(origin: str, code: str, text: str, place: Place = (1, 1), path: Path = ()) -> NoReturn:
-    """Raises the `BlueprintError` that ends the reading of a file, with its one finding."""
+    """Raise the `BlueprintError` that ends the reading of a file, with its one finding."""
     line, column = place
     finding = Finding(code=code, text=text, path=path, file=origin, line=line, column=column)
     raise BlueprintError(str(finding), findings=[finding])

@@ -30,15 +30,15 @@ class State:
         self.active = False
 
     def activate(self) -> None:
-        """Makes this the state its branch is in."""
+        """Make this the state its branch is in."""
         self.active = True
 
     def deactivate(self) -> None:
-        """Leaves this state."""
+        """Leave this state."""
         self.active = False
 
     def ask(self, operation: str) -> Answer:
-        """Calls the operation's method on this object: the state's own, or the branch's refusal."""
+        """Call the operation's method on this object: the state's own, or the branch's refusal."""
         method: Callable[[], Answer] = getattr(self, operation)
         return method()
 

@@ -26,7 +26,7 @@ LOG_PERIOD = 10.0
 async def copy_for_ros2(
     settings: BusSettings, arm: ArmFacts, mounting: Mounting, rate: float, ended: asyncio.Event
 ) -> dict[str, int]:
-    """Hears a cell and publishes what it says for ROS 2, until `ended` is set.
+    """Hear a cell and publishes what it says for ROS 2, until `ended` is set.
 
     Args:
         settings: Of the bus.

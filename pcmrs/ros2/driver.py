@@ -50,7 +50,7 @@ class Ros2Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 async def open_devices(
     devices: Collection[str], settings: Mapping[str, Any], clock: Clock
 ) -> AsyncIterator[Mapping[str, Any]]:
-    """Opens the tracker; see `pcmrs.devices.protocols.OpenDriver`. While nothing is published it has no frames.
+    """Open the tracker; see `pcmrs.devices.protocols.OpenDriver`. While nothing is published it has no frames.
 
     Raises:
         BusError: The cell's daemon does not answer.

@@ -72,7 +72,7 @@ class Ros2Tracker:
         self.trouble = self._nothing
 
     def listen(self, bus: Bus) -> None:
-        """Hears the topics from now on."""
+        """Hear the topics from now on."""
         for name in self._accepted.names.values():
             bus.hear(
                 tracker_key(name),
@@ -85,11 +85,11 @@ class Ros2Tracker:
         return self._stream.read()
 
     def close(self) -> None:
-        """Ends all readers."""
+        """End all readers."""
         self._stream.close()
 
     async def run(self) -> None:
-        """Makes frames of what comes, until cancelled."""
+        """Make frames of what comes, until cancelled."""
         while True:
             waiting = self._frames.waiting
             try:
@@ -114,7 +114,7 @@ class Ros2Tracker:
         self._publish(self._frames.take({name: reading}, stamp_of(message), now, wall))
 
     def _reading(self, message: PoseStamped, wall: float) -> Reading:
-        """Raises `RefusalError` where not even the stamp can be used."""
+        """Raise `RefusalError` where not even the stamp can be used."""
         accepted = self._accepted
         try:
             return tracker_from_body(message, accepted.frame, wall, accepted.max_age)
@@ -131,7 +131,7 @@ class Ros2Tracker:
             self._stream.publish(frame)
 
     def _complain(self, error: PcmrsError) -> None:
-        """Keeps what is wrong, and logs it at most once per `LOG_PERIOD`."""
+        """Keep what is wrong, and logs it at most once per `LOG_PERIOD`."""
         self.trouble = error.text
         now = self._clock.monotonic()
         if now >= self._next_log:

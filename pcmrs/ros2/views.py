@@ -79,7 +79,7 @@ class Views:
         yield TF, cdr.TFMessage(links)
 
     def target(self, target: Target) -> None:
-        """Keeps the registration in force."""
+        """Keep the registration in force."""
         known = target.body_ref_from_image
         self._body_ref_from_image = None if known is None else _transform(known)
 

@@ -73,7 +73,7 @@ class Controller:
         self._clutch = self._stop = self._leave = False
 
     def take(self, kind: int, code: int, value: int, now: float) -> None:
-        """Takes an event of the kernel at a time, s."""
+        """Take an event of the kernel at a time, s."""
         if kind == EV_KEY:
             self._press(code, pressed=value != 0)
         elif kind in (EV_REL, EV_ABS) and code in self._layout.axes:

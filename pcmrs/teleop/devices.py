@@ -11,7 +11,7 @@ DEVICES = ("keyboard", "spacemouse", "gamepad", "script")
 
 
 def open_device(name: str, mapping: Mapping, script: Path | None = None) -> AbstractContextManager[InputDevice]:
-    """Opens a device; to be entered where the event loop runs that is to read it.
+    """Open a device; to be entered where the event loop runs that is to read it.
 
     Args:
         name: One of `DEVICES`.

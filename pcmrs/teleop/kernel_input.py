@@ -15,7 +15,7 @@ from pcmrs.teleop.demand import Mapping
 
 @contextmanager
 def open_controller(layout: Layout, mapping: Mapping) -> Iterator[Controller]:
-    """Reads the first device that has all axes and buttons of a layout, in the running event loop.
+    """Read the first device that has all axes and buttons of a layout, in the running event loop.
 
     Raises:
         ConfigurationError: The package is not installed, or there is no such device that this user may read.

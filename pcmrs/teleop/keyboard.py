@@ -43,7 +43,7 @@ class Keys:
         self._stop = self._leave = False
 
     def press(self, key: str, now: float) -> None:
-        """Takes a key, first pressed or repeated, at a time in s."""
+        """Take a key, first pressed or repeated, at a time in s."""
         if key in AXES:
             self._key, self._pressed = key, now
         elif key == STOP:
@@ -69,7 +69,7 @@ class Keys:
 
 @contextmanager
 def open_keyboard(mapping: Mapping) -> Iterator[Keys]:
-    """Reads the keys of the terminal one by one, in the running event loop; the terminal is as before afterwards.
+    """Read the keys of the terminal one by one, in the running event loop; the terminal is as before afterwards.
 
     Raises:
         ConfigurationError: Standard input is no terminal.

@@ -53,7 +53,7 @@ class TeleopSession:
         self.status: TeleopStatus | None = None
 
     async def run(self) -> str:
-        """Guides until the teleoperator leaves or the tool cannot be guided any more.
+        """Guide until the teleoperator leaves or the tool cannot be guided any more.
 
         Returns:
             Why it cannot; empty where the teleoperator has left.
@@ -107,7 +107,7 @@ class TeleopSession:
         return f"The tool is not guided any more: it is {self._placement}. How to go on is decided at the cell."
 
     def _clutch(self, demand: Demand) -> None:
-        """Has the daemon's clutch do as the teleoperator's does, one request at a time."""
+        """Have the daemon's clutch do as the teleoperator's does, one request at a time."""
         self._hear_answer()
         if not demand.clutch:
             self._may_engage = True  # whoever was refused, or released by others, has to let go first
@@ -146,7 +146,7 @@ class TeleopSession:
         self._client.steer(setpoint)
 
     async def _end(self) -> None:
-        """Returns when the tool stands and the clutch is open; silence brings that about where nobody answers."""
+        """Return when the tool stands and the clutch is open; silence brings that about where nobody answers."""
         with suppress(PcmrsError):
             if self._asking is not None:
                 await asyncio.wait([self._asking], timeout=PATIENCE)

@@ -42,7 +42,7 @@ class Column:
 
 
 def column(name: str, branch: BranchSpec, links: Iterable[Link]) -> Column:
-    """Arranges the branch `name`; of `links`, those that end at one of its states."""
+    """Arrange the branch `name`; of `links`, those that end at one of its states."""
     drawn = arrows(name, branch)
     order = {state: number for number, state in enumerate(branch.states)}
     loops = {arrow.target: arrow.words for arrow in drawn if arrow.loops}
@@ -73,7 +73,7 @@ def _steps_down(arrow: Arrow, order: Mapping[str, int]) -> bool:
 
 
 def _lanes(drawn: Sequence[Arrow], order: Mapping[str, int]) -> list[Lane]:
-    """Gives each arrow the innermost lane that is free over its whole length, short arrows first."""
+    """Give each arrow the innermost lane that is free over its whole length, short arrows first."""
     taken: list[int] = []
     lanes = []
     for arrow in sorted(drawn, key=lambda arrow: _rows_passed(arrow, order).bit_count()):

@@ -19,7 +19,7 @@ _HEADER = """digraph {id} {{
 
 
 def dot(blueprint: Blueprint, current: Mapping[str, str] | None = None) -> str:
-    """Writes the state chart for Graphviz.
+    """Write the state chart for Graphviz.
 
     Args:
         blueprint: A workflow that keeps the static rules.

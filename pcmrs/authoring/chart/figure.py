@@ -33,7 +33,7 @@ _CURRENT = {"fill": "#ffe08a", "stroke": INK, "stroke_width": "3.2"}
 
 
 def draw_panel(parent: Element, blueprint: Blueprint, panel: Panel, current: Mapping[str, str]) -> None:
-    """Draws frame, heading, states and arrows of a branch, then the branches inside it."""
+    """Draw frame, heading, states and arrows of a branch, then the branches inside it."""
     branch = blueprint.branches[panel.name]
     into = group(parent, "branch", branch=panel.name, level=str(branch.level))
     shade = _SHADES[branch.level % 2]

@@ -37,7 +37,7 @@ class Layout:
 
 
 def layout(blueprint: Blueprint) -> Layout:
-    """Lays out all branches and what joins them."""
+    """Lay out all branches and what joins them."""
     joined = links(blueprint)
     x = MARGIN
     roots = []

@@ -27,7 +27,7 @@ Sample = Callable[[Element, float, float], None]
 
 
 def draw_legend(parent: Element, x: float, y: float, width: float) -> float:
-    """Draws the legend in lines of `width` px from the height `y` down; gives its lower edge."""
+    """Draw the legend in lines of `width` px from the height `y` down; gives its lower edge."""
     into = group(parent, "legend")
     at = x
     for words, sample in _samples().items():

@@ -19,7 +19,7 @@ _SPECIAL = re.compile(r"[^\w ,.()/=*+-]")
 
 
 def mermaid(blueprint: Blueprint, current: Mapping[str, str] | None = None) -> str:
-    """Writes the state chart for Mermaid.
+    """Write the state chart for Mermaid.
 
     Args:
         blueprint: A workflow that keeps the static rules.

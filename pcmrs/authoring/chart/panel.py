@@ -95,7 +95,7 @@ class Panel:
 
 
 def panel(blueprint: Blueprint, links: Sequence[Link], name: str, x: float, y: float) -> Panel:
-    """Lays out a branch and those that refine it, from the upper left corner of its frame."""
+    """Lay out a branch and those that refine it, from the upper left corner of its frame."""
     branch = blueprint.branches[name]
     title, subtitle = _heading(name, branch)
     here = column(name, branch, (link for link in links if link.kind != "revocation"))

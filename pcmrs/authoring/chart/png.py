@@ -24,7 +24,7 @@ _SAMPLE = (
 
 
 def png(svg: str) -> bytes:
-    """Renders a chart with the system's fonts, `ZOOM` pixels for each px of the drawing.
+    """Render a chart with the system's fonts, `ZOOM` pixels for each px of the drawing.
 
     Raises:
         ConfigurationError: The renderer is not installed, there is no font, so that the names would be missing, or the

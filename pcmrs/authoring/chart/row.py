@@ -90,7 +90,7 @@ class Row:
         return NAME + LINE * lines + 3 * bool(self.loops)
 
     def place(self, y: float) -> None:
-        """Puts the box at `y`, as high as its texts and ports need, and the ports along its edges."""
+        """Put the box at `y`, as high as its texts and ports need, and the ports along its edges."""
         self.y = y
         self.height = max(self.text_height + 14, *(_total(ports) + 4 for ports in (self.left, self.right)))
         for ports in (self.left, self.right):

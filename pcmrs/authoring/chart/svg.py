@@ -19,7 +19,7 @@ _TITLE = 17
 
 
 def svg(blueprint: Blueprint, current: Mapping[str, str] | None = None) -> str:
-    """Draws the state chart of a workflow.
+    """Draw the state chart of a workflow.
 
     Every state is a group of class ``state`` (``state current`` if highlighted) with the id
     ``state-<branch>-<state>`` and the attributes ``data-branch`` and ``data-state``.

@@ -14,7 +14,7 @@ from pcmrs.authoring.chart.panel import Panel
 
 
 def draw_link(parent: Element, layout: Layout, link: Link) -> None:
-    """Draws a link with all its ends."""
+    """Draw a link with all its ends."""
     names = {"tails": _names(link.tails), "heads": _names(link.heads)}
     drawn = group(
         parent, f"link {link.kind}", f"{names['tails']} → {link.label or 'revokes'} {names['heads']}", **names

@@ -53,7 +53,7 @@ def design(
     progress: Callable[[int, int], None] | None = None,
     ask: Ask | None = None,
 ) -> Design:
-    """Designs the blueprint of a step table and verifies it.
+    """Design the blueprint of a step table and verifies it.
 
     Args:
         raw: The file.

@@ -13,7 +13,7 @@ Ask = Callable[[str], Collection[str]]
 
 
 def answer(content: dict[str, Any], table: StepTable, ask: Ask) -> None:
-    """Writes the answers into a table as it was read.
+    """Write the answers into a table as it was read.
 
     Args:
         content: The file's content; changed.

@@ -67,7 +67,7 @@ def _doubled(found: Sequence[tuple[Path, StepSpec]]) -> Iterator[Finding]:
 
 
 def _dependencies(steps: Sequence[StepSpec], above: Path) -> Iterator[Finding]:
-    """Checks the dependencies of the steps of one level, then of the levels below."""
+    """Check the dependencies of the steps of one level, then of the levels below."""
     needs = {step.name: set(step.depends_on) for step in steps}
     for i, step in enumerate(steps):
         for j, name in enumerate(step.depends_on):

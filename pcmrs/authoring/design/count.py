@@ -51,7 +51,7 @@ class Combinations:
 
 
 def count_combinations(orders: Sequence[Order]) -> Combinations:
-    """Counts them without listing the impossible ones, of which there may be very many.
+    """Count them without listing the impossible ones, of which there may be very many.
 
     Args:
         orders: Of the level 1 branches; no step of one depends on a step of another.

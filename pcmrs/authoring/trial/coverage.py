@@ -53,7 +53,7 @@ class Deviation(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def coverage(blueprint: Blueprint, done: Iterable[Move], wanted: Iterable[Move]) -> dict[str, Count]:
-    """Counts what `done` covers of `wanted` and of all that the blueprint declares, by the keys of `MEANINGS`."""
+    """Count what `done` covers of `wanted` and of all that the blueprint declares, by the keys of `MEANINGS`."""
     covered, total = set(_counted(done)), set(_counted(wanted)) | set(_declared(blueprint))
     return {
         key: Count(sum(of == key for of, _ in covered & total), sum(of == key for of, _ in total)) for key in MEANINGS

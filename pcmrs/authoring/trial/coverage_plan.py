@@ -77,7 +77,7 @@ class CoveragePlan:
             self._aside[move] = reason
 
     def drop(self, unwanted: Callable[[Move], bool]) -> list[Move]:
-        """Takes moves off the agenda for good and returns them; ways lead over them no more."""
+        """Take moves off the agenda for good and returns them; ways lead over them no more."""
         dropped = [move for there in self._left.values() for move in there if unwanted(move)]
         dropped += [move for move in self._aside if unwanted(move)]
         for move in dropped:

@@ -13,7 +13,7 @@ from pcmrs.fsm.engine import Engine
 
 
 def tour_engine(blueprint: Blueprint, tour: Tour) -> Iterator[tuple[Move, Deviation | None]]:
-    """Takes the engine through a tour: what it leaves to its callers, checks and who may ask, it does not see.
+    """Take the engine through a tour: what it leaves to its callers, checks and who may ask, it does not see.
 
     Yields:
         Every command and what was not as it must be; a stretch that has left the tour is not gone on with.

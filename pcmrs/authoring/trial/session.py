@@ -73,7 +73,7 @@ class SimulationSession:
         return [command for branch, operation in self._asked() for command in self._commands(branch, operation)]
 
     def ask(self, command: str) -> Step:
-        """Asks for ``branch.operation`` or ``branch.operation:ending`` and moves on when it is allowed.
+        """Ask for ``branch.operation`` or ``branch.operation:ending`` and moves on when it is allowed.
 
         Raises:
             RefusalError: There is no such command, or it does not say how the operation ends.
@@ -93,7 +93,7 @@ class SimulationSession:
         return answer if isinstance(answer, Denial) else None
 
     def undo(self) -> bool:
-        """Takes the last command back; false when there is none."""
+        """Take the last command back; false when there is none."""
         if self.steps:
             self.steps.pop()
             self._engine.place(self.steps[-1].states if self.steps else self.blueprint.initial())
@@ -106,7 +106,7 @@ class SimulationSession:
         self._engine.place(self.blueprint.initial())
 
     def wander(self, count: int, seed: int) -> Iterator[Step]:
-        """Asks `count` times for something at random, allowed or not; the same for the same seed."""
+        """Ask `count` times for something at random, allowed or not; the same for the same seed."""
         dice = random.Random(seed)
         asked = self._asked()
         for _ in range(count if asked else 0):

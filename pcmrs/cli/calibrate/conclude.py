@@ -24,7 +24,7 @@ MOST_ROWS = 200
 
 
 def conclude(asked: Asked, solve: Callable[[], Solved]) -> None:
-    """Solves, and ends the command: exit status 0 usable, 1 refused."""
+    """Solve, and ends the command: exit status 0 usable, 1 refused."""
     try:
         solved = solve()
     except (DegenerateMotionError, RefusalError) as error:

@@ -95,7 +95,7 @@ class RestingArm:
         self._positions: list[float] = []
 
     def update(self, state: JointState) -> None:
-        """Takes a newly measured joint state."""
+        """Take a newly measured joint state."""
         if state.moving or np.abs(state.velocities).max(initial=0.0) > AT_REST:
             self.since = self._clock.monotonic()
         self._positions = state.positions
@@ -116,7 +116,7 @@ class RestingArm:
 
 
 def keep_poses(live: Live, names: Sequence[str], poses: Sequence[Sequence[Transform]]) -> None:
-    """Keeps gathered poses where the operator wants them. Raises `OSError`."""
+    """Keep gathered poses where the operator wants them. Raises `OSError`."""
     if live.keep is not None:
         write_poses(live.keep, names, poses)
 
@@ -135,7 +135,7 @@ def _check_still(first: Transform, now: Transform) -> None:
 async def _gather(
     gathering: Gathering, live: Live, clock: Clock, another: Callable[[], Awaitable[None]], prompt: str
 ) -> None:
-    """Asks for one pose after the other until there are enough.
+    """Ask for one pose after the other until there are enough.
 
     Raises:
         RefusalError: ``not_enough_poses`` within the time.

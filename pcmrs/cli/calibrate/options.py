@@ -59,7 +59,7 @@ class Asked:
 
 
 def calibration_options(count: int, fewest: int) -> Option:
-    """Adds FILE, --live and what both need; the command gets them as `asked`.
+    """Add FILE, --live and what both need; the command gets them as `asked`.
 
     Args:
         count: Poses of a live calibration, where nobody asks for more or less.
@@ -106,7 +106,7 @@ def _live_options(count: int, fewest: int) -> tuple[Option, ...]:
 
 
 def _asked(given: dict[str, Any]) -> Asked:
-    """Takes the shared options out of what was given."""
+    """Take the shared options out of what was given."""
     file, live, address = given.pop("file"), given.pop("live"), given.pop("address")
     if live == (file is not None):
         raise click.UsageError("give either a FILE of poses or --live.")

@@ -66,7 +66,7 @@ class Solved:
     transforms: dict[str, Transform]
 
     def check_limits(self) -> None:
-        """Raises `RefusalError` where a residual is over its limit."""
+        """Raise `RefusalError` where a residual is over its limit."""
         for unit, value in self.rms.items():
             limit = self.limits[unit]
             if not value <= limit:

@@ -52,7 +52,7 @@ def _can_ask(steps: str) -> bool:
 
 
 def _ask(operation: str) -> list[str]:
-    """Asks, and shows what to write into the table, so that it is asked once only."""
+    """Ask, and shows what to write into the table, so that it is asked once only."""
     true = [key for key, question in QUESTIONS.items() if click.confirm(question.format(operation), err=True)]
     keys = ", ".join(f"{key} = true" for key in true) or "moves = false"
     click.echo(f"  for the table, at {operation}: {keys}", err=True)

@@ -21,13 +21,13 @@ from pcmrs.fsm.finding import Finding, summary
 
 
 def check_json_output(output: Path | None, *, as_json: bool) -> None:
-    """Raises `click.UsageError` where the blueprint would be mixed with the JSON object on standard output."""
+    """Raise `click.UsageError` where the blueprint would be mixed with the JSON object on standard output."""
     if as_json and str(output) == "-":
         raise click.UsageError("--json prints its object on standard output: give -o a file for the blueprint.")
 
 
 def conclude(origin: str, findings: list[Finding], *, readable: bool, as_json: bool, **more: Any) -> None:
-    """Says what is wrong, and ends the command where something is: unsound, or unreadable.
+    """Say what is wrong, and ends the command where something is: unsound, or unreadable.
 
     Args:
         origin: How the file was named.
@@ -116,19 +116,19 @@ def sound(file: str, *, otherwise: int = EXIT_UNSOUND) -> Blueprint:
 
 
 def end_with(findings: list[Finding], *, readable: bool) -> NoReturn:
-    """Prints findings to standard error and ends: unsound where the file could be read, unreadable otherwise."""
+    """Print findings to standard error and ends: unsound where the file could be read, unreadable otherwise."""
     click.echo(summary(findings), err=True)
     sys.exit(EXIT_UNSOUND if readable else EXIT_UNREADABLE)
 
 
 def refuse(text: str) -> NoReturn:
-    """Ends a command that cannot be done."""
+    """End a command that cannot be done."""
     click.echo(f"{click.get_current_context().command_path}: {text}", err=True)
     sys.exit(EXIT_UNREADABLE)
 
 
 def write(text: str | bytes, output: Path | None) -> None:
-    """Writes a result to the file that was asked for, or to standard output (also for ``-``)."""
+    """Write a result to the file that was asked for, or to standard output (also for ``-``)."""
     if output is None or str(output) == "-":
         click.echo(text, nl=False)
         return

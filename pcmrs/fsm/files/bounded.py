@@ -20,7 +20,7 @@ def read_bounded(path: Path) -> bytes:
 
 
 def check_size(raw: bytes, origin: str) -> None:
-    """Raises `BlueprintError` when a file is longer than what is read of any file; `findings` says so."""
+    """Raise `BlueprintError` when a file is longer than what is read of any file; `findings` says so."""
     if len(raw) > MAX_BYTES:
         refuse(origin, "too_large", f"The file has {len(raw)} bytes; the limit is {MAX_BYTES}. Split the workflow.")
 

@@ -23,7 +23,7 @@ OF_A_SEQUENCE = ("perform", "skip", "repeat", "abandon")
 
 
 def rename_keys(table: dict[str, Any]) -> list[Finding]:
-    """Gives the keys of a file's operations their present names, in place; returns a warning for each.
+    """Give the keys of a file's operations their present names, in place; returns a warning for each.
 
     Where a key is there under both names, both stay: the old one is then unknown, and the file is refused.
     """

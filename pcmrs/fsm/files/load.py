@@ -54,7 +54,7 @@ class Examination:
 
 
 def load_blueprint(path: FilePath, *, warn: Callable[[Finding], object] | None = None) -> Blueprint:
-    """Reads the blueprint at `path`.
+    """Read the blueprint at `path`.
 
     Args:
         path: Its file.
@@ -106,7 +106,7 @@ def examine(
     progress: Callable[[int, int], None] | None = None,
     known: Known | None = None,
 ) -> Examination:
-    """Reads a blueprint, checks its rules, and searches all its joint states.
+    """Read a blueprint, checks its rules, and searches all its joint states.
 
     Args:
         raw: The file.

@@ -45,7 +45,7 @@ class Verification:
 
 
 def verify(blueprint: Blueprint, *, limit: int = MAX_JOINT_STATES, progress: Progress | None = None) -> Verification:
-    """Searches all joint states of a workflow that obeys the static rules.
+    """Search all joint states of a workflow that obeys the static rules.
 
     Args:
         blueprint: The workflow.

@@ -65,7 +65,7 @@ class Decisions:
         return self._blueprint.branches[self.branch].operations[self.operation]
 
     def split(self, batch: Batch) -> Iterator[tuple[Decision, Rows]]:
-        """Divides joint states by the decision that is taken there."""
+        """Divide joint states by the decision that is taken there."""
         yield from self._below(self._root, batch, None)
 
     def _below(self, node: _Split, batch: Batch, rows: Rows | None) -> Iterator[tuple[Decision, Rows]]:
@@ -81,7 +81,7 @@ class Decisions:
                 yield from self._below(following, batch, part)
 
     def _grow(self, code: int) -> None:
-        """Adds the decision that is taken in a joint state, and the questions that lead to it."""
+        """Add the decision that is taken in a joint state, and the questions that lead to it."""
         self._count()
         states = self._encoding.decoded(code)
         decision = decide((self._blueprint, self._other), states, self.branch, self.operation)

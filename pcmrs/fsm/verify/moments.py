@@ -126,7 +126,7 @@ class Moments:
         return reached
 
     def _begins(self, operation: Decisions, decision: Decision) -> list[Transition]:
-        """Adds the transitions of an operation that begins, or happens at once, where a decision is taken."""
+        """Add the transitions of an operation that begins, or happens at once, where a decision is taken."""
         closure = decision.answer
         if not isinstance(closure, Closure):
             return []
@@ -143,7 +143,7 @@ class Moments:
         return found
 
     def _ends(self, operation: Decisions, decision: Decision) -> None:
-        """Adds the transitions of an operation that is watched and ends where a decision is taken."""
+        """Add the transitions of an operation that is watched and ends where a decision is taken."""
         if operation.name not in self._locks or not isinstance(decision.answer, Closure):
             return
         where = guard(self._encoding, decision) | self._free(operation, (decision.answer.writes, frozenset()))

@@ -26,7 +26,7 @@ class Decision:
 
 
 def decide(orders: Sequence[Blueprint], states: Mapping[str, str], branch: str, operation: str) -> Decision:
-    """Works out the closure of an operation in a joint state, and what it depends on.
+    """Work out the closure of an operation in a joint state, and what it depends on.
 
     Args:
         orders: The workflow, and the same with its branches in other orders, where that is of interest.

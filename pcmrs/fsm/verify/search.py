@@ -39,7 +39,7 @@ class Work:
         self._done = done
 
     def spend(self, moments: int) -> None:
-        """Notes that so many have been looked at, or what takes as long. Raises `TooManyError`."""
+        """Note that so many have been looked at, or what takes as long. Raises `TooManyError`."""
         self._check(moments)
         self._left -= moments
         self._done += moments
@@ -64,7 +64,7 @@ class Visited(Protocol):
     """A set of codes."""
 
     def add(self, codes: Codes) -> Codes:
-        """Adds codes, none of them twice in the array, and returns those that are new."""
+        """Add codes, none of them twice in the array, and returns those that are new."""
         ...
 
     def has(self, codes: Codes) -> NDArray[np.bool_]:
@@ -188,7 +188,7 @@ def search(
     progress: Progress | None = None,
     within: Visited | None = None,
 ) -> Reached:
-    """Finds everything that can be reached.
+    """Find everything that can be reached.
 
     Args:
         encoding: Of the codes.

@@ -138,7 +138,7 @@ def endings_of(operation: Decisions, decision: Decision) -> Iterator[Ending]:
 
 
 def encodable(encoding: Encoding) -> None:
-    """Raises `TooManyError` where there are more combinations than can be told apart."""
+    """Raise `TooManyError` where there are more combinations than can be told apart."""
     if encoding.combinations > MAX_COMBINATIONS:
         text = "The states of the branches and what runs in them have more than 2^62 combinations: "
         raise TooManyError(f"{text}make it fewer branches or states, or properties that watch fewer operations.")

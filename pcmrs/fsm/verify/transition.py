@@ -47,7 +47,7 @@ class Transition:
         guard: dict[int, tuple[int, ...]],
         targets: dict[int, int],
     ) -> Transition:
-        """Makes one; a digit with a target must have one value in the guard."""
+        """Make one; a digit with a target must have one value in the guard."""
         moved = {digit: value for digit, value in targets.items() if guard[digit] != (value,)}
         shift = sum((value - guard[digit][0]) * encoding.weights[digit] for digit, value in moved.items())
         by_choice = sorted(guard.items(), key=lambda part: len(part[1]) / encoding.sizes[part[0]])

@@ -66,7 +66,7 @@ def _partial(whole: dict[str, Any]) -> dict[str, Any]:
 
 
 def _describe(name: str, definition: dict[str, Any], part: type[Part]) -> None:
-    """Adds what the attributes mean, and patterns of names."""
+    """Add what the attributes mean, and patterns of names."""
     documentation = inspect.getdoc(part) or ""
     definition["description"] = documentation.partition("\n\n")[0].replace("\n", " ")
     meanings = {key.rstrip("_"): " ".join(text.split()) for key, text in _ATTRIBUTE.findall(documentation)}

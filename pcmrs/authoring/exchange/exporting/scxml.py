@@ -52,7 +52,7 @@ class _Writer:
             self._reactions[reaction.branch, reaction.source].append(reaction)
 
     def write_branch(self, above: Element, branch: str) -> None:
-        """Adds a region; within it its states, and within these the branches that refine them."""
+        """Add a region; within it its states, and within these the branches that refine them."""
         spec = self._branches[branch]
         region = SubElement(above, "state", id=branch, initial=_id(branch, spec.start))
         for state in spec.states:

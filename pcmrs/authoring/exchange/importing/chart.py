@@ -93,7 +93,7 @@ class Node:
             node = node.above
 
     def add(self, child: Node) -> Node:
-        """Puts a state into it; returns the state."""
+        """Put a state into it; returns the state."""
         child.above = self
         self.children.append(child)
         return child

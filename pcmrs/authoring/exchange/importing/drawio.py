@@ -236,7 +236,7 @@ class _Maker:
             node.edges.append(Edge(node, events, [target.id], arrow.place))
 
     def _settle(self, node: Node) -> None:
-        """Says whether the states inside a state are active together; where not, one must be the first."""
+        """Say whether the states inside a state are active together; where not, one must be the first."""
         inside = {child.id for child in node.children}
         joined = any(target in inside for child in node.children for edge in child.edges for target in edge.targets)
         node.parallel = len(inside) > 1 and all(child.children for child in node.children) and not joined

@@ -40,7 +40,7 @@ def written(blueprint: Blueprint, chart: str, output: str) -> tuple[str, list[Fi
 def imported(
     raw: bytes, origin: str, read: Callable[[bytes, Findings], Node]
 ) -> tuple[Blueprint | None, list[Finding]]:
-    """Reads, checks and converts a chart.
+    """Read, checks and converts a chart.
 
     Args:
         raw: The file.

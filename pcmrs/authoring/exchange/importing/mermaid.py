@@ -254,7 +254,7 @@ class _Maker:
 
 
 def _find_homes(regions: list[RegionLines], depth: int, homes: dict[str, Home]) -> None:
-    """Finds the region that each state is in: where its inside is said, or else the innermost that names it."""
+    """Find the region that each state is in: where its inside is said, or else the innermost that names it."""
     for region in regions:
         for name in region.named:
             home = Home(name in region.composites, depth, region)

@@ -31,7 +31,7 @@ class Names:
         return self.take(plain(raw, prefix), raw, place)
 
     def take(self, name: str, raw: str, place: Place) -> str:
-        """Takes a name for something called `raw`; says what is wrong with it."""
+        """Take a name for something called `raw`; says what is wrong with it."""
         if not (STATE_NAME if self._states else NAME).fullmatch(name):
             text = f"{raw[:70]!r} gives {name[:70]!r}, no name for {self._what}: begin with a letter, and be short."
             self._findings.say("bad_name", text, place)

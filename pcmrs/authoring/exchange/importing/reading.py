@@ -27,7 +27,7 @@ class Findings(list[Finding]):
         self._said: set[Finding] = set()
 
     def say(self, code: str, text: str, place: Place) -> None:
-        """Adds a finding; the same one again only once."""
+        """Add a finding; the same one again only once."""
         line, column = place
         finding = Finding(code=code, text=text, file=self.origin, line=line, column=column)
         if finding not in self._said:

@@ -107,7 +107,7 @@ def _start_first(node: Node) -> list[Node]:
 
 
 def _refine(region: Region) -> None:
-    """Adds the regions inside the states of a region."""
+    """Add the regions inside the states of a region."""
     for state in region.states:
         if state.parallel:
             made = [Region(c, _start_first(c) if c.compound else [c], region, state) for c in state.children]
