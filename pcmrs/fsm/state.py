@@ -1,4 +1,4 @@
-"""What every state class is: the base of the classes that are generated from a blueprint."""
+"""Base of the state classes that are generated from a blueprint."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class State:
     Attributes:
         branch: Name of the State Branch.
         name: Digits or name of the state; empty on a branch's class.
-        meaning: What the state means, for people.
+        meaning: Meaning of the state, for people.
     """
 
     branch: ClassVar[str] = ""
@@ -30,7 +30,7 @@ class State:
         self.active = False
 
     def activate(self) -> None:
-        """Make this the state its branch is in."""
+        """Make this the active state of its branch."""
         self.active = True
 
     def deactivate(self) -> None:
@@ -43,6 +43,6 @@ class State:
         return method()
 
     def refuse(self, operation: str) -> Denial:
-        """Why an operation that this state does not override is not valid in it."""
+        """Return why an operation that this state does not override is not valid in it."""
         text = f"{self.branch} is in {self.name} ({self.meaning}), which does not allow {operation}."
         return Denial("invalid_in_state", text, {"branch": self.branch, "state": self.name, "operation": operation})

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from pcmrs.authoring.design.asking import Ask, answer
 from pcmrs.authoring.design.branches import Designed, root_branches
-from pcmrs.authoring.design.check import check_table, paths_of
+from pcmrs.authoring.design.check import Ask, answer, check_table, paths_of
 from pcmrs.authoring.design.count import Combinations, Impossible, count_combinations, excess_of
 from pcmrs.authoring.design.grouping import Group, UndesignableError, root_groups
 from pcmrs.authoring.design.hazards import GuardedOrder, hazards_in
@@ -19,7 +18,7 @@ from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint, Requirement
 from pcmrs.fsm.files.dump import blueprint_toml
 from pcmrs.fsm.files.load import examine
-from pcmrs.fsm.files.places import Places, placed
+from pcmrs.fsm.files.places import Places, with_locations
 from pcmrs.fsm.files.toml import convert, read_toml
 from pcmrs.fsm.finding import Finding, Path
 from pcmrs.fsm.verify import MAX_JOINT_STATES
@@ -72,11 +71,11 @@ def design(
         return Design(findings=error.fields["findings"], readable=False)
     faults = list(check_table(table))
     if faults:
-        return Design(findings=placed(faults, places))
+        return Design(findings=with_locations(faults, places))
     try:
         return _design(table, places, progress)
     except UndesignableError as error:
-        return Design(findings=placed([error.finding], places))
+        return Design(findings=with_locations([error.finding], places))
 
 
 def _design(table: StepTable, places: Places, progress: Callable[[int, int], None] | None) -> Design:
@@ -90,7 +89,7 @@ def _design(table: StepTable, places: Places, progress: Callable[[int, int], Non
     text = blueprint_toml(_blueprint(table, groups, branches), comment=HEAD)
     examination = examine(text.encode(), origin="blueprint", progress=progress)
     excess = excess_of(examination, len(text.encode()), branches)
-    findings = placed([excess] if excess else _traced(examination.findings, branches), places)
+    findings = with_locations([excess] if excess else _traced(examination.findings, branches), places)
     return Design("" if findings else text, combinations, findings)
 
 

@@ -1,12 +1,16 @@
-"""What is wrong with a step table: names, dependencies, refinements."""
+"""What is wrong with a step table: names, dependencies, refinements.
+
+Asks for what a step table leaves open: what its actions do to the patient.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from graphlib import CycleError, TopologicalSorter
+from typing import Any
 
 from pcmrs.authoring.design.hazards import hazard_of, ways_of
-from pcmrs.authoring.design.table import ActionSpec, StepSpec, StepTable
+from pcmrs.authoring.design.table import DECLARATIONS, ActionSpec, StepSpec, StepTable
 from pcmrs.fsm.finding import Finding, Path
 
 MAX_STEPS = 256
@@ -156,3 +160,23 @@ def _nested(steps: Sequence[StepSpec]) -> Iterator[Finding]:
                 f"{step.name} rests on a step that reaches the patient, and is refined by more than one level: use one."
             )
             yield Finding(code="step_hazard", text=text, path=("steps", str(i), "refined_by"))
+
+
+Ask = Callable[[str], Collection[str]]
+"""Gets the name of an operation, returns those of `DECLARATIONS` that are true of it."""
+
+
+def answer(content: dict[str, Any], table: StepTable, ask: Ask) -> None:
+    """Write the answers into a table as it was read.
+
+    Args:
+        content: The file's content; changed.
+        table: The same, converted.
+        ask: Asked once for each action that says nothing.
+    """
+    for path, operation, _ in undeclared(table):
+        true = ask(operation)
+        place: Any = content
+        for key in path:
+            place = place[int(key)] if isinstance(place, list) else place[key]
+        place |= {key: key in true for key in DECLARATIONS}

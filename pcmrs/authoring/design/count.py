@@ -12,8 +12,8 @@ from math import prod
 from pcmrs.authoring.design.branches import Designed
 from pcmrs.authoring.design.order import Order
 from pcmrs.fsm.blueprint import BranchSpec
-from pcmrs.fsm.files.bounded import MAX_BYTES
 from pcmrs.fsm.files.load import Examination
+from pcmrs.fsm.files.toml import MAX_BYTES
 from pcmrs.fsm.finding import Finding
 
 

@@ -16,7 +16,7 @@ import msgspec
 from pcmrs.cli.printing import say
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm import Blueprint, examine
-from pcmrs.fsm.files.bounded import MAX_BYTES, read_bounded
+from pcmrs.fsm.files.toml import MAX_BYTES, read_bounded
 from pcmrs.fsm.finding import Finding, summary
 
 

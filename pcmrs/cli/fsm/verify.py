@@ -14,11 +14,11 @@ from pcmrs.cli.progress import search_bar
 from pcmrs.cli.running import readable_errors
 from pcmrs.errors import ConfigurationError
 from pcmrs.extras import missing_module
-from pcmrs.fsm.finding import unread
+from pcmrs.fsm.finding import unreadable_file
 
 if TYPE_CHECKING:
     from pcmrs.fsm import Examination
-    from pcmrs.fsm.rules.declared import Known
+    from pcmrs.fsm.rules.declared import KnownHazards
 
 
 @click.command()
@@ -53,12 +53,12 @@ def _examine(file: str, limit: int) -> tuple[str, Examination]:
         raw, origin, folder = fetch(file)
     except ConfigurationError as error:
         origin = printable(file)
-        return origin, Examination(None, [unread(origin, error.text)])
+        return origin, Examination(None, [unreadable_file(origin, error.text)])
     with search_bar(origin) as progress:
         return origin, examine(raw, origin=origin, folder=folder, limit=limit, progress=progress, known=_known(raw))
 
 
-def _known(raw: bytes) -> Known | None:
+def _known(raw: bytes) -> KnownHazards | None:
     """What PCMRS's own steps do; not loaded for a file that names none."""
     if b"steps" not in raw and b"extends" not in raw and b"activities" not in raw:
         return None

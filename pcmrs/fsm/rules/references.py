@@ -9,7 +9,7 @@ from pcmrs.fsm.finding import Finding, Path
 
 
 def check_references(blueprint: Blueprint) -> Iterator[Finding]:
-    """Names that stand for nothing."""
+    """Return references to branches, states and operations that do not exist."""
     for name, branch in blueprint.branches.items():
         path = ("branches", name)
         yield from _parent(blueprint, name, branch)
@@ -54,7 +54,7 @@ def _requirement(blueprint: Blueprint, requirement: Requirement, path: Path) -> 
     yield from _states_exist(blueprint, requirement, path)
     for branch, states in requirement.items():
         if not states:
-            text = f"No state of {branch} is named, so that this can never hold: give at least one."
+            text = f"No state of {branch} is named, so this can never hold: give at least one."
             yield Finding(code="unknown_state", text=text, path=(*path, branch))
 
 

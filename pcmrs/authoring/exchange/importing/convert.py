@@ -9,8 +9,7 @@ from pcmrs.authoring.exchange import descriptors, plain
 from pcmrs.authoring.exchange.importing.chart import Edge, Node
 from pcmrs.authoring.exchange.importing.conditions import Conditions, TooManyError
 from pcmrs.authoring.exchange.importing.moves import Group, Move, Mover, grouped
-from pcmrs.authoring.exchange.importing.naming import Names
-from pcmrs.authoring.exchange.importing.reading import Findings
+from pcmrs.authoring.exchange.importing.reading import Findings, Names
 from pcmrs.authoring.exchange.importing.regions import Region, regions_of
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, ParentSpec, Requirement, RevocationSpec
 from pcmrs.fsm.finding import Place

@@ -23,7 +23,7 @@ from pcmrs.authoring.exchange.importing.imported import imported
 from pcmrs.authoring.exchange.importing.markup import Element, read_xml
 from pcmrs.authoring.exchange.importing.reading import MAX_DEPTH, NO_EVENTS, Findings, events_of
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.files.bounded import MAX_BYTES
+from pcmrs.fsm.files.toml import MAX_BYTES
 from pcmrs.fsm.finding import Finding, Place, refuse
 
 RAW_DEFLATE = -15

@@ -13,9 +13,9 @@ from pcmrs.authoring.exchange.importing.convert import blueprint_of
 from pcmrs.authoring.exchange.importing.reading import Findings
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.files.bounded import MAX_BYTES
 from pcmrs.fsm.files.dump import blueprint_toml
 from pcmrs.fsm.files.load import examine
+from pcmrs.fsm.files.toml import MAX_BYTES
 from pcmrs.fsm.finding import Finding
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from xml.parsers import expat
 
 from pcmrs.authoring.exchange.importing.reading import MAX_DEPTH
-from pcmrs.fsm.files.bounded import check_size
+from pcmrs.fsm.files.toml import check_size
 from pcmrs.fsm.finding import Place, refuse
 
 
