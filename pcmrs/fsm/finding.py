@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import NoReturn
 
 import msgspec
@@ -57,6 +58,18 @@ def printable(text: str) -> str:
 def summary(findings: Iterable[Finding]) -> str:
     """Return all findings, a line each."""
     return "\n".join(str(finding) for finding in findings)
+
+
+def hint(word: str, known: Iterable[str]) -> str:
+    """Return the end of a message about an unknown word: the closest known word, or all of them.
+
+    Args:
+        word: The unknown word.
+        known: All words that could be meant.
+    """
+    words = list(known)
+    close = get_close_matches(word, words, n=1, cutoff=0.75)
+    return f"did you mean {close[0]!r}?" if close else f"choose from {', '.join(words)}."
 
 
 def unreadable_file(origin: str, text: str) -> Finding:

@@ -18,13 +18,13 @@ _TITLE = 17
 
 
 def svg(blueprint: Blueprint, current: Mapping[str, str] | None = None) -> str:
-    """Draw the state chart of a workflow.
+    """Return the state chart of a workflow as SVG.
 
     Every state is a group of class ``state`` (``state current`` if highlighted) with the id
     ``state-<branch>-<state>`` and the attributes ``data-branch`` and ``data-state``.
 
     Args:
-        blueprint: A workflow that keeps the static rules.
+        blueprint: A workflow that obeys the static rules.
         current: States to highlight, branch to state.
 
     Returns:

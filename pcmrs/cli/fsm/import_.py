@@ -27,7 +27,7 @@ def import_(file: str, form: str | None, output: Path | None, as_json: bool) -> 
     --json, standard output gets one object that says so, and the blueprint is written with -o only.
     """
     from pcmrs.authoring.exchange.importing.drawio import from_drawio
-    from pcmrs.authoring.exchange.importing.imported import written
+    from pcmrs.authoring.exchange.importing.imported import blueprint_file
     from pcmrs.authoring.exchange.importing.mermaid import from_mermaid
     from pcmrs.authoring.exchange.importing.scxml import from_scxml
 
@@ -37,7 +37,7 @@ def import_(file: str, form: str | None, output: Path | None, as_json: bool) -> 
     blueprint, findings = readers[form or _format_of(raw, origin)](raw, origin)
     text = ""
     if blueprint is not None:
-        text, findings = written(blueprint, origin, str(output or "<blueprint>"))
+        text, findings = blueprint_file(blueprint, origin, str(output or "<blueprint>"))
     if text and (output is not None or not as_json):
         write(text, output)
     conclude(origin, findings, readable=bool(text), as_json=as_json)

@@ -51,7 +51,7 @@ def simulate(file: str, count: int | None, seed: int, as_json: bool) -> None:
     walk = SimulationSession(sound(file))
     show: Callable[[Step], None] = _show_json if as_json else _show
     if count is not None:
-        for step in walk.wander(count, seed):
+        for step in walk.random_walk(count, seed):
             show(step)
     else:
         _converse(walk, show, tables=not as_json)

@@ -1,9 +1,4 @@
-"""What all readers of foreign files share: a limit, and how they say what is wrong.
-
-The text on an arrow of a drawing: which events trigger it.
-
-Names of a chart as names of a blueprint; what cannot be one is a finding, not a guess.
-"""
+"""Shared parts of all readers of charts: limits, findings, names, and the events on an arrow."""
 
 from __future__ import annotations
 
@@ -21,10 +16,10 @@ MAX_DEPTH = 64
 
 
 class Findings(list[Finding]):
-    """What is wrong with one file.
+    """Findings on one file.
 
     Args:
-        origin: How findings call the file.
+        origin: Name of the file in findings.
     """
 
     def __init__(self, origin: str) -> None:
@@ -32,8 +27,14 @@ class Findings(list[Finding]):
         self.origin = origin
         self._said: set[Finding] = set()
 
-    def say(self, code: str, text: str, place: Place) -> None:
-        """Add a finding; the same one again only once."""
+    def add(self, code: str, text: str, place: Place) -> None:
+        """Add a finding, unless it is there already.
+
+        Args:
+            code: Key of `pcmrs.fsm.codes.CODES`.
+            text: What is wrong, and what to do.
+            place: Line and column in the file.
+        """
         line, column = place
         finding = Finding(code=code, text=text, file=self.origin, line=line, column=column)
         if finding not in self._said:
@@ -42,20 +43,25 @@ class Findings(list[Finding]):
 
 
 def read_text(raw: bytes, origin: str) -> str:
-    """The text of a file, without the mark that some editors begin it with; see `decode_text`."""
+    """Return the text of a file, without the byte order mark that some editors begin it with; see `decode_text`.
+
+    Args:
+        raw: The file.
+        origin: Name of the file in findings.
+    """
     return decode_text(raw, origin).removeprefix("\ufeff")
 
 
 NO_EVENTS = "An arrow needs the events that trigger it, with commas between, without conditions and actions"
-"""What to say where there are none."""
+"""Finding on an arrow without events."""
 
 _REMARK = re.compile(r" \([^()]*\)$")
 
 
 def events_of(label: str) -> list[str]:
-    """The events a label names; empty where it names none, or holds a condition ``[…]`` or an action ``/ …``.
+    """Return the events that a label names; empty if it names none, or has a condition ``[…]`` or an action ``/ …``.
 
-    A remark in round brackets at the end of an event is left out.
+    A remark in round brackets at the end of an event is ignored.
     """
     if any(sign in label for sign in "[]/"):
         return []
@@ -67,9 +73,9 @@ class Names:
     """Names of one kind that must differ: the branches, or the states or operations of one branch.
 
     Args:
-        what: What they name, for findings.
-        findings: Where to say what cannot be named.
-        states: Whether they may begin with a digit and be words of Python, as states may.
+        what: Kind of what they name, for findings.
+        findings: Collects names that cannot be used.
+        states: They name states, which may begin with a digit and be words of Python.
     """
 
     def __init__(self, what: str, findings: Findings, *, states: bool = False) -> None:
@@ -79,19 +85,31 @@ class Names:
         self._taken: dict[str, str] = {}
 
     def make(self, raw: str, place: Place, prefix: str = "") -> str:
-        """The name for `raw`: in lower case with ``_`` for what is neither letter nor digit, without the prefix."""
+        """Return the name for `raw`: in lower case, with ``_`` for anything that is neither letter nor digit.
+
+        Args:
+            raw: Name in the chart.
+            place: Its place in the file.
+            prefix: Left out if the name begins with it.
+        """
         return self.take(plain(raw, prefix), raw, place)
 
     def take(self, name: str, raw: str, place: Place) -> str:
-        """Take a name for something called `raw`; says what is wrong with it."""
+        """Reserve a name, and report it if it cannot be used.
+
+        Args:
+            name: The name.
+            raw: Name in the chart.
+            place: Its place in the file.
+        """
         if not (STATE_NAME if self._states else NAME).fullmatch(name):
-            text = f"{raw[:70]!r} gives {name[:70]!r}, no name for {self._what}: begin with a letter, and be short."
-            self._findings.say("bad_name", text, place)
+            text = f"{raw[:70]!r} gives {name[:70]!r}, no name for {self._what}: use a short one with a letter first."
+            self._findings.add("bad_name", text, place)
         elif not self._states and (keyword.iskeyword(name) or name in RESERVED | ENDINGS):
-            text = f"{raw!r} cannot be the name of {self._what}: Python or PCMRS use {name!r}. Rename it."
-            self._findings.say("reserved_name", text, place)
+            text = f"{raw!r} cannot be the name of {self._what}: Python or PCMRS uses {name!r}. Rename it."
+            self._findings.add("reserved_name", text, place)
         elif name in self._taken:
             text = f"{raw!r} and {self._taken[name]!r} would both be {name!r} among {self._what}: rename one."
-            self._findings.say("name_collision", text, place)
+            self._findings.add("name_collision", text, place)
         self._taken.setdefault(name, raw)
         return name
