@@ -27,7 +27,7 @@ from pcmrs.messages import TeleopStatus, Verdict
 from pcmrs.teleop.demand import Mapping
 from pcmrs.teleop.devices import DEVICES, open_device
 from pcmrs.teleop.keyboard import HELP
-from pcmrs.teleop.session import TeleopSession, Told
+from pcmrs.teleop.session import Report, TeleopSession
 
 LIMITS = {
     "height": "at the planned contact",
@@ -44,12 +44,12 @@ def line_of(status: TeleopStatus | None, *, keys: bool) -> Text:
     return text.append(f"\n{HELP}", style="dim") if keys else text
 
 
-def told_line(told: Told) -> str:
+def report_line(report: Report) -> str:
     """A refusal, or a danger."""
-    if isinstance(told, Verdict):
-        why = told.reason.text if told.reason is not None else "no reason"
-        return f"{told.branch}.{told.operation} was {told.decision}: {why}"
-    return f"{told.code}: {told.text}"
+    if isinstance(report, Verdict):
+        why = report.reason.text if report.reason is not None else "no reason"
+        return f"{report.branch}.{report.operation} was {report.decision}: {why}"
+    return f"{report.code}: {report.text}"
 
 
 def _parts(status: TeleopStatus) -> list[str]:
@@ -119,12 +119,12 @@ def teleop(
 async def _teleoperate(
     address: Address, device: str, script: Path | None, mapping: Mapping, rate: float, as_json: bool
 ) -> str:
-    def tell(told: Told) -> None:
-        say(msgspec.json.encode(told).decode() if as_json else told_line(told), err=not as_json)
+    def show(report: Report) -> None:
+        say(msgspec.json.encode(report).decode() if as_json else report_line(report), err=not as_json)
 
     async with address.connect() as client, _held(client):
         with open_device(device, mapping, script) as hands:
-            session = TeleopSession(client, hands, SystemClock(), rate, tell)
+            session = TeleopSession(client, hands, SystemClock(), rate, show)
             showing = _as_json(session) if as_json else _on_a_line(session, keys=device == "keyboard")
             async with background_task(showing):
                 return await session.run()

@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from pcmrs.cli import main
-from pcmrs.cli.teleop import line_of, told_line
+from pcmrs.cli.teleop import line_of, report_line
 from pcmrs.messages import DeviceEvent, Reason, TeleopStatus, Verdict
 
 STATUS = TeleopStatus(
@@ -38,9 +38,9 @@ def test_refusals_and_dangers_are_told_with_their_reason() -> None:
     verdict = Verdict(
         id="1", branch="teleoperation", operation="engage", decision="rejected", state="off", sequence=1, reason=reason
     )
-    assert told_line(verdict) == f"teleoperation.engage was rejected: {reason.text}"
+    assert report_line(verdict) == f"teleoperation.engage was rejected: {reason.text}"
     lost = DeviceEvent(device="activity:teleoperate", code="teleoperator_lost", text="No set point.", danger=True)
-    assert told_line(lost) == "teleoperator_lost: No set point."
+    assert report_line(lost) == "teleoperator_lost: No set point."
 
 
 @pytest.mark.parametrize("words", [["--device", "script"], ["--device", "keyboard", "--script", "pyproject.toml"]])
